@@ -295,7 +295,7 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
     if len(sources) == 1:
         first, columns = _read_columns(sources[0], arm, only_with_reflectors=True)
-        found = pose_joining.with_pose_of_reflectors(columns) if columns else None
+        found = reflectors.with_pose_of_reflectors(columns) if columns else None
         if found is None:
             return None
         place, columns, notes = (
@@ -310,7 +310,7 @@ def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, 
         files, notes = [], []
         for source in sources:
             path, columns = _read_columns(source, arm)
-            if (found := pose_joining.with_pose_of_reflectors(columns)) is not None:
+            if (found := reflectors.with_pose_of_reflectors(columns)) is not None:
                 columns = found.columns
                 notes += [f"{path.name}: {said}" for said in inspection.describe_reflectors(found)]
             own = {name: meaning for name, meaning in given.items() if name in columns}

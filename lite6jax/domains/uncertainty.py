@@ -7,7 +7,7 @@ range of its driver a nonparametric effect goes back to its prior, whose varianc
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,48 +131,28 @@ def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: Array
     return np.maximum(np.maximum(lower - values, values - upper), 0.0) / length
 
 
-class Departure(NamedTuple):
-    """How far a motion departs from what was recorded.
-
-    Attributes:
-        further: `(sample,)`, by which multiple the variance of what is left grows.
-        outside: `(sample,)`, whether a quantity is beyond its recorded range.
-    """
-
-    further: Array
-    outside: Flags
-
-
-def departure(
-    recorded: RecordedRange,
+def widened(
+    variance: Array,
+    known: Uncertainty,
+    rows: NDArray[np.integer],
     distance: Array,
     beyond: Mapping[str, Array],
     contained: Collection[str],
-) -> Departure:
-    """The departure of a motion.
-
-    Args:
-        recorded: where the model was recorded.
-        distance: `(sample,)` rad in joint space to the nearest recorded rows.
-        beyond: `(sample,)` of each quantity, by the phrase of its driver, as `beyond_range`.
-        contained: phrases of what the distance contains already.
-    """
-    further = (np.maximum(distance - recorded.spacing, 0.0) / LENGTH) ** 2
-    for phrase, part in beyond.items():
-        if phrase not in contained:
-            further = further + (part / DRIVEN) ** 2
-    outside = np.any([np.zeros(len(distance), bool), *(part > MARGIN for part in beyond.values())], axis=0)
-    return Departure(further, outside)
-
-
-def widened(variance: Array, known: Uncertainty, rows: NDArray[np.integer], of: Departure) -> Array:
-    """The variance `(row, sample)` of what was estimated, with that of what is left of the model.
+) -> tuple[Array, Flags]:
+    """The variance `(row, sample)` with that of what is left of the model, and where a motion leaves what was recorded.
 
     Args:
         variance: by the covariance of the model's numbers, and of nonparametric effects beyond their range.
         known: of the model.
         rows: `(row,)`, which quantity each row is of.
-        of: the motion's departure from what was recorded.
+        distance: `(sample,)` rad in joint space to the nearest recorded rows.
+        beyond: `(sample,)` of each quantity, by the phrase of its driver, as `beyond_range`.
+        contained: phrases of what the distance contains already.
     """
+    further = (np.maximum(distance - known.recorded.spacing, 0.0) / LENGTH) ** 2
+    for phrase, part in beyond.items():
+        if phrase not in contained:
+            further = further + (part / DRIVEN) ** 2
+    outside = np.any([np.zeros(len(distance), bool), *(part > MARGIN for part in beyond.values())], axis=0)
     left, unseen = (np.asarray(part, float)[rows, None] ** 2 for part in (known.left, known.unseen))
-    return variance + left + of.further * (left + unseen)
+    return variance + left + further * (left + unseen), outside

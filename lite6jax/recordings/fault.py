@@ -19,8 +19,7 @@ class DataFault:
         time_order              largest_step_back_s
         repeated_rows           first_rows: the rows that `rows` repeat
         position_unit           factor: by which the rows are too large
-        commanded_joints        reason: "grid" (grid_rad, grid_unit, distinct_positions) or "returns" (returns,
-                                joint_noise_rad)
+        commanded_joints        grid_rad, grid_unit, distinct_positions
         swapped_joints          joints, and those of a mismatch
         mirrored_joint          joint, and those of a mismatch
         joint_unit              joint, unit of its column ("deg" or "rad"), and those of a mismatch
@@ -39,7 +38,7 @@ class DataFault:
         computed_pose           median_error_m, chain ("nominal" or "factory")
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
-        unsettled_readouts      shape ("move", "rows", "velocity" or "constant"), joints, all_joints, rest (a share, s
+        unsettled_readouts      shape ("move", "velocity" or "constant"), joints, all_joints, rest (a share, s
                                 or rad by the shape), rest_std, largest_rms_rad, log_likelihood_gap*, rival_terms*
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
-from lite6jax.domains.pose.predict import DiagnosedArm, bar_columns
+from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import screen
 from lite6jax.report.screen import indented
@@ -32,7 +32,7 @@ def compensation_columns(found: Compensation) -> dict[str, NDArray]:
     columns["position_error_mm"] = 1e3 * found.position_error
     if found.orientation_error is not None:
         columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
-    columns |= bar_columns(found.position_std, found.orientation_std, found.outside)
+    columns |= deviation_columns(found)
     sliding = found.recording.sliding
     columns["reason"] = np.array([reason_text(reason, sliding) for reason in found.reason], object)
     return columns

@@ -13,8 +13,9 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
-from lite6jax.domains.pose.joining import JoinedFiles, WithJoints, WithPose
+from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
 from lite6jax.domains.pose.readings import Meaning
+from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED

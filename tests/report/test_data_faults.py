@@ -24,8 +24,8 @@ FOUND = [
     (fault("repeated_rows", 6, first_rows=[5]), "(row 6 those of row 5)"),
     (fault("position_unit", 4, factor=1000.0), "1 row are a factor of 1000 too large"),
     (
-        fault("commanded_joints", reason="returns", returns=80, joint_noise_rad=2e-5),
-        "all 80 returns to an earlier pose have the same joint positions",
+        fault("commanded_joints", distinct_positions=80, grid_rad=1e-4, grid_unit="rad"),
+        "all 80 joint positions are multiples of 0.0001 rad",
     ),
     (
         fault("commanded_joints", reason="grid", distinct_positions=90, grid_rad=1.7e-4, grid_unit="deg"),

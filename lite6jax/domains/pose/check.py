@@ -24,13 +24,12 @@ from lite6jax.calibration.start import (
     frames_from_recording,
     nominal_calibration,
 )
+from lite6jax.domains.pose.fit import fit_touches
 from lite6jax.domains.pose.registration import noise_of
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening.hypotheses import touches_one_point
-from lite6jax.domains.pose.screening.nominal_table import tables_of_model
+from lite6jax.domains.pose.screening.hypotheses import tables_of_model, touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.recordings import Recording, outside_limits
 from lite6jax.recordings.fault import DataFault, row_numbers
 

@@ -7,7 +7,6 @@ with those of every site. Nonparametric effects act on components of sites, each
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from operator import itemgetter
 from typing import Any, NamedTuple, final
 
 import jax
@@ -25,7 +24,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, place_of
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 from lite6jax.estimation.problem import Component, Quantity
-from lite6jax.estimation.terms import Factored, Term, Terms
+from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
 
@@ -177,6 +176,12 @@ class Deflections:
 
         return jax.tree.map(np.asarray, jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps))
 
+    def by_each(self, effect: Effect, at: Array, beside: Physics, values: Array) -> Deflection:
+        """How deflections change with each number of an effect at `at` `(number,)`, among effects `(beside.size,)`."""
+        if isinstance(effect, Loading):
+            return self.through_loads(effect, at, beside, values)
+        return self.unit(effect) if effect.linear or not at.any() else self.slope(effect, at)
+
     def through_loads(self, effect: Loading, at: Array, effects: Physics, values: Array) -> Deflection:
         """How the deflections that loads cause change with each number of an effect that alters the loads.
 
@@ -233,12 +238,8 @@ class Deflections:
             return [(None, None)] * len(masses)
         if masses not in self._loaded:
             steps = [sign * _STEP * one for one in np.eye(len(masses)) for sign in (-1, 1)]
-            dof = len(self.kinematics)
-            errors = [mass_errors(masses, step, dof, self.errors) or self._exact for step in steps]
-            stacked = MassErrors(np.stack([one.links for one in errors]), np.array([one.payload for one in errors]))  # type: ignore[arg-type]
-            of_each = _loads_of_each(self.motion.chain, self.kinematics.ravel(), self.motion, self.inertia, stacked)
-            found = jax.tree.map(np.asarray, of_each)
-            each = [jax.tree.map(itemgetter(k), found) for k in range(len(steps))]
+            errors = (mass_errors(masses, step, len(self.kinematics), self.errors) or self._exact for step in steps)
+            each = [self.loads_in(self.motion, errors=one) for one in errors]
             self._loaded[masses] = [*zip(each[::2], each[1::2], strict=True)]
         return self._loaded[masses]
 
@@ -273,99 +274,6 @@ def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, 
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
     payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
-
-
-@partial(jax.jit, static_argnums=0)
-def _loads_of_each(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
-    """Those of several errors, each part of them `(case, …)`, in turn: of many rows they take much memory."""
-    return jax.lax.map(lambda one: _loads(form, kinematics, motion, inertia, one), errors)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class EffectColumns:
-    """The columns of effects in one linearisation; those that do not depend on their numbers are computed once.
-
-    Attributes:
-        sites: how residuals change with a deflection at each site, `(row, sample)`.
-        deflections: by effects.
-        masses: the sites of uncertain masses.
-    """
-
-    sites: dict[Site, Array]
-    deflections: Deflections
-    masses: tuple[Site, ...]
-    _linear: dict[Effect, Array] = field(default_factory=dict)
-    _by_mass: dict[Effect, Array] = field(default_factory=dict)
-    _sites: dict[tuple[str, str], Array] = field(default_factory=dict)
-
-    def by_numbers(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        """How residuals change with the numbers of effects, `(number, row, sample)`.
-
-        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
-        not given.
-        """
-        own = Terms(tuple(terms))
-        values = np.zeros(own.size) if values is None else np.asarray(values, float)
-        found = np.empty((own.size, *self._shape))  # half a gigabyte of a real arm: each part is written in its place
-        for effect, part in zip(own.terms, own.slices, strict=True):
-            assert isinstance(effect, Effect)
-            if isinstance(effect, Loading):
-                others, at = (own, values) if beside is None else beside
-                unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
-                found[part] = columns_of(unit, self.sites)
-            elif isinstance(effect, Unnamed):
-                factored = self.factored(effect)
-                np.multiply(
-                    factored.site[:, None],
-                    factored.functions[:, None],
-                    out=found[part].reshape(len(factored.site), -1, *self._shape),
-                )
-            elif effect.linear or not values[part].any():
-                if effect not in self._linear:
-                    self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
-                found[part] = self._linear[effect]
-            else:
-                found[part] = columns_of(self.deflections.slope(effect, values[part]), self.sites)
-        return found
-
-    def factored(self, effect: Unnamed) -> Factored:
-        """The columns of a nonparametric effect; those of one site and component share the array of its columns."""
-        key = effect.where, effect.component
-        if key not in self._sites:
-            self._sites[key] = self.sites[site_of(*key)][None]
-        return Factored(self._sites[key], self.deflections.basis(effect))
-
-    def by_masses(self, physics: Physics, values: Array) -> Array:
-        """How residuals change with errors of masses through effects `(physics.size,)`, `(mass, row, sample)`."""
-        values, total = np.asarray(values, float), np.zeros((len(self.masses), *self._shape))
-        if not self.masses or not physics.loaded:
-            return total
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
-            if effect.linear:
-                total += np.tensordot(values[part], self._by_unit_masses(effect), 1)
-            else:
-                total += self._through_masses(effect, values[part])
-        return total
-
-    def _by_unit_masses(self, effect: Effect) -> Array:
-        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
-        if effect not in self._by_mass:
-            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:  # of the loads as declared
-                found = np.zeros((effect.size, len(self.masses), 1, 1))
-            else:
-                found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
-            self._by_mass[effect] = found
-        return self._by_mass[effect]
-
-    def _through_masses(self, effect: Effect, values: Array) -> Array:
-        return columns_of(self.deflections.through_masses(self.masses, Physics((effect,)), values), self.sites)
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return self.sites["scale", 0, 0].shape
 
 
 def physics_of(terms: Terms) -> Physics:

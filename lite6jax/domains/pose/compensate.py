@@ -14,14 +14,20 @@ import jax
 import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
-from lite6jax.domains.pose.files import declare_anew
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
-from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, recording_of, require_model
+from lite6jax.domains.pose.kinematics import unit_quaternions
+from lite6jax.domains.pose.predict import (
+    DiagnosedArm,
+    declare_anew,
+    has_memory,
+    predict_deviations,
+    recording_of,
+    require_model,
+)
 from lite6jax.effects.kinematic import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -30,6 +36,7 @@ from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sid
 from lite6jax.recordings.files import open_table, require_table
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
+from lite6jax.sensors.pose import Measured
 from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
@@ -43,8 +50,6 @@ _SINGULAR = 2e-3
 """m: with a smaller error inside the joint limits, a target is next to a singular position; else out of reach."""
 _FAR = 0.2
 """rad: a solution further than this from the joint positions given is reported."""
-_NEAREST = 0.03
-"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
 _NEAR = 1e-2
@@ -178,7 +183,7 @@ def compensate(
             reasons[row] = None if correction is None else _far(correction[row])
         else:
             reasons[row] = _missed(solved, k, search.limits)
-    bars = predict_deviations(model, search.motion(solved.joint_position.T))
+    std, turned_std, outside = predict_deviations(model, search.motion(solved.joint_position.T))
     return Compensation(
         recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
         position_error=spread(solved.position_error),
@@ -188,9 +193,9 @@ def compensate(
         correction=correction,
         omitted=omitted,
         notes=recording.notes,
-        position_std=None if bars.position is None else spread(bars.position),
-        orientation_std=None if bars.orientation is None else spread(bars.orientation),
-        outside=None if bars.outside is None else spread(bars.outside) == 1.0,
+        position_std=None if std is None else spread(std),
+        orientation_std=None if turned_std is None else spread(turned_std),
+        outside=None if outside is None else spread(outside) == 1.0,
     )
 
 
@@ -206,7 +211,7 @@ def _targets_of(
     position, quaternion = T, None
     if T.ndim == 3:
         position = T[:, :3, 3]
-        quaternion = np.roll(Rotation.from_matrix(T[:, :3, :3]).as_quat(), 1, axis=1)
+        quaternion = unit_quaternions(T[:, :3, :3])
     recording = recording_of(model, q, position=position, quaternion=quaternion, **circumstances)
     return Targets(recording, None if start is None else q)
 
@@ -248,18 +253,17 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
 
     Args:
-        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`; the arm's reach says
-            whether positions are in m or mm.
+        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`.
         model: the arm.
         given: columns with the names that they have in a recording, where the caller knows better; or `ignore`.
 
     Raises:
-        InputError: as `read_targets`; or what a column means, or its unit, is not certain.
+        InputError: as `read_targets`; or what a column means is not certain.
     """
     path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, said = _recognised(path, model, reach, given or {})
+    columns, said = _recognised(path, model, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
     recording = replace(recording, notes=(*said, *recording.notes))
     settings = recording.settings
@@ -270,9 +274,7 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     return Targets(declare_anew(recording, settings), start)
 
 
-def _recognised(
-    path: Path, model: DiagnosedArm, reach: float, given: Mapping[str, str]
-) -> tuple[dict[str, str], tuple[str, ...]]:
+def _recognised(path: Path, model: DiagnosedArm, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
     _, table = open_table(path, (), ArmJoints(model.dof), [])
@@ -294,27 +296,13 @@ def _recognised(
             f"{path}: what the angles {', '.join(turned.block.columns)} mean is not certain; say it: --column "
             f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
         )
-    unit = place.unit.choice
-    if place.unit.reason != "name":
-        points = np.stack([np.asarray(columns[name], float) for name in place.block.columns], 1)
-        T = np.asarray(model.model.T_sensor_base)
-        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
-        if len(units) != 1:
-            name = place.block.columns[0]
-            raise InputError(
-                f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
-                f"{name}=x_mm (or x_m), and likewise the others"
-            )
-        unit = units[0]
-    meant = found.columns | place.renamed(unit=unit)
-    told = ", ".join(f"{own}={name}" for own, name in meant.items() if name != "ignore" and own != name)
-    return meant, ((f"columns are read as {told}",) if told else ())
-
-
-def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
-    """Whether most points `(row, 3)` m, in the base's frame or the sensor's, are where an arm can work."""
-    far = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in (np.zeros(3), T_sensor_base[:3, 3])]
-    return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
+    if place.unit.sure == "assumed":
+        raise InputError(
+            f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
+            f"{place.block.columns[0]}=x_mm (or x_m), and likewise the others"
+        )
+    told = ", ".join(f"{own}={name}" for own, name in found.columns.items() if name != "ignore" and own != name)
+    return found.columns, ((f"columns are read as {told}",) if told else ())
 
 
 def _reached(solved: Solved) -> Flags:
@@ -374,7 +362,9 @@ class _Search:
         cost = [np.zeros(0) if first is None else first.cost]
         for k, starts in enumerate(_STARTS):
             tried = np.repeat(everywhere[unsolved], starts)
-            rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
+            m, started = self.model, self._random(len(tried), k)
+            ended = inverse.solve_rigid(m.model, self._target(tried), started, self.limits, m.sliding)
+            rigid, missed = ended.joint_position.T, ended.cost
             best = np.full(count, np.inf)
             np.minimum.at(best, tried, missed)
             kept = (missed < _NEAR**2) | (missed == best[tried])
@@ -418,33 +408,16 @@ class _Search:
             return solved
         poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))
-        errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
-        turned = np.zeros(len(q))
-        if rotation is not None:
-            relative = np.einsum("jis,sjk->sik", np.asarray(rotation), poses[:, :3, :3])
-            turned = Rotation.from_matrix(relative).magnitude()
-        return solved._replace(position_error=errors, orientation_error=turned)
+        target = Measured(position, np.zeros((3, 3, 0)) if rotation is None else rotation, np.ones(2))
+        missed = target.differences(poses)
+        position_error, orientation_error = (np.linalg.norm(part, axis=0) for part in (missed[:3], missed[3:]))
+        return solved._replace(position_error=position_error, orientation_error=orientation_error)
 
     def _target(self, rows: Rows) -> Target:
         assert self.targets.position is not None
         R = measured_rotations(self.targets)
         rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
         return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
-
-    def _rigid(self, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
-        """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
-
-        Without limits it does not stop at one of them; its joints are then returned by whole turns.
-        """
-        turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
-        limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
-        m = self.model
-        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
-        q = solved.joint_position.T
-        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
-        q = np.where(turns & unlimited, q - whole, q)
-        inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
-        return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
     def _differ(self, one: Motion, other: Motion) -> Flags:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""

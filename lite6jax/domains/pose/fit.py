@@ -1,56 +1,70 @@
-"""The fit of one arm, from its calibration or from a recording; the latter is screened for data faults first."""
+"""The fit of one arm, from its calibration or from a recording; the latter is screened for data faults first.
+
+Of touches, distances and heights the geometry is fitted under its prior, with the tool's point and the unknowns of the
+sensor.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, overload
+from typing import Any, TypedDict, Unpack, cast, overload
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration import fit as plain
-from lite6jax.calibration.fit import Loss, calibration_from_array, fit_calibration
-from lite6jax.calibration.problem import Geometry
-from lite6jax.calibration.solution import Solution
+from lite6jax.calibration.fit import FOLDS, Loss, calibration_from_array, fit_calibration
+from lite6jax.calibration.problem import TOUCHED_TOLERANCE, Geometry
+from lite6jax.calibration.quality import Result
+from lite6jax.calibration.solution import Errors, Noise, Place, Solution
 from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
-from lite6jax.domains.pose.rigid_arm import require_determined
+from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.domains.pose.touch_fit import fit_touches
 from lite6jax.errors import wrong_type
-from lite6jax.recordings import Recording
+from lite6jax.estimation.least_squares import Fit, relinearise
+from lite6jax.estimation.least_squares import fit as fit_numbers
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import real_array
+from lite6jax.sensors.sensor import Sensor
 
+Array = NDArray[np.floating]
 Source = str | Path | FactoryCalibration | Recording
 """A file, or what one holds."""
+_STEP = 1e-6
+"""m or rad, of difference quotients of a chain's numbers by displacements of its frames."""
+_HELD = 1e16
+"""The precision of what is held: to 10 nm or nanoradians."""
+
+
+class _Options(TypedDict, total=False):
+    """The options of `fit`."""
+
+    geometry: Geometry
+    loss: Loss
+    solver: Solver
+    samples: int
+    seed: int
+    max_steps: int
 
 
 @overload
 def fit(
     source: Source | NDArray[Any] | Sequence[Sequence[float]],
     nominal: Arm | str | Path | None = None,
-    *,
-    geometry: Geometry = ...,
-    loss: Loss = ...,
-    solver: Solver = ...,
-    samples: int = ...,
-    seed: int = ...,
-    max_steps: int = ...,
+    **options: Unpack[_Options],
 ) -> Solution: ...
 @overload
 def fit(
-    source: Sequence[Source],
-    nominal: Arm | str | Path | None = None,
-    *,
-    geometry: Geometry = ...,
-    loss: Loss = ...,
-    solver: Solver = ...,
-    samples: int = ...,
-    seed: int = ...,
-    max_steps: int = ...,
+    source: Sequence[Source], nominal: Arm | str | Path | None = None, **options: Unpack[_Options]
 ) -> tuple[Solution, ...]: ...
 def fit(
     source: Source | Sequence[Source] | ArrayLike,
@@ -131,3 +145,105 @@ def fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )
     return replace(solution, faults=screened.found)
+
+
+def fit_touches(begun: RigidArm) -> Solution:
+    """The likeliest geometry, tool and points of touches, with held-out errors of what is read.
+
+    Args:
+        begun: the arm with its sensor, not fitted yet.
+
+    Raises:
+        InputError: fewer readings than determine the unknowns with a fifth held back.
+    """
+    recording, sensor = begun.recording, begun.sensor
+    require_determined(begun)
+    unknowns = int(np.sum(begun.precision == 0)) + 1
+    require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
+    arm, steps, converged = begun, 0, False
+    while not converged and steps < DEFAULTS.steps:
+        arm, before = relinearise(arm, DEFAULTS, steps=1), arm
+        steps, converged = steps + 1, bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)
+    known = fit_numbers(arm, Terms(), DEFAULTS)
+    checked = np.empty(recording.samples)
+    for fold in recording.contiguous_folds(FOLDS):
+        checked[fold] = np.linalg.norm(relinearise(arm, DEFAULTS, ~fold).differences[:, fold], axis=0)
+    # without a frame of the sensor's own, displacements of the base are of the chain
+    of_chain = [name == "link" or (name == "base" and not begun.form.frame) for name, _, _ in begun.unknown]
+    rigid = relinearise(replace(begun, precision=np.where(of_chain, _HELD, begun.precision)), DEFAULTS)
+    covariance = _covariance(arm, known)
+    form, q, size = begun.form, recording.joint_position, begun.form.size
+    of_steps = _by_unknowns(arm)
+    free = np.diagonal(of_steps @ of_steps.T) > 0
+    tolerance = np.zeros(size)
+    if recording.settings.factory_calibration is None:
+        tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
+    noise = float(known.scale[0] * arm.noise[0])
+    own = slice(len(arm.unknown) - sensor.numbers, None)
+    assert isinstance(arm.sensor, Sensor)
+    return Solution(
+        arm=arm.arm,
+        form=form,
+        model=arm.model,
+        result=Result.CONVERGED if converged else Result.STEPS_EXHAUSTED,
+        steps=steps,
+        covariance=of_steps @ covariance @ of_steps.T,
+        free=free,
+        held=(),
+        errors=Errors(np.linalg.norm(arm.differences, axis=0), None, q),
+        nominal_errors=Errors(np.linalg.norm(rigid.differences, axis=0), None, q),
+        checked=Errors(checked, None, q),
+        noise=Noise(arm.declared_noise if arm.declared_noise[0] else None, noise, None),
+        weight=weights_left(known.residuals.squares, FREEDOM),
+        tolerance=tolerance,
+        notes=recording.notes,
+        recording=recording,
+        places=places_of(arm.sensor, covariance[own, own]),
+    )
+
+
+def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
+    """What is known of each point, plane, anchor or axis, with standard deviations.
+
+    Args:
+        sensor: with its unknowns fitted.
+        covariance: `(number, number)` of these.
+    """
+    kind = type(sensor).__name__.lower()
+    kind = {"distance": "anchor"}.get(kind, kind)
+    found = []
+    moved = [sensor.displaced(_STEP * one) for one in np.eye(sensor.numbers)]
+    for k, name in enumerate(sensor.names):  # type: ignore[attr-defined]
+        values, std = sensor.place(k), {}
+        for key, at in values.items():
+            J = np.array([(np.array(other.place(k)[key]) - at) / _STEP for other in moved]).reshape(-1, len(at))
+            std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
+        found.append(Place(name if name == kind else f"{kind} {name}", values, std))
+    return tuple(found)
+
+
+def _covariance(arm: RigidArm, known: Fit) -> Array:
+    """Of all unknowns, `(unknown, unknown)`."""
+    root = np.sqrt(known.residuals.row_weight)
+    J = (arm.nuisance * root).reshape(len(arm.unknown), -1)
+    factor = variance_factor(known.residuals.squares, arm.rows, FREEDOM, 0)
+    return scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
+
+
+def _by_unknowns(arm: RigidArm) -> Array:
+    """How the entries of a step `(size, unknown)` change with the unknowns."""
+    form, count = arm.form, len(arm.unknown)
+    out = np.zeros((form.size, count))
+    for k, (name, _, axis) in enumerate(arm.unknown):
+        if name == "reading":
+            continue
+        step = _STEP * np.eye(count)[k]
+        more, less = (arm.relinearised(one).model for one in (step, -step))
+        change = (np.asarray(more.geometry) - np.asarray(less.geometry)) / (2 * _STEP)
+        out[: form.chain.size, k] = np.where(np.abs(change) < 1e3, change, 0.0)  # an angle may jump by a turn
+        if name == "base" and form.frame:
+            at = form.chain.size + 3 * (axis > 2)
+            out[at : at + 3, k] = np.asarray(arm.start.T_sensor_base)[:3, axis % 3]
+        if name == "tool":
+            out[form.size - 6 + axis, k] = 1.0
+    return out

@@ -1,11 +1,10 @@
-"""One table of what stands in several places: joints and poses in two files, reflectors in place of a pose.
+"""One table of joints and poses that stand in two files.
 
 What is joined keeps its names and units, so that it is looked at as any table is. Codes and numbers only: the words are
 those of `report.inspection`.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import islice, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,11 +14,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
 from lite6jax.domains.pose.readings import FEWEST, Meaning
-from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
-from lite6jax.recordings import sizes
 from lite6jax.recordings.columns import QUATERNION, known_column, units_of, with_quaternions
-from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -33,12 +29,8 @@ _OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "payload", "amb
 _OF_POSES = ("position", "rotation", "ambient")
 """Kinds of blocks that are taken from either file."""
 _TIME = "time_s"
-_STEPS_S = (1e-4, 60.0)
-"""From one row to the next, in units of time that are tried."""
 _MOST_CAPTURES = 2000
 """One by one, of which the order is tried."""
-_READINGS = 6
-"""Of units that are only assumed; the most that are tried."""
 
 
 class File(NamedTuple):
@@ -95,39 +87,6 @@ class WithJoints(NamedTuple):
     file: File
     path: "JointPath"
     form: str
-
-
-class WithPose(NamedTuple):
-    """A table in which points were replaced by the pose of the body that they are on.
-
-    Attributes:
-        columns: of the table.
-        points: the columns that were replaced.
-        pose: of the body, in `unit`.
-        unit: of the points.
-    """
-
-    columns: dict[str, Array]
-    points: tuple[tuple[str, str, str], ...]
-    pose: RigidPose
-    unit: str
-
-
-def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
-    """A table with a pose in place of three or more points of a rigid body; None where it has no such points."""
-    points = rigid_points(reflector_columns(list(columns)), columns)
-    if not points:
-        return None
-    found = rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
-    if found is None:
-        return None
-    names = {name for point in points for name in point}
-    units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
-    unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
-    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
-    pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
-    rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
-    return WithPose(rest | pose, tuple(points), found, unit)
 
 
 def with_joints(file: File, arm: Arm) -> WithJoints:
@@ -191,15 +150,14 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
     if None not in times and (joined := _joined_by_time(joints, poses, arm)) is not None:
         return joined._replace(left_out=left_out)
-    for angle in _angles(joints):
-        q = _joint_columns(joints, arm, angle)[state_rows]
-        pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
-        if pairing is not None:
-            states = state_rows[pairing.joint : pairing.joint + pairing.rows]
-            placed = pose_rows[pairing.position : pairing.position + pairing.rows]
-            moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
-            table = _table(joints, poses, moved, placed)
-            return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing, left_out=left_out)
+    q = _joint_columns(joints, arm)[state_rows]
+    pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
+    if pairing is not None:
+        states = state_rows[pairing.joint : pairing.joint + pairing.rows]
+        placed = pose_rows[pairing.position : pairing.position + pairing.rows]
+        moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
+        table = _table(joints, poses, moved, placed)
+        return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing, left_out=left_out)
     lacking = [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]
     remedy = (
         f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
@@ -213,43 +171,26 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
 
 
 def _joined_by_time(joints: File, poses: File, arm: Arm) -> JoinedFiles | None:
-    """Joined by the motion; None of captures, which show none. Units in doubt are tried one after the other."""
-    q = _joint_columns(joints, arm)
-    time = joints.columns[_columns(joints, "time")[0]]
-    states = _in_order(time, np.isfinite(q).all(axis=1))
-    if len(states) < FEWEST or not JointStream.of(time[states] - time[states[0]], q[states]).resolved:
-        return None
-    readings = product(
-        _units(joints, _meaning(joints, "time")), _units(poses, _meaning(poses, "time")), _angles(joints)
-    )
-    problem: InputError | None = None
-    for units in islice(readings, _READINGS):
-        try:
-            return _joined_in_units(joints, poses, arm, units)
-        except InputError as error:
-            problem = problem or error
-    raise InputError(f"{joints.source} and {poses.source}: {problem}") from problem
-
-
-def _joined_in_units(joints: File, poses: File, arm: Arm, units: tuple[str, str, str]) -> JoinedFiles:
-    of_joints, of_poses, angle = units
-    clock, at = (
-        file.columns[_columns(file, "time")[0]] / units_of("time")[unit]
-        for file, unit in ((joints, of_joints), (poses, of_poses))
-    )
-    q, position = _joint_columns(joints, arm, angle), _position(poses)
+    """Joined by the motion; None of captures, which show none."""
+    clock, at = (_times(file) for file in (joints, poses))
+    q, position = _joint_columns(joints, arm), _position(poses)
     states = _in_order(clock, np.isfinite(q).all(axis=1))
+    if len(states) < FEWEST or not (stream := JointStream.of(clock[states] - clock[states[0]], q[states])).resolved:
+        return None
+    who = f"{joints.source} and {poses.source}"
     placed = _in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     if len(placed) < FEWEST:
-        raise InputError(f"{len(placed)} poses at different times are too few to find the offset of the clocks")
+        raise InputError(f"{who}: {len(placed)} poses at different times are too few to find the offset of the clocks")
     first, start = clock[states[0]], at[placed[0]]
-    stream = JointStream.of(clock[states] - first, q[states])
     likely = float(start - first) if min(first, start) > LATEST_START_S else None
-    clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
+    try:
+        clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
+    except InputError as error:
+        raise InputError(f"{who}: {error}") from error
     wanted = clocks.robot_time(at[placed] - start)
     kept = _kept(joints, _OF_JOINTS)
     names = [name for name in _columns(joints, "q") if name in kept]
-    joined = join(clock[states] - first, {name: column[states] for name, column in kept.items()}, names, wanted)
+    joined = join(stream.time, {name: column[states] for name, column in kept.items()}, names, wanted)
     rows = placed[joined.kept]
     table = {_TIME: wanted[joined.kept] + first} | _table(joints, poses, joined.columns, rows)
     unit = next((meaning.unit.choice for meaning in joints.found.meanings if meaning.block.kind == "q"), "rad")
@@ -290,16 +231,13 @@ def _position(file: File) -> Array:
     return values / units_of("x")[meaning.unit.choice]
 
 
-def _joint_columns(file: File, arm: Arm, angle: str = "") -> Array:
-    """`(row, joint)` in SI units; revolute joints in `angle` where it is given."""
+def _joint_columns(file: File, arm: Arm) -> Array:
+    """`(row, joint)` in SI units."""
     found: dict[int, Array] = {}
-    for meaning in file.found.meanings:
-        block = meaning.block
-        if block.kind == "q":
-            numbers = block.joints or range(1, len(block.columns) + 1)
-            unit = angle if angle and not block.slides else meaning.unit.choice
-            for number, name in zip(numbers, block.columns, strict=True):
-                found[number] = file.columns[name] / units_of("q", block.slides)[unit]
+    for meaning in (one for one in file.found.meanings if one.block.kind == "q"):
+        names = meaning.block.columns
+        for number, name in zip(meaning.block.joints or range(1, len(names) + 1), names, strict=True):
+            found[number] = meaning.in_si(file.columns[name])
     if sorted(found) != list(range(1, arm.dof + 1)):
         raise InputError(
             f"{file.source}: has {len(found)} joints and {arm.name} has {arm.dof}; choose the arm, or name the columns "
@@ -308,23 +246,11 @@ def _joint_columns(file: File, arm: Arm, angle: str = "") -> Array:
     return np.stack([found[number] for number in sorted(found)], 1)
 
 
-def _units(file: File, time: Meaning | None) -> list[str]:
-    """The units of the times, the likely one first; others only where nothing says it for certain."""
-    assert time is not None
-    if time.unit.sure == "certain":
-        return [time.unit.choice]
-    steps = np.diff(file.columns[time.block.columns[0]])
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    others = [unit for unit, divisor in units_of("time").items() if _STEPS_S[0] <= step / divisor <= _STEPS_S[1]]
-    return list(dict.fromkeys([time.unit.choice, *others]))
-
-
-def _angles(file: File) -> list[str]:
-    """The same of revolute joints."""
-    revolute = [meaning for meaning in file.found.meanings if meaning.block.kind == "q" and not meaning.block.slides]
-    if not revolute or revolute[0].unit.sure == "certain":
-        return [meaning.unit.choice for meaning in revolute] or [""]
-    return list(dict.fromkeys([revolute[0].unit.choice, *units_of("q")]))
+def _times(file: File) -> Array:
+    """`(row,)` s."""
+    meaning = _meaning(file, "time")
+    assert meaning is not None
+    return meaning.in_si(file.columns[meaning.block.columns[0]])
 
 
 def _in_order(time: Array, there: ArrayLike) -> Rows:

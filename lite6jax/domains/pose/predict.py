@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import quaternion_from_rotation
 from lite6jax.domains.pose.columns import Deflections, columns_of, site_of
-from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,
     Uncertainty,
     beyond_range,
-    departure,
     distance_to,
     freed,
     independent_directions,
@@ -32,18 +30,27 @@ from lite6jax.domains.uncertainty import (
 )
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
-from lite6jax.effects.effect import Effect, Loading
+from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic import TimeOffset
 from lite6jax.effects.motion import Motion, Sliding, accelerated
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import Recording, RecordingSettings, require_radians
+from lite6jax.recordings import (
+    ArmJoints,
+    Recording,
+    RecordingSettings,
+    read_recording,
+    read_settings,
+    require_radians,
+    sidecar_path,
+)
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
+from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -337,47 +344,26 @@ def _poses(model: DiagnosedArm, sequence: Motion) -> Array:
 
 
 def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values: those of the poses, and then the standard deviations and `outside` where these are known.
+    """Column name to values, as in a file of a recording, and as `deviation_columns`; a pose of NaN gives NaN.
 
     Args:
         found: poses with their standard deviations.
         orientation: whether to give quaternions as well.
     """
-    return pose_columns(found.poses, orientation) | bar_columns(
-        found.position_std, found.orientation_std, found.outside
-    )
-
-
-def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
-    """Column name to values, as in a file of a recording; a pose of NaN gives NaN.
-
-    Args:
-        poses: `(sample, 4, 4)`.
-        orientation: whether to give quaternions as well.
-    """
-    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
+    columns: dict[str, Any] = dict(zip(("x_m", "y_m", "z_m"), found.poses[:, :3, 3].T, strict=True))
     if orientation:
-        columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
-    return columns
+        quaternions = np.asarray(_quaternions(found.poses[:, :3, :3]))
+        columns |= zip(("qw", "qx", "qy", "qz"), quaternions.T, strict=True)
+    return columns | deviation_columns(found)
 
 
-def bar_columns(
-    position_std: Array | None, orientation_std: Array | None, outside: NDArray[np.bool_] | None
-) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values, of what is not None: `x_std_m` …, `rx_std_rad` … and `outside`, 0 or 1.
-
-    Args:
-        position_std: `(sample, 3)` m.
-        orientation_std: `(sample, 3)` rad.
-        outside: `(sample,)`.
-    """
-    columns: dict[str, Array | NDArray[np.integer]] = {}
-    for std, names in ((position_std, ("x_std_m", "y_std_m", "z_std_m")), (orientation_std, TURNED)):
+def deviation_columns(found: Any) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values of a prediction or a compensation: `x_std_m` …, `rx_std_rad` …, `outside`, where known."""
+    columns: dict[str, Any] = {}
+    for std, names in ((found.position_std, ("x_std_m", "y_std_m", "z_std_m")), (found.orientation_std, TURNED)):
         if std is not None:
-            columns.update(zip(names, std.T, strict=True))
-    if outside is not None:
-        columns["outside"] = outside.astype(int)
-    return columns
+            columns |= zip(names, std.T, strict=True)
+    return columns if found.outside is None else columns | {"outside": found.outside.astype(int)}
 
 
 def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) -> Recording:
@@ -395,6 +381,36 @@ def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) 
         raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
     require_radians(recording.joint_position, model.joint_limits)
     return recording
+
+
+def read_motion(path: str | Path, model: Any) -> Recording:
+    """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
+
+    Args:
+        path: of the motion.
+        model: of poses or of torques: its `dof`, `sliding`, `motion` and `reference_temperature`.
+
+    Raises:
+        InputError: as `read_recording`.
+    """
+    sidecar = sidecar_path(path)
+    settings = (
+        read_settings(sidecar)
+        if exists(sidecar)
+        else RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    )
+    recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
+    if settings.motion is None and recording.motion != model.motion:
+        settings = replace(settings, motion=model.motion)
+    return declare_anew(recording, settings)
+
+
+def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording:
+    """With other settings; notes on the file stay, except those on what was not declared."""
+    undeclared = ("there is no sidecar", *recording.made_anew().notes)
+    kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
+    anew = recording.made_anew(settings=settings)
+    return replace(anew, notes=(*kept, *anew.notes))
 
 
 @final
@@ -477,12 +493,7 @@ class Derivatives:
             one, at = freed(effect), values[part]
             if one is not effect and effect.chosen is not None:
                 at = np.append(at, effect.chosen)
-            if isinstance(one, Loading):
-                units.append(self._deflections.through_loads(one, at, physics, values))
-            elif isinstance(one, Unnamed) or one.linear or not at.any():
-                units.append(self._deflections.unit(one))
-            else:
-                units.append(self._deflections.slope(one, at))
+            units.append(self._deflections.by_each(one, at, physics, values))
         return units
 
     @cached_property
@@ -506,26 +517,15 @@ class Derivatives:
         return physics.alter(jnp.asarray(self.model.values), self._seen) if physics.altering else self._seen
 
 
-class Deviations(NamedTuple):
-    """Standard deviations of predicted poses, sample by sample; None where the diagnosis says nothing of them.
+def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | None, Array | None, Flags | None]:
+    """`position_std`, `orientation_std` and `outside` of a `Prediction`; None where the diagnosis says nothing of them.
 
-    Attributes:
-        position: `(sample, 3)` m, along the sensor's axes.
-        orientation: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was recorded.
-        outside: `(sample,)` bool, where a joint or a driver is beyond its recorded range, or the recorded rows are too
-            few near it: the standard deviation is `SPARSE` times what is typical of them.
+    Rows are outside too where the recorded rows are too few near them: where the standard deviation is `SPARSE` times
+    what is typical of the recorded ones.
     """
-
-    position: Array | None = None
-    orientation: Array | None = None
-    outside: Flags | None = None
-
-
-def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations:
-    """Standard deviations of what a model predicts."""
     known = model.uncertainty
     if known is None:
-        return Deviations()
+        return None, None, None
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
     beyond = {
         phrase: beyond_range(values, *recorded.drivers[phrase])
@@ -533,16 +533,15 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> Deviations:
         if phrase in recorded.drivers
     }
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
-    of = departure(recorded, distance_to(recorded.positions, q), beyond, positions)
     estimated = estimated_variance(change, known.covariance) + change.unknown()
-    variance = widened(estimated, known, _QUANTITIES, of)
-    outside = of.outside | (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
+    variance, outside = widened(estimated, known, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions)
+    outside |= (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
     if known.typical is not None:
         measured = (slice(0, 3), slice(3, 6))[: 2 if model.orientation else 1]
         for rows, usual in zip(measured, known.typical, strict=False):
-            outside = outside | (np.sqrt(variance[rows].mean(0)) > SPARSE * usual)
+            outside |= np.sqrt(variance[rows].mean(0)) > SPARSE * usual
     std = np.sqrt(variance)
-    return Deviations(std[:3].T, std[3:].T if model.orientation else None, outside)
+    return std[:3].T, std[3:].T if model.orientation else None, outside
 
 
 def estimated_variance(change: Derivatives, covariance: Array) -> Array:

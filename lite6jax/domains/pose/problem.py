@@ -14,7 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose import columns
-from lite6jax.domains.pose.columns import Deflections, EffectColumns, MassErrors, mass_errors, physics_of
+from lite6jax.domains.pose.columns import Deflections, MassErrors, mass_errors, physics_of
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -29,8 +29,9 @@ from lite6jax.domains.pose.kinematics import (
 )
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
+from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.effect import Bending, Effect, Loading
 from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
@@ -201,11 +202,6 @@ class PoseProblem:
         q = np.asarray(self.time_shifted.joint_position)
         return site_columns(self.start, q, self.measured, self.motion.sliding.joints)
 
-    @cached_property
-    def effect_columns(self) -> EffectColumns:
-        """How residuals change with the numbers of effects, and through effects with errors of masses."""
-        return EffectColumns(self.sites, self.deflections, self.masses)
-
     @lazy
     def frame_columns(self) -> Array:
         """How residuals change with all of `unknown` but the masses, `(number, row, sample)`."""
@@ -225,17 +221,69 @@ class PoseProblem:
     def columns(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
     ) -> Array:
-        """As `EffectColumns.by_numbers`."""
-        return self.effect_columns.by_numbers(terms, values, beside)
+        """How residuals change with the numbers of effects, `(number, row, sample)`; those of linear ones are kept.
+
+        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
+        not given.
+        """
+        own = Terms(tuple(terms))
+        values = np.zeros(own.size) if values is None else np.asarray(values, float)
+        found = np.empty((own.size, self.rows, self.samples))  # half a gigabyte of a real arm: written in its place
+        for effect, part in zip(own.terms, own.slices, strict=True):
+            assert isinstance(effect, Effect)
+            if (factored := self.factored(effect)) is not None:
+                whole = found[part].reshape(len(factored.site), -1, self.rows, self.samples)
+                np.multiply(factored.site[:, None], factored.functions[:, None], out=whole)
+            elif isinstance(effect, Loading) or not (effect.linear or not values[part].any()):
+                others, at = (own, values) if beside is None else beside
+                unit = self.deflections.by_each(effect, values[part], physics_of(others), at)
+                found[part] = columns.columns_of(unit, self.sites)
+            else:
+                if effect not in self._columns:
+                    self._columns[effect] = columns.columns_of(self.deflections.unit(effect), self.sites)
+                found[part] = self._columns[effect]
+        return found
 
     def factored(self, term: Term) -> Factored | None:
-        """Of a function without a name; None of other terms."""
-        return self.effect_columns.factored(term) if isinstance(term, Unnamed) else None
+        """Of a function without a name, where those of one site and component share its column; None of other terms."""
+        if not isinstance(term, Unnamed):
+            return None
+        key = term.where, term.component
+        if key not in self._columns:
+            self._columns[key] = self.sites[columns.site_of(*key)][None]
+        return Factored(self._columns[key], self.deflections.basis(term))
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
-        through = self.effect_columns.by_masses(physics_of(terms), values)
-        return np.concatenate([self.frame_columns, through]) if len(through) else self.frame_columns
+        if not self.masses:
+            return self.frame_columns
+        physics, through = physics_of(terms), np.zeros((len(self.masses), self.rows, self.samples))
+        for effect, part in zip(physics.effects, physics.slices, strict=True) if physics.loaded else ():
+            numbers = np.asarray(values, float)[part]
+            if effect.linear:
+                through += np.tensordot(numbers, self._by_unit_masses(effect), 1)
+            else:
+                through += self._through_masses(effect, numbers)
+        return np.concatenate([self.frame_columns, through])
+
+    def _by_unit_masses(self, effect: Effect) -> Array:
+        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
+        if ("mass", effect) not in self._columns:
+            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:  # of the loads as declared
+                found = np.zeros((effect.size, len(self.masses), 1, 1))
+            else:
+                found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
+            self._columns["mass", effect] = found
+        return self._columns["mass", effect]
+
+    def _through_masses(self, effect: Effect, values: Array) -> Array:
+        unit = self.deflections.through_masses(self.masses, Physics((effect,)), values)
+        return columns.columns_of(unit, self.sites)
+
+    @cached_property
+    def _columns(self) -> dict[Hashable, Array]:
+        """Of linear effects, of sites, and of masses through effects, by these; computed once."""
+        return {}
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -468,14 +516,15 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    tolerant = rigid.touch is not None and recording.settings.factory_calibration is None and factory is None
+    touched = isinstance(rigid.sensor, Sensor)
+    tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
     known = np.full(len(waves), ONCE_PER_TURN**-2.0)
     free, none = np.zeros(len(moved)), np.zeros(len(masses))
     stated = [rigid.informative or site[0] == "reading" for site in rigid.unknown]
     every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
-    if rigid.touch is not None:  # sockets, plates and anchors have no frame of their own that could move
+    if touched:  # sockets, plates and anchors have no frame of their own that could move
         every = tuple(effect for effect in every if effect.site != "sensor")
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}

@@ -109,7 +109,7 @@ def agreement(
     """
     if len(pose.joint) < FEWEST:
         return NO_AGREEMENT
-    rows = np.unique(np.linspace(0, len(pose.joint) - 1, ROWS).astype(int))
+    rows = spread_rows(len(pose.joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = length is None and bool(arm.slides.all())
     length = sizes.length_unit(pose.position).choice if by_size else length
@@ -121,8 +121,10 @@ def agreement(
     tried = {}
     for turning, sliding, unit in product(*possible):
         divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
-        position = pose.position[rows] / units_of("x")[unit]
-        tried[turning, sliding, unit] = _positions(arm, pose.joint[rows] / divisor, position)
+        position, flange = pose.position[rows] / units_of("x")[unit], flange_poses(arm, pose.joint[rows] / divisor)
+        error, T_sensor_base = match_poses(flange, position)
+        predicted = T_sensor_base[:3, :3] @ flange[:, :3, :3]
+        tried[turning, sliding, unit] = _Tried(error, median_distance(position), predicted)
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
     plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one.spread < farthest}
@@ -161,6 +163,11 @@ def digit_step(values: Array) -> float:
     return 0.0 if place is None else 10.0**-place
 
 
+def spread_rows(count: int, most: int) -> NDArray[np.integer]:
+    """`most` of so many rows, spread evenly; all where they are no more."""
+    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
 def median_distance(position: Array) -> float:
     """m, of positions `(sample, 3)` from their median."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
@@ -180,12 +187,6 @@ class _Tried(NamedTuple):
     @property
     def score(self) -> float:
         return self.error / max(self.spread, 1e-9)
-
-
-def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
-    flange = flange_poses(arm, joint)
-    error, T_sensor_base = match_poses(flange, position)
-    return _Tried(error, median_distance(position), T_sensor_base[:3, :3] @ flange[:, :3, :3])
 
 
 def flange_poses(arm: Arm, joint: Array) -> Array:

@@ -22,9 +22,10 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import declared_tool, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.domains.pose.readings import flange_poses
 from lite6jax.domains.pose.registration import Registration, noise_of, register
-from lite6jax.domains.pose.screening.nominal_table import tables_of_model
+from lite6jax.domains.pose.rigid_arm import rigid_arm
+from lite6jax.domains.pose.screening.hypotheses import tables_of_model
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -312,7 +313,7 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
     assert position is not None
     assert measured is not None
     F, U = common.registration.T_sensor_base, common.registration.T_flange_tool
-    flange = _flange(base, recording, arm)
+    flange = flange_poses(replace(arm, kinematics=base, dh=None), recording.joint_position)
     P = _registered(recording, flange, (False, False)).T_sensor_base @ flange
     in_base = (measured - F[:3, 3]) @ F[:3, :3]
     rotation, reference_rotation, quaternion = measured_rotations(recording), measured_rotations(reference), None
@@ -415,14 +416,8 @@ def _chains(recording: Recording, reference: Recording, arm: Arm) -> list[_Chain
 
 def _explained_by(reference: Recording, arm: Arm, chain: _Chain, fitted: tuple[bool, bool]) -> _RigidArm:
     """A chain with the sensor frame and the tool that fit the reference's poses best."""
-    flange = _flange(chain.kinematics, reference, arm)
+    flange = flange_poses(replace(arm, kinematics=chain.kinematics, dh=None), reference.joint_position)
     return _RigidArm(chain, flange, _registered(reference, flange, fitted), fitted)
-
-
-def _flange(kinematics: Array, recording: Recording, arm: Arm) -> Array:
-    """`(sample, 4, 4)` T_base_flange of a chain `(joint, 6)` at a recording's joint positions."""
-    links = np.stack([frames.transform_from_row(row) for row in kinematics])
-    return frames.chain(links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
 
 
 def _registered(recording: Recording, flange: Array, fitted: tuple[bool, bool]) -> Registration:
@@ -459,15 +454,12 @@ def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _
         pose_frame="unknown" if start.fitted[1] else reference.settings.pose_frame,
     )
     freed = replace(reference, settings=settings)
-    problem = pose_problem(freed, arm, "free")
-    if problem.rows * problem.samples < _REDUNDANCY * len(problem.frames):
+    begun = rigid_arm(freed, arm, "free")
+    if begun.rows * begun.samples < _REDUNDANCY * len(begun.unknown):
         return None
     found = start.registration
     model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
-    model = relinearise(replace(problem, start=model), DEFAULTS).start
-    rows, T_sensor_base = np.array(model.geometry).reshape(-1, 6), np.asarray(model.T_sensor_base)
-    if settings.pose_frame == "base":  # a displacement of the base then belongs to the chain
-        rows[0] = frames.row_from_transform(T_sensor_base @ frames.transform_from_row(rows[0]))
+    rows = np.asarray(relinearise(replace(begun, start=model), DEFAULTS).model.geometry).reshape(-1, 6)
     fitted = _explained_by(freed, arm, start.chain._replace(kinematics=rows), (False, False))
     return fitted._replace(fitted=start.fitted)
 
@@ -495,10 +487,9 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 
     Of many displacements with the same effect, these are the smallest: the fit's prior is wide.
     """
-    links = []
-    for j, (row, before) in enumerate(zip(free.chain.kinematics, start.chain.kinematics, strict=True)):
-        T = frames.transform_from_row(row) @ np.linalg.inv(frames.transform_from_row(before))
-        links.append({"link": j, "distance_m": float(np.linalg.norm(T[:3, 3])), "rotation_rad": _angle(T)})
+    pair = (frames.transform_from_row(one.chain.kinematics) for one in (free, start))
+    displaced = enumerate(zip(*map(np.ndarray.tolist, frames.compare_transforms(*pair)), strict=True))
+    links = [{"link": j, "distance_m": distance, "rotation_rad": angle} for j, (distance, angle) in displaced]
     links.sort(key=lambda link: link["distance_m"] + LEVER * link["rotation_rad"], reverse=True)
     return {
         "difference": "other_geometry",

@@ -12,6 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.recordings import sizes
+from lite6jax.recordings.columns import units_of
+from lite6jax.recordings.naming import unit_of
+
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 
@@ -60,6 +64,39 @@ class RigidPose(NamedTuple):
         return self.misfit / (self.size * np.sqrt(2 * self.points - 4))
 
 
+class WithPose(NamedTuple):
+    """A table in which points were replaced by the pose of the body that they are on.
+
+    Attributes:
+        columns: of the table.
+        points: the columns that were replaced.
+        pose: of the body, in `unit`.
+        unit: of the points.
+    """
+
+    columns: dict[str, Array]
+    points: tuple[tuple[str, str, str], ...]
+    pose: RigidPose
+    unit: str
+
+
+def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
+    """A table with a pose in place of three or more points of a rigid body; None where it has no such points."""
+    points = _rigid_points(reflector_columns(list(columns)), columns)
+    if not points:
+        return None
+    found = _rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
+    if found is None:
+        return None
+    names = {name for point in points for name in point}
+    units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
+    unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
+    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
+    pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
+    rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
+    return WithPose(rest | pose, tuple(points), found, unit)
+
+
 def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
     """The columns x y z of points of which there may be enough on a rigid body; empty where there are not."""
     found: dict[tuple[str, str], dict[str, str]] = {}
@@ -70,14 +107,28 @@ def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
     return points if len(points) >= FEWEST_POINTS else []
 
 
-def rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
+def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
     """Those of some points that keep their distances from each other while they move: the largest such group."""
     placed = {point: _seen(np.stack([columns[name] for name in point], 1)) for point in points}
-    way = max((_way(place) for place in placed.values()), default=0.0)
+    way = 0.0
+    for place in placed.values():
+        there = place[np.isfinite(place).all(axis=1)]
+        if len(there):
+            way = max(way, float(np.median(np.linalg.norm(there - np.median(there, axis=0), axis=1))))
+
+    def keeps(one: Array, other: Array) -> bool:
+        distance = np.linalg.norm(one - other, axis=1)
+        distance = distance[np.isfinite(distance)]
+        if len(distance) < FEWEST_POINTS:
+            return False
+        usual = float(np.median(distance))
+        varies = 1.4826 * float(np.median(np.abs(distance - usual)))
+        return varies < _RIGID * way and usual > 5 * varies and usual > 0
+
     groups: list[list[tuple[str, str, str]]] = []
     for point, place in placed.items():
         for group in groups:
-            if all(_keeps(place, placed[other], way) for other in group):
+            if all(keeps(place, placed[other]) for other in group):
                 group.append(point)
                 break
         else:
@@ -86,7 +137,7 @@ def rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, A
     return best if len(best) >= FEWEST_POINTS else []
 
 
-def rigid_pose(points: Array) -> RigidPose | None:
+def _rigid_pose(points: Array) -> RigidPose | None:
     """The poses of a rigid body by its points; None where the points lie on a line, or no row has all of them.
 
     Args:
@@ -143,18 +194,3 @@ def _carried(shape: Array, points: Array, weight: Array) -> tuple[Array, Array]:
 def _seen(place: Array) -> Array:
     """`(row, 3)` with NaN where all three are zero, as trackers write what they do not see."""
     return np.where((place == 0).all(1, keepdims=True), np.nan, place)
-
-
-def _way(place: Array) -> float:
-    there = place[np.isfinite(place).all(axis=1)]
-    return float(np.median(np.linalg.norm(there - np.median(there, axis=0), axis=1))) if len(there) else 0.0
-
-
-def _keeps(one: Array, other: Array, way: float) -> bool:
-    distance = np.linalg.norm(one - other, axis=1)
-    distance = distance[np.isfinite(distance)]
-    if len(distance) < FEWEST_POINTS:
-        return False
-    usual = float(np.median(distance))
-    varies = 1.4826 * float(np.median(np.abs(distance - usual)))
-    return varies < _RIGID * way and usual > 5 * varies and usual > 0

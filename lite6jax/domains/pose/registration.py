@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.calibration.problem import UNDECLARED_NOISE
-from lite6jax.calibration.start import frames_from_poses, measured_rotations, nearest_rotation
-from lite6jax.domains.pose.files import read_motion
+from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
     Site,
@@ -19,7 +18,7 @@ from lite6jax.domains.pose.kinematics import (
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, read_motion, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.effects.kinematic import BaseDrift, SensorDrift
@@ -107,7 +106,7 @@ def register(
         tool: `(4, 4)`, or None where unknown.
         tool_rotation: `(3, 3)` of an unknown tool, which positions do not determine; the identity if not given.
     """
-    F, T = _start(flange, position, rotation, frame, tool)
+    F, T = frames_from_poses(flange, position, rotation, frame, tool)
     if tool is None and rotation is None and tool_rotation is not None:
         T[:3, :3] = tool_rotation
     unknown = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
@@ -207,25 +206,17 @@ class _Frames(NuisanceProblem):
 
     Attributes:
         flange: `T_base_flange` `(sample, 4, 4)`.
-        measured: the poses, and the noise.
+        sensor: the poses, and the noise.
         T_sensor_base: `(4, 4)`.
         T_flange_tool: `(4, 4)`.
         unknown: which of the twelve.
     """
 
     flange: Array
-    measured: Measured
+    sensor: Measured
     T_sensor_base: Array
     T_flange_tool: Array
     unknown: NDArray[np.integer]
-
-    @property
-    def rows(self) -> int:
-        return self.measured.rows
-
-    @property
-    def samples(self) -> int:
-        return len(self.flange)
 
     @property
     def precision(self) -> Array:
@@ -239,41 +230,13 @@ class _Frames(NuisanceProblem):
         base = np.broadcast_to(self.T_sensor_base, flange.shape)
         return RigidFrames(np.stack([base, flange]), flange @ self.T_flange_tool)
 
-    @cached_property
-    def differences(self) -> Array:
-        """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
-        return self.measured.differences(self.rigid.tool)
-
-    @property
-    def residuals(self) -> Array:
-        return whitened(self.differences, self.measured.whitener)
-
     @property
     def nuisance(self) -> Array:
-        twists = frame_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
-        return whitened(twists[self.unknown], self.measured.whitener)
+        twists = frame_columns(self.rigid, self.sensor)[0].reshape(12, self.rows, -1)
+        return whitened(twists[self.unknown], self.sensor.whitener)
 
     def relinearised(self, nuisance: Array) -> "_Frames":
         change = np.zeros(12)
         change[self.unknown] = nuisance
         F, T = (small_displacement(twist) for twist in (change[:6], change[6:]))
         return replace(self, T_sensor_base=self.T_sensor_base @ F, T_flange_tool=T @ self.T_flange_tool)
-
-
-def _start(
-    flange: Array, position: Array, rotation: Array | None, frame: Array | None, tool: Array | None
-) -> tuple[Array, Array]:
-    if rotation is None or frame is not None or tool is not None:
-        return frames_from_poses(flange, position, rotation, frame, tool)
-    # M_k = S R_k U: vec(S) = (R_k ⊗ M_k) vec(Uᵀ) for every k, so both are singular vectors of the sum
-    # (M. Shah, J. Mech. Robotics 5, 2013, equation 15)
-    R, p = flange[:, :3, :3], flange[:, :3, 3]
-    K = np.einsum("kij,kab->iajb", R, rotation).reshape(9, 9)
-    left, _, right = np.linalg.svd(K)
-    F, T = np.eye(4), np.eye(4)
-    for out, M in ((F, left[:, 0].reshape(3, 3).T), (T, right[0].reshape(3, 3))):  # multiples, of either sign
-        out[:3, :3] = nearest_rotation(M * np.sign(np.linalg.det(M)))
-    columns = np.concatenate([F[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2).reshape(-1, 6)
-    found = np.linalg.lstsq(columns, (position - p @ F[:3, :3].T).ravel(), rcond=1e-9)[0]
-    T[:3, 3], F[:3, 3] = found[:3], found[3:]
-    return F, T

@@ -6,6 +6,7 @@ Everything here is NumPy, so that a recording is screened in milliseconds and no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, Self, final
 
 import numpy as np
@@ -16,7 +17,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
-from lite6jax.calibration.start import calibration_poses
+from lite6jax.calibration.start import calibration_poses, declared_tool, frames_from_poses
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -28,7 +29,8 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
-from lite6jax.domains.pose.touching import touched
+from lite6jax.domains.pose.readings import spread_rows
+from lite6jax.domains.pose.touching import require_scale, shown_by, touch_sensor
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -36,6 +38,7 @@ from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
+from lite6jax.sensors.points import Contact
 from lite6jax.sensors.pose import Measured
 from lite6jax.sensors.sensor import Sensor
 
@@ -45,8 +48,31 @@ Array = NDArray[np.floating]
 class NuisanceProblem:
     """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
 
-    What derives from it has `rows`, `samples`, `residuals`, `nuisance` and `relinearised`.
+    What derives from it has `rigid`, the frames, `sensor`, what was measured, `nuisance` and `relinearised`.
     """
+
+    rigid: Any
+    sensor: Any
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6, of some touches 1."""
+        return self.sensor.rows
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.rigid.tool)
+
+    @cached_property
+    def differences(self) -> Array:
+        """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
+        return self.sensor.differences(self.rigid.tool)
+
+    @cached_property
+    def residuals(self) -> Array:
+        """`(row, sample)`, the differences over the declared noise."""
+        return whitened(self.differences, self.sensor.whitener)
 
     @property
     def groups(self: Any) -> NDArray[np.integer]:
@@ -98,8 +124,7 @@ class RigidArm(NuisanceProblem):
         informative: whether the sidecar declares the chain's uncertainty.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared_noise: the same, each None where the sidecar does not declare it.
-        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
-        touch: the sensor of touches, with its own unknowns, the last of `unknown`; None of poses.
+        sensor: what was measured, with the sensor's own unknowns, the last of `unknown`.
         exact: whether the sidecar declares the chain.
         form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
@@ -113,20 +138,14 @@ class RigidArm(NuisanceProblem):
     informative: bool
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    whitener: Array
-    touch: Sensor | None
+    sensor: Measured | Sensor
     exact: bool
     form: ModelForm
 
     @property
     def samples(self) -> int:
-        """Number of samples."""
+        """Number of samples, without the frames of any."""
         return self.recording.samples
-
-    @property
-    def rows(self) -> int:
-        """Numbers that a sample has: 3 or 6."""
-        return self.sensor.rows
 
     @cached_property
     def links(self) -> Array:
@@ -143,16 +162,14 @@ class RigidArm(NuisanceProblem):
         """`(4, 4)`, from the frame after the last joint."""
         return np.asarray(self.start.T_flange_tool)
 
-    @cached_property
-    def measured(self) -> Measured:
-        """The measured poses; of a camera with the constant errors where they are."""
-        found = measured_poses(self.recording, self.whitener)
-        return found.displaced(self.offset[len(self.offset) - found.numbers :])
-
     @property
-    def sensor(self) -> Measured | Sensor:
-        """What was measured, with the sensor's own unknowns, the last of `unknown`."""
-        return self.touch or self.measured
+    def model(self) -> ArmModel:
+        """The arm; where the sensor's frame is not fitted, what the base was displaced by is in the chain."""
+        if self.form.frame:
+            return self.start
+        rows = np.array(self.start.geometry).reshape(-1, 6)
+        rows[0] = frames.row_from_transform(self.T_sensor_base @ frames.transform_from_row(rows[0]))
+        return ArmModel(rows.ravel(), np.eye(4), self.start.T_flange_tool)  # type: ignore[arg-type]
 
     @cached_property
     def rigid(self) -> RigidFrames:
@@ -173,11 +190,6 @@ class RigidArm(NuisanceProblem):
     def differences(self) -> Array:
         """Predicted minus measured poses `(row, sample)`, m and rad."""
         return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.sensor)
-
-    @cached_property
-    def residuals(self) -> Array:
-        """`(row, sample)`, the differences over the declared noise."""
-        return self.whitened(self.differences)
 
     @cached_property
     def plain_twists(self) -> Array:
@@ -226,29 +238,39 @@ class RigidArm(NuisanceProblem):
 
     def whitened(self, columns: Array) -> Array:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
-        return whitened(columns, self.whitener)
+        return whitened(columns, self.sensor.whitener)
 
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
-        touch = self.touch
-        if touch is not None and touch.numbers:
-            touch = touch.displaced(nuisance[len(nuisance) - touch.numbers :])
+        sensor = self.sensor
+        if sensor.numbers:
+            sensor = sensor.displaced(nuisance[len(nuisance) - sensor.numbers :])
         start = displaced(self.start, self.unknown, nuisance)
-        return replace(self, start=start, touch=touch, offset=self.offset + nuisance)
+        return replace(self, start=start, sensor=sensor, offset=self.offset + nuisance)
+
+    def with_poses(self, recording: Recording) -> Self:
+        """The arm with as many other poses, of the same sensor."""
+        assert isinstance(self.sensor, Measured)
+        sensor = measured_poses(recording, self.sensor.whitener)._replace(at=self.sensor.at)
+        return replace(self, recording=recording, sensor=sensor)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the samples."""
-        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., rows]
-        touch = None if self.touch is None else self.touch.select(rows)
-        return replace(self, recording=self.recording.select(rows), whitener=whitener, touch=touch)
+        return replace(self, recording=self.recording.select(rows), sensor=self.sensor.select(rows))
 
     def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
-        few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
-        touch = None if self.touch is None else few.touch and replace(few.touch, group=self.touch.group)  # type: ignore[type-var]
-        return replace(self, start=few.start, touch=touch, offset=few.offset)
+        few = self.select(spread_rows(self.samples, most)).fitted(most)
+        if isinstance(few.sensor, Measured):
+            sensor = self.sensor._replace(at=few.sensor.at)  # type: ignore[union-attr]
+        else:
+            of_each = {
+                name: part for name in ("group", "value") if (part := getattr(self.sensor, name, None)) is not None
+            }
+            sensor = replace(few.sensor, **of_each)  # type: ignore[type-var]
+        return replace(self, start=few.start, sensor=sensor, offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
@@ -326,25 +348,30 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    touch = None
-    if recording.touches is None:
-        problem = recording_problem(recording, arm, geometry, factory)
-        arm, form, at = problem.arm, problem.form, problem.start
-        movable, noise, declared, whitener = problem.movable, problem.noise, problem.declared_noise, problem.whitener
-        whitener = whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1)
-        own = measured_poses(recording, whitener).own
-    else:
+    touches, touch, T_frame, T_tool = recording.touches, None, np.eye(4), np.eye(4)
+    if touches is not None:
         given = declared_geometry(recording, arm, geometry, factory)
-        arm, form, movable = given.arm, given.form, given.movable
-        flange = calibration_poses(given.known, recording.joint_position)
-        begun = touched(recording, flange, form.frame, given.calibrated)
-        T_flange_tool = given.known.T_joint_flange @ begun.T_flange_tool
-        at = ArmModel(given.values, begun.T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
-        touch, noise, declared = begun.sensor, (begun.noise, None), (begun.declared, None)
-        own, whitener = touch.own, touch.whitener
+        arm, form, movable, values = given.arm, given.form, given.movable, given.values
+        declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
+        noise = declared[0] or UNDECLARED_TOUCH, None
+        touch = touch_sensor(recording, noise[0])
+        if not given.calibrated:
+            require_scale(recording, touch)
+        tool = None if form.tool else declared_tool(recording)
+        if form.frame:
+            assert isinstance(touch, Contact)  # all of whose points are known in the sensor's frame
+            flange, seen = calibration_poses(given.known, recording.joint_position), np.asarray(touch.points)
+            T_frame, tool = frames_from_poses(flange, seen.T[touch.group], None, None, tool)
+        T_tool = given.known.T_joint_flange @ (np.eye(4) if tool is None else tool)
+        sensor = touch
+    else:
+        problem = recording_problem(recording, arm, geometry, factory)
+        arm, form, movable = problem.arm, problem.form, problem.movable
+        noise, declared, whitener = problem.noise, problem.declared_noise, problem.whitener
+        sensor = measured_poses(recording, whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1))
+        values, T_frame, T_tool = (np.asarray(leaf) for leaf in problem.start)
     exact = isinstance(form.chain, SixParameterForm)
-    values = np.asarray(at.geometry) if exact else arm.kinematics.ravel()
-    start = ArmModel(values, *(np.asarray(leaf) for leaf in at[1:]))  # type: ignore[arg-type]
+    start = ArmModel(values if exact else arm.kinematics.ravel(), T_frame, T_tool)  # type: ignore[arg-type]
     geometry_moves = bool(movable[: form.chain.size].any())
     unknown: list[Site] = []
     if geometry_moves or form.frame:
@@ -354,13 +381,14 @@ def rigid_arm(
     if form.tool:
         unknown += [("tool", 0, k) for k in range(6 if recording.numbers_per_sample == 6 else 3)]
     uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if recording.touches is None else TOUCHED_TOLERANCE
+    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if touch is None else TOUCHED_TOLERANCE
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
+    own = sensor.own
     unknown += [("reading", k, 0) for k in range(len(own))]
-    return RigidArm(
+    begun = RigidArm(
         recording=recording,
         arm=arm,
         start=start,
@@ -370,8 +398,36 @@ def rigid_arm(
         informative=uncertainty is not None or touch is not None,
         noise=noise,
         declared_noise=declared,
-        whitener=whitener,
-        touch=touch,
+        sensor=sensor,
         exact=exact,
         form=form,
     )
+    return begun if touch is None or form.frame else _locate_tool(begun)
+
+
+UNDECLARED_TOUCH = 1e-4
+"""m, one sigma of readings whose noise is not declared."""
+_TOOL_M = 0.15
+"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
+
+
+def _locate_tool(arm: RigidArm) -> RigidArm:
+    """The arm of touches with its tool's point and the sensor's unknowns where the nominal chain meets them best.
+
+    Both are fitted from several points of an unknown tool, and at each from what the sensor shows in closed form.
+    """
+    kept = [name in ("tool", "reading") for name, _, _ in arm.unknown]
+    unknown, precision = tuple(compress(arm.unknown, kept)), arm.precision[kept]
+    found = []
+    for point in _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])[: 7 if arm.form.tool else 1]:
+        shift = np.eye(4)
+        shift[:3, 3] = point
+        begun = replace(arm, start=arm.start._replace(T_flange_tool=arm.T_flange_tool @ shift))  # type: ignore[arg-type]
+        assert isinstance(arm.sensor, Sensor)
+        sensor = shown_by(arm.sensor, begun.tool)
+        offset = np.array([*np.zeros(len(unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
+        begun = replace(begun, unknown=unknown, precision=precision, offset=offset, sensor=sensor)
+        found.append(relinearise(begun, DEFAULTS))
+    best = min(found, key=lambda one: float(np.median(one.squares)))
+    offset = np.array([*np.zeros(len(arm.offset) - best.sensor.numbers), *(one.offset for one in best.sensor.own)])
+    return replace(arm, start=best.start, sensor=best.sensor, offset=offset)

@@ -1,96 +1,31 @@
-"""From touches, distances and heights of a recording to their sensor: where its unknowns and the tool's point start.
-
-The point of the tool and the sensor's own unknowns are found together, by Gauss–Newton from several points of the
-tool and, at each, from what the sensor then shows in closed form. What the readings do not determine is refused.
-"""
+"""The sensor of touches, distances and heights of a recording, and what of it a tool shows in closed form."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.calibration.start import declared_tool, frames_from_poses
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.readings import Readings
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
 from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
 
-UNDECLARED_TOUCH = 1e-4
-"""m, one sigma of readings whose noise is not declared."""
-_TOOL_M = 0.15
-"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
-_STEPS = 40
-_SLACK = 3.0
-"""Times the median reading, beyond which one counts less."""
 
-
-class Touched(NamedTuple):
-    """A sensor and the frames between which it reads.
-
-    Attributes:
-        sensor: with its unknowns where they start.
-        T_sensor_base: `(4, 4)`, the base in the frame of the sensor's points.
-        T_flange_tool: `(4, 4)`.
-        noise: m.
-        declared: the same, None where the sidecar does not declare it.
-    """
-
-    sensor: Sensor
-    T_sensor_base: Array
-    T_flange_tool: Array
-    noise: float
-    declared: float | None
-
-
-def noise_of(recording: Recording, kind: str) -> float | None:
-    """The declared noise of readings, m."""
-    return getattr(recording.settings, f"{kind}_noise_m")
-
-
-def touched(recording: Recording, flange: Array, frame_unknown: bool, scale_known: bool) -> Touched:
-    """The sensor of touches, started.
+def touch_sensor(recording: Recording, noise: float) -> Sensor:
+    """The sensor of touches, distances or heights, with what is known of its points, planes, anchors or axis.
 
     Args:
-        recording: of touches, distances or heights.
-        flange: nominal flange poses `(sample, 4, 4)` in the base's frame.
-        frame_unknown: whether its points are known in another frame than the base's.
-        scale_known: whether the chain's lengths are known.
+        recording: of such readings.
+        noise: m, one sigma of them.
 
     Raises:
-        InputError: readings that say nothing of the tool's point or of a point, plane, anchor or axis; a known distance
-            of contacts that are not there; no scale.
+        InputError: a ring of known distances, or one place for several anchors.
     """
     readings, settings = recording.touches, recording.settings
     assert readings is not None
-    declared = noise_of(recording, readings.kind)
-    noise = declared or UNDECLARED_TOUCH
-    sensor = _sensor(recording, readings, np.full(2, 1 / noise))
-    if not scale_known:
-        _require_scale(recording, sensor)
-    tool = None if settings.tool == "unknown" else declared_tool(recording)
-    T_sensor_base = np.eye(4)
-    if frame_unknown:
-        assert isinstance(sensor, Contact)
-        seen = np.asarray(sensor.points).T[sensor.group]
-        T_sensor_base, found = frames_from_poses(flange, seen, None, None, tool)
-        return Touched(sensor, T_sensor_base, found, noise, declared)
-    T = np.eye(4) if tool is None else tool
-    starts = [tool[:3, 3]] if tool is not None else _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    solved = [_solved(_shown(sensor, _moved_tool(flange, T, t)), flange, T, t, tool is None) for t in starts]
-    sensor, t, _ = min(solved, key=lambda one: one[2])
-    return Touched(sensor, T_sensor_base, _with_point(T, t), noise, declared)
-
-
-# ------------------------------------------------------------------ the sensor
-
-
-def _sensor(recording: Recording, readings: Readings, whitener: Array) -> Sensor:
-    """Of the readings, with what is known of its points, planes, anchors or axis; zero elsewhere."""
-    settings = recording.settings
+    whitener = np.full(2, 1 / noise)
     there, group = np.unique(readings.group, return_inverse=True)
     names = tuple(readings.names[k] for k in there)
     if readings.kind == "contact":
@@ -150,21 +85,7 @@ def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) 
     return tuple(rods)
 
 
-# ------------------------------------------------------------------ where it starts
-
-
-def _moved_tool(flange: Array, T: Array, point: Array) -> Array:
-    """`(sample, 4, 4)` of the flange's tool `T` with another point."""
-    return flange @ _with_point(T, point)
-
-
-def _with_point(T: Array, point: Array) -> Array:
-    out = T.copy()
-    out[:3, 3] = point
-    return out
-
-
-def _shown(sensor: Sensor, tool: Array) -> Sensor:
+def shown_by(sensor: Sensor, tool: Array) -> Sensor:
     """The sensor with its unknowns as a tool `(sample, 4, 4)` shows them in closed form."""
     p, group = tool[:, :3, 3], np.asarray(sensor.group)
     if isinstance(sensor, Contact):
@@ -198,54 +119,12 @@ def _shown(sensor: Sensor, tool: Array) -> Sensor:
     return replace(sensor, direction=direction, constant=np.array([np.median(value - p @ direction)]))
 
 
-def _solved(sensor: Sensor, flange: Array, T: Array, point: Array, tool_free: bool) -> tuple[Sensor, Array, float]:
-    """The sensor, the tool's point, and the size of what is left, from a start."""
-    prior = 1e-8 * np.array([one.precision for one in sensor.own])
-    R, damping, n = flange[:, :3, :3], 1e-3, 3 * tool_free
+def require_scale(recording: Recording, sensor: Sensor) -> None:
+    """Refuses touches that any chain of another size would have as well.
 
-    def look(sensor: Sensor, point: Array) -> tuple[Array, Array, Array, float]:
-        tool = _moved_tool(flange, T, point)
-        r = sensor.differences(tool)
-        size = np.sqrt(np.sum(r**2, 0))
-        scale = _SLACK * max(float(np.median(size)), 1e-7)
-        weight = 1 / np.maximum(size / scale, 1.0)
-        own = sensor.by_numbers(tool)
-        by_point = np.einsum("ris,sik->krs", sensor.slopes(tool)[:, :3], R) if tool_free else own[:0]
-        J = np.concatenate([by_point, own]) * np.sqrt(weight)
-        offset = np.array([one.offset for one in sensor.own])
-        J = J.reshape(len(J), -1)
-        H, g = J @ J.T, J @ (r * np.sqrt(weight)).ravel()
-        H[np.arange(n, len(H)), np.arange(n, len(H))] += prior
-        g[n:] += prior * offset
-        cost = float(np.sum(weight * size**2 / np.maximum(weight, 0.5)) + np.sum(prior * offset**2))
-        return H, g, size, cost
-
-    H, g, size, cost = look(sensor, point)
-    for _ in range(_STEPS):
-        if not len(H):
-            break
-        lengths = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-        scaled = H / np.outer(lengths, lengths) + (damping + 1e-12) * np.eye(len(H))
-        step = -np.linalg.solve(scaled, g / lengths) / lengths
-        trial = sensor.displaced(step[n:]), point + (step[:n] if tool_free else 0.0)
-        H_, g_, size_, cost_ = look(*trial)
-        if cost_ <= cost and np.isfinite(cost_):
-            done = cost - cost_ < 1e-9 * cost
-            (sensor, point), H, g, size, cost, damping = trial, H_, g_, size_, cost_, damping / 10
-            if done:
-                break
-        else:
-            damping *= 10
-            if damping > 1e8:
-                break
-    return sensor, point, float(np.median(size))
-
-
-# ------------------------------------------------------------------ what has no length
-
-
-def _require_scale(recording: Recording, sensor: Sensor) -> None:
-    """Refuses touches that any chain of another size would have as well."""
+    Raises:
+        InputError: as said, or known distances of contacts that are not there.
+    """
     if isinstance(sensor, Contact):
         known = bool(sensor.rods) or len(sensor.free) - sum(sensor.free) > 1
         if not known and (given := recording.settings.contact_distances):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
-from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import read_motion
 from lite6jax.domains.torque.composition import (
     composed,
     delayed,
@@ -29,7 +29,6 @@ from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
     Uncertainty,
     beyond_range,
-    departure,
     distance_to,
     freed,
     independent_directions,
@@ -241,9 +240,9 @@ def _bars(
         if phrase in recorded.drivers:
             beyond[phrase] = beyond_range(values, *recorded.drivers[phrase])
     rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
-    of = departure(recorded, distance_to(rows, q), beyond, positions)
-    variance = widened(_estimated(model, known, bodies, dynamics, runs), known, np.arange(model.dof), of)
-    return np.sqrt(variance + np.asarray(known.noise)[:, None] ** 2).T, of.outside
+    estimated = _estimated(model, known, bodies, dynamics, runs)
+    variance, outside = widened(estimated, known, np.arange(model.dof), distance_to(rows, q), beyond, positions)
+    return np.sqrt(variance + np.asarray(known.noise)[:, None] ** 2).T, outside
 
 
 def _estimated(

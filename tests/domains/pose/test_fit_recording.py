@@ -27,42 +27,12 @@ def scalar_last(recording):
     return replace(recording, quaternion=np.roll(recording.quaternion, -1, axis=1))
 
 
-def swapped(recording):
-    order = [0, 2, 1, 3, 4, 5]
-    return replace(
-        recording,
-        joint_position=recording.joint_position[:, order],
-        direction_of_motion=recording.direction_of_motion[:, order],
-    )
-
-
-def in_millimetres(recording):
-    position = recording.position.copy()
-    position[[3, 60, 61]] *= 1000
-    return replace(recording, position=position)
-
-
-def jumped(recording):
-    position = recording.position.copy()
-    position[70:] += [1e-3, -5e-4, 3e-4]
-    return replace(recording, position=position)
-
-
-FAULTS = {
-    "orientation_convention": scalar_last,
-    "swapped_joints": swapped,
-    "position_unit": in_millimetres,
-    "frame_jump": jumped,
-}
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("code", FAULTS)
-def test_fit_check_and_diagnose_name_the_same_fault(good, code):
-    wrong = FAULTS[code](good)
+def test_fit_check_and_diagnose_name_the_same_fault(good):
+    wrong = scalar_last(good)
     solution = lite6jax.fit(wrong)
     found = [solution.faults, check_recording(wrong).faults, lite6jax.diagnose(wrong).faults]
-    assert [[fault.code for fault in faults] for faults in found] == [[code]] * 3
+    assert [[fault.code for fault in faults] for faults in found] == [["orientation_convention"]] * 3
     # without the fault, what is left is the sensor's noise
     assert solution.checked.position_rms < 2 * np.sqrt(3) * NOISE[0]
     assert np.rad2deg(solution.checked.orientation.max()) < 0.1
@@ -95,13 +65,6 @@ def test_weights_are_of_the_rows_that_were_fitted(good):
 def test_too_few_rows_are_refused_with_the_count(good):
     with pytest.raises(lite6jax.InputError, match="5 samples give 30 numbers"):
         lite6jax.fit(good.select(np.arange(5)), geometry="free")
-
-
-def test_a_tool_that_is_not_declared_is_suspicious(tmp_path):
-    made = Made(tmp_path, ("tool_offset:x_m=0,y_m=0,z_m=0.03",), seed=2)
-    (fault,) = check_recording(made.recording(static_motion(21, 120))).faults
-    assert fault.code == "declared_tool"
-    np.testing.assert_allclose(fault.numbers["translation_m"], [0, 0, 0.03], atol=1e-4)
 
 
 def test_the_command_prints_the_fault_and_fits_without_it(capsys, tmp_path, good):

@@ -270,14 +270,6 @@ def test_names_say_which_joints_are_slides(tmp_path):
     assert inspect(list((named | torques).items())).columns["tau3_N"] == "tau3_N"
 
 
-def test_joints_that_are_numbered_by_letters():
-    frame = dict(zip((f"axis_{letter}_act" for letter in "ABCDEF"), Q.T, strict=True))
-    found = inspect(list((frame | dict(zip(("LT_X", "LT_Y", "LT_Z"), P.T, strict=True))).items()), LITE6)
-    assert [found.columns[name] for name in frame] == [f"q{k}_rad" for k in range(1, 7)]
-    assert found.error < 5e-3
-    assert inspect(list(dict(zip(("axis_a", "axis_b", "axis_c"), Q.T, strict=False)).items())).of("q") is not None
-
-
 def test_the_arm_judges_columns_that_are_given_too():
     """Where no name says what the joints are, the kinematics still decide the unit of the positions."""
     names = ["one", "two", "three", "four", "five", "six"]
@@ -329,14 +321,6 @@ def test_kinematics_decide_what_a_b_c_are(rotation, names):
     assert tuple(found.columns[name] for name in "ABC") == names
     assert found.of("rotation").form[1:3] == ("certain", "kinematics")
     np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
-
-
-@pytest.mark.parametrize("arm", [None, "ur10"])
-def test_where_no_arm_agrees_a_b_c_are_what_they_usually_are(arm):
-    angles = dict(zip("ABC", TURNED.as_euler("xyz", degrees=True).T, strict=True))
-    frame = JOINTS | POINT | angles | dict.fromkeys("XYZ", Q[:, 0])
-    alone = inspect(list(frame.items()), arm and load_bundled(arm))
-    assert alone.of("rotation").form[:3] == ("roll", "assumed", "usual_name")
 
 
 MATRICES = {

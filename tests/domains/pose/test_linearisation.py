@@ -20,7 +20,7 @@ from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates, with_alternative
 from lite6jax.search.search import Selection, at_estimate
-from lite6jax.search.state import SelectedTerm, State, refitted
+from lite6jax.search.state import SelectedTerm, State
 from tests.oracles.pinocchio_arm import pinocchio_arm
 
 COMPLIANCE = 2e-4
@@ -237,15 +237,3 @@ def test_a_selection_is_linearised_at_its_estimate(selection):
     baseline = moved.state.baseline
     alone = moved.reference.residual(baseline.nuisance, baseline.terms, baseline.values)
     np.testing.assert_allclose(alone, baseline.residuals.rows, atol=1e-6)
-
-
-def test_without_its_term_a_moved_selection_is_the_nuisance_alone(selection):
-    moved = at_estimate(selection, OPTIONS)
-    rest = refitted(moved.problem, moved.state, [], OPTIONS)
-    assert rest.fit.scale == pytest.approx(moved.state.baseline.scale, rel=1e-3)
-
-
-def test_a_selection_of_nothing_stays_where_it_is(case):
-    problem, baseline = case
-    nothing = Selection(problem, problem, State(baseline, baseline))
-    assert at_estimate(nothing, OPTIONS) is nothing

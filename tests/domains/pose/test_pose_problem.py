@@ -19,7 +19,7 @@ from lite6jax.effects.kinematic import (
     LinkCompliance,
 )
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.terms import Terms, join
@@ -233,14 +233,6 @@ def test_shaped_effects_are_tried_at_shares_of_what_was_recorded(known, motions,
     assert {e.friction_torque_Nm for e in still if e.name == "joint_backlash"} == {0.0}
 
 
-def test_columns_of_effects_together_are_theirs_one_after_another(known):
-    case = known["static"]
-    effects = [parse_effect(text)[0] for text in STATIC]
-    together = case.columns(effects)
-    np.testing.assert_array_equal(together, np.concatenate([case.columns([effect]) for effect in effects]))
-    assert case.columns([]).shape == (0, 6, SAMPLES)
-
-
 def test_sites_are_derivatives_of_a_plain_arm(arm, motions, known):
     case, motion = known["static"], motions["static"]
     h = 1e-6
@@ -297,14 +289,6 @@ def test_errors_of_masses_move_poses_through_compliances(arm, motions):
     wanted = differentiated(lambda m: case.residual(m, terms, values), at_start(case), 1e-2)
     close(case.nuisance_columns(terms, values), wanted, 1e-5)
     assert (np.abs(wanted).max((1, 2)) > 0).sum() >= 15
-
-
-def test_errors_of_masses_do_not_act_through_processes_whose_loads_are_those_declared(arm, motions):
-    case = uncertain(arm, motions["static"])
-    terms, values = Terms((Unnamed("joint2", "gravity torque of joint 2", -40.0, 40.0, "line"),)), np.array([0.0, 1e-3])
-    wanted = differentiated(lambda m: case.residual(m, terms, values), at_start(case), 1e-2)[-25:]
-    assert not wanted.any()
-    assert not case.nuisance_columns(terms, values)[-25:].any()
 
 
 def test_masses_that_are_off_are_those_of_a_plain_arm(arm, motions):
@@ -475,27 +459,6 @@ def test_a_slide_is_a_quantity_in_its_own_unit_and_has_no_angle():
     found = components(everywhere(3), moved(3, (0,)), 3)
     assert "joint1" not in {one.site for one in found}
     assert "link1" in {one.site for one in found}
-
-
-def test_an_arm_of_one_joint_has_no_links_and_no_other_joints():
-    found = components(everywhere(1), moved(1), 3)
-    assert {one.site for one in found} == {"joint1", "base", "tool", "sensor"}
-    assert phrases(1) == {"position of joint 1"}
-
-
-@pytest.mark.parametrize("known", [{}, {"time": 8.0 * np.arange(40)}])
-def test_only_what_is_recorded_is_a_driver(known):
-    assert {one.driver.quantity for one in quantities(moved(3, **known), None)} == {"position", *known}
-
-
-def test_a_sensor_that_sees_no_orientation_sees_no_turn_of_the_tool():
-    assert {one.name for one in components(everywhere(2), moved(2), 3) if one.site == "tool"} == {"x", "y", "z"}
-    assert {one.name for one in components(everywhere(2), moved(2), 6) if one.site == "tool"} == set(COMPONENTS)
-
-
-def test_what_the_sensor_does_not_see_is_no_component():
-    sites = everywhere(2) | {("link", 0, 3): np.zeros((3, 40))}
-    assert ("link1", "rx") not in {(one.site, one.name) for one in components(sites, moved(2), 3)}
 
 
 def test_every_quantity_that_is_known_is_there_once():

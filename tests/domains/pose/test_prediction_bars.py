@@ -198,25 +198,7 @@ def test_poses_without_noise_are_within_their_bars(arm, model):
         assert np.sqrt(np.mean(bars.position_std**2)) < 40 * NOISE[0]
 
 
-def test_a_known_arm_without_effects_has_no_uncertain_numbers(tmp_path):
-    plain = Made(tmp_path)
-    found = diagnose(plain.recording(static_motion(1, 60)), options=Options(folds=2))
-    assert not found.findings
-    model = found.model
-    bars = shown(model, static_motion(2, SAMPLES))
-    assert model.uncertainty.covariance.shape == (0, 0)
-    assert (bars.position_std < NOISE[0]).all()
-
-
 # ------------------------------------------------------------------ outside
-
-
-def test_a_row_outside_is_marked_and_its_bars_are_larger(model):
-    inside, all_over = narrow(5, 100), static_motion(6, 100)
-    near, far = shown(model, inside), shown(model, all_over)
-    assert near.outside.mean() < 0.1
-    assert far.outside.mean() > 0.9
-    assert np.median(far.position_std) > 2 * np.median(near.position_std)
 
 
 def test_bars_grow_with_the_distance_beyond_the_spacing(arm):
@@ -230,16 +212,6 @@ def test_bars_grow_with_the_distance_beyond_the_spacing(arm):
     bars = predicted(model, q)
     np.testing.assert_allclose(bars.position_std[:, 0], 1e-5 * np.sqrt(1 + (q[:, 2] / 0.5) ** 2), rtol=1e-12)
     assert bars.outside.tolist() == [False, False, True, True]
-
-
-def test_the_spacing_of_few_rows_is_that_between_the_blocks_that_were_held_out(tmp_path):
-    """Of five rows and six unknowns three blocks are held out: halves would leave too few rows to fit."""
-    recording = Made(tmp_path, seed=3, orientation=False, frame=True).recording(static_motion(7, 5))
-    block, q = np.array([0, 0, 1, 1, 2]), recording.joint_position
-    apart = np.linalg.norm(q[:, None] - q, axis=-1)
-    apart[block[:, None] == block] = np.inf
-    recorded = diagnose(recording).to_dict()["model"]["uncertainty"]["recorded"]
-    assert recorded["spacing_rad"] == pytest.approx(np.quantile(apart.min(1), 0.95), rel=1e-12)
 
 
 def test_a_quantity_beyond_what_was_recorded_is_outside(arm):
@@ -325,15 +297,6 @@ def test_what_is_written_is_read(found, content, model):
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
     assert np.linalg.eigvalsh(again.covariance / np.sqrt(np.outer(*[np.diagonal(again.covariance)] * 2))).min() > -1e-9
     assert again.sites == (*found.problem.frames, *found.problem.masses)
-
-
-def test_a_document_without_it_is_read(arm):
-    model = model_from_document(document(arm, [COMPLIANCE]))
-    motion = narrow(5, 5)
-    bars = shown(model, motion)
-    assert (bars.position_std, bars.orientation_std, bars.outside) == (None, None, None)
-    arrays = {name: motion[name] for name in ARRAYS}
-    np.testing.assert_array_equal(bars.poses, predict(model, motion["joint_position"], **arrays))
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,11 @@ from diagnosis.recorded import (
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
-from lite6jax import simulation
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis import diagnose
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.reference import SAME_JOINTS, compare
-from lite6jax.effects.composition import Physics
-from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report import statements
@@ -387,25 +384,6 @@ def test_a_trajectory_keeps_its_motion(folder):
     assert np.abs(poses_of(seen) - alone).max() < 2e-6  # what the two do to each other is of second order
 
 
-def test_positions_of_the_librarys_own_simulation():
-    """A tracker of positions, that stands elsewhere the second time; an uncalibrated arm whose joint became loose."""
-    (own, size), (worn, extra) = parse_effect(HARMONIC), parse_effect(COMPLIANCE)
-    made = simulation.draw_calibration(LITE6, 3)
-    drawn = simulation.draw_motion(LITE6, samples=SAMPLES, payload=[0.0, 0.5], seed=1)
-    tool = [0.02, 0.01, 0.06, 0.0, 0.0, 0.0]
-
-    def tracked(physics, values, seed):
-        frame = simulation.draw_sensor_frame(seed)
-        return simulation.measure(
-            drawn, LITE6, physics, values, kinematics=made, T_sensor_base=frame, tool=tool, tool_known=False, seed=seed
-        ).recording
-
-    earlier = tracked(Physics((own,)), size, 5)
-    now = tracked(Physics((own, worn)), np.concatenate([size, extra]), 6)
-    diagnosis, _ = diagnose_against(now, earlier, LITE6)
-    check_finding(diagnosis, COMPLIANCE)
-
-
 # ------------------------------------------------------------------ what is refused
 
 
@@ -423,12 +401,6 @@ def test_a_recording_without_positions_is_refused(arm):
     said = "bare.csv: has no measured positions; a fit needs the columns x_m y_m z_m"
     assert message(compare, arm.recording(STILL), bare) == said
     assert message(compare, bare, arm.recording(STILL)) == said
-
-
-def test_another_arm_is_refused(arm):
-    other = simulator(rigid(arm.kinematics))
-    five = Recording.from_arrays(other.joint_position[:, :5], position=other.position, source="five.csv")
-    assert message(compare, arm.recording(STILL), five) == ("five.csv: has 5 joints, but lite6 has 6; give that arm's")
 
 
 # ------------------------------------------------------------------ as it is typed
@@ -458,22 +430,9 @@ def test_a_diagnosis_with_a_reference_as_it_is_typed(capsys, files, tmp_path):
     assert "gazebo.csv" in page.read_text()
     document = json.loads(out.read_text())
     seen = document["against"]
-    assert (seen["file"], seen["rows"], seen["matched_rows"], seen["reproduced"]) == (
-        "gazebo.csv",
-        SAMPLES,
-        SAMPLES,
-        False,
-    )
-    assert 1e-3 < seen["position_rms_m"] < seen["position_max_m"] < 1e-2
-    assert seen["left_position_rms_m"] < 1e-6
-    (difference,) = seen["differences"]
-    assert difference["difference"] == "other_table"
-    assert difference["statement"].startswith("gazebo.csv uses the published table (lite6)")
-    assert document["verdict"] == "explained"
-    (finding,) = document["findings"]
-    assert (finding["effect"], finding["site"]) == ("joint_compliance", "joint2")
-    estimate = finding["parameters"]["compliance_rad_per_Nm"]
-    assert abs(estimate["value"] - 9e-5) < 4 * estimate["std"] < 1e-5
+    assert (seen["rows"], seen["matched_rows"], seen["reproduced"]) == (SAMPLES, SAMPLES, False)
+    assert [entry["difference"] for entry in seen["differences"]] == ["other_table"]
+    assert [finding["effect"] for finding in document["findings"]] == ["joint_compliance"]
     predicted = tmp_path / "p.csv"
     code, said, _ = run(capsys, "predict", out, ours, "--out", predicted)
     assert code == 0

@@ -11,9 +11,10 @@ from scipy.special import chdtrc
 
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
@@ -83,7 +84,7 @@ def _without(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened
 
 def _removed(arm: RigidArm, jump: Jump, recording: Recording) -> Recording:
     """The correction of a jump in more rows of the same recording, which show between which of them it happened."""
-    there, rows = replace(arm, recording=recording), arm.recording.row
+    there, rows = arm.with_poses(recording), arm.recording.row
     before, sample = (int(np.flatnonzero(recording.row == rows[k])[0]) for k in (max(jump.sample - 1, 0), jump.sample))
     if sample - before > 1:
         numbers = _numbers(arm, jump.part)
@@ -109,11 +110,10 @@ def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> J
     sample = int(np.argmax(later))
     if not sample:
         return None
-    few, numbers = thinned(arm.samples, options), _numbers(arm, part)
+    few, numbers = spread_rows(arm.samples, options.most_samples), _numbers(arm, part)
     after, arm = few >= sample, arm.select(few)
-    projected = Projected(arm, physics_columns(arm), options)
-    values, covariance, _ = projected.regression(np.where(after, arm.twists[numbers], 0.0))
-    known = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
+    values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
+    known = np.where(np.isfinite(std), values, 0.0)
     return Jump(sample, part, _six(known), _displacement(arm, numbers, values, after), float("nan"))
 
 
@@ -128,12 +128,8 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     The maximum over rows of the score of six numbers that are others after it, beside all physics and a drift that is a
     cubic of time; autocorrelated residuals count as fewer. In a trajectory the jump must be visible between
     neighbouring rows too, more than at any other row: the arm's own physics is smooth there.
-
-    Args:
-        arm: fitted.
-        options: the thresholds.
     """
-    whole, few = arm, thinned(arm.samples, options)
+    whole, few = arm, spread_rows(arm.samples, options.most_samples)
     arm = arm.select(few)
     projected, n = Projected(arm, physics_columns(arm), options), arm.samples
     if projected.freedom < n or n < 4 * options.jump_margin:
@@ -156,9 +152,6 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     displacement = _displacement(arm, numbers, values, np.arange(n) >= k)
     sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, columns)[:, k:] ** 2, 0)) / arm.rows)
     small = statistic < options.jump_share * projected.freedom
-    if arm.recording.motion == "trajectory" and segment[k - 1] != segment[k] and not small:
-        bare = Projected(arm, np.zeros((0, arm.rows, n)), options)
-        small = bare.regression(after)[2] < options.jump_share_between_runs * bare.freedom
     if p > options.jump_level or sigmas < options.jump_noise or small:
         return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
     if len(few) < whole.samples:
@@ -222,14 +215,12 @@ def without_jump(
     for _ in range(options.refinements):
         total = twist @ total if jump.part == "tool" else total @ twist
         recording = _displaced_back(arm, moved, jump, total)
-        moved = replace(moved, recording=recording).fitted(options.most_fitted)
+        moved = moved.with_poses(recording).fitted(options.most_fitted)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
-        projected = Projected(moved, physics, options)
-        columns = moved.twists[_numbers(arm, jump.part)]
-        values, covariance, _ = projected.regression(np.where(np.arange(arm.samples) >= jump.sample, columns, 0.0))
-        if np.all(np.abs(values) < options.converged * np.sqrt(np.diagonal(covariance))):
+        columns = np.where(np.arange(arm.samples) >= jump.sample, moved.twists[_numbers(arm, jump.part)], 0.0)
+        if (more := next_step(moved, physics, columns, options)) is None:
             break
-        twist = small_displacement(_six(np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)))
+        twist = small_displacement(_six(more))
     twist = np.concatenate([total[:3, 3], Rotation.from_matrix(total[:3, :3]).as_rotvec()])
     assert moved.recording.position is not None
     assert arm.recording.position is not None

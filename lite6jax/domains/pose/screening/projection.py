@@ -90,9 +90,12 @@ def estimated(arm: RigidArm, known: Array, columns: Array, options: ScreeningOpt
     return values, np.sqrt(np.diagonal(covariance))
 
 
-def thinned(samples: int, options: ScreeningOptions) -> NDArray[np.integer]:
-    """Some thousand samples, evenly."""
-    return np.unique(np.linspace(0, samples - 1, min(samples, options.most_samples)).astype(int))
+def next_step(arm: RigidArm, known: Array, columns: Array, options: ScreeningOptions) -> Array | None:
+    """What a correction by `columns` still lacks, `(number,)`; None where that is little beside its deviations."""
+    values, std = estimated(arm, known, columns, options)
+    if np.all(np.abs(values) < options.converged * std):
+        return None
+    return np.where(np.isfinite(std), values, 0.0)
 
 
 def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:

@@ -6,7 +6,6 @@ Each function is a screen: it returns the state with its fault corrected, or wit
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller
@@ -70,7 +69,7 @@ def convert_positions(state: Screened, options: ScreeningOptions) -> Screened:
 
 
 def note_commanded(state: Screened, options: ScreeningOptions) -> Screened:
-    """As it is, where joints are round numbers or exactly the same at each return to a pose: they were commanded."""
+    """As it is, where joints are round numbers: they were commanded."""
     recording = state.recording
     if recording.settings.joint_source == "commanded":
         return state.rule_out("commanded_joints", reason="declared")
@@ -84,22 +83,9 @@ def note_commanded(state: Screened, options: ScreeningOptions) -> Screened:
     largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
     named = {"grid_rad": grid, "grid_unit": unit}
     if values.size >= options.grid_positions and largest == 1.0:
-        numbers = {"reason": "grid", "distinct_positions": int(values.size), **named}
+        numbers = {"distinct_positions": int(values.size), **named}
         return state.corrected(DataFault("commanded_joints", (), numbers))
-    noise, q = recording.settings.joint_noise_rad, recording.joint_position
-    if noise > 0 and recording.motion == "static":
-        exact, near = len(q) - _distinct(q), len(q) - _distinct(np.round(q, options.return_decimals))
-        if exact >= max(options.exact_returns, near):
-            numbers = {"reason": "returns", "returns": exact, "joint_noise_rad": noise}
-            return state.corrected(DataFault("commanded_joints", (), numbers))
     return state.rule_out("commanded_joints", reason="not_round", share=largest, **named)
-
-
-def _distinct(rows: Array) -> int:
-    """How many different rows there are; NumPy would sort them, which takes longer than the fit of a million."""
-    columns = [pa.array(column) for column in (rows + 0.0).T]  # 0 and −0 are one number
-    names = [str(k) for k in range(len(columns))]
-    return pa.table(columns, names).group_by(names).aggregate([]).num_rows
 
 
 def note_computed(state: Screened, options: ScreeningOptions) -> Screened:

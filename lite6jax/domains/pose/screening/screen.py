@@ -17,7 +17,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, nominal_table, rows, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, rows, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
@@ -56,7 +56,7 @@ SCREENS = (
     Screen(("joint_turns",), "arm", rows.remove_turns),
     Screen(("frame_jump",), "fit", frame_jumps.remove_jumps, estimated=lambda fault: 6, located=True),
     Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
-    Screen(("nominal_table",), "fit", nominal_table.use_other_table),
+    Screen(("nominal_table",), "fit", hypotheses.use_other_table),
 )
 """All screens, in order."""
 

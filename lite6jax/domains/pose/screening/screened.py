@@ -94,7 +94,7 @@ class Screened:
         if recording is None:
             recording = self.recording if rigid is None else rigid.recording
         elif rigid is not None:
-            rigid = replace(rigid, recording=recording)
+            rigid = rigid.with_poses(recording)
         return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault))
 
     def rule_out(self, *codes: str, **numbers: Any) -> "Screened":

@@ -6,19 +6,20 @@ from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc, chdtri, ndtr
+from scipy.special import chdtri, ndtr
 
+from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.projection import Projected, physics_columns, thinned
+from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.recordings import Recording
-from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
 
-Shape = Literal["move", "velocity", "constant", "rows"]
+Shape = Literal["move", "velocity", "constant"]
 
 
 @final
@@ -27,25 +28,20 @@ class Unsettled(NamedTuple):
 
     Attributes:
         shape: "move", a share of each move was left; "velocity", a time at the recorded velocity; "constant", the same
-            angle after each move; "rows", a share of the move in some rows.
+            angle after each move.
         joints: concerned, from 0.
         rest: `(joint,)` share, s or rad.
         std: of it.
-        samples: concerned.
     """
 
     shape: Shape
     joints: tuple[int, ...]
     rest: Array
     std: Array
-    samples: NDArray[np.integer]
 
 
 def settle_joints(state: Screened, options: ScreeningOptions) -> Screened:
-    """The joints of a static recording with the rest of their moves added, where they were read too early.
-
-    Single rows are left, as they count for little.
-    """
+    """The joints of a static recording with the rest of their moves added, where they were read too early."""
     samples = state.recording.samples
     if state.recording.motion != "static":
         return state.rule_out("unsettled_readouts", reason="moving", samples=samples)
@@ -57,9 +53,6 @@ def settle_joints(state: Screened, options: ScreeningOptions) -> Screened:
         return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
     joints = [j + 1 for j in found.joints]
     numbers: dict[str, Any] = {"shape": found.shape, "joints": joints, "all_joints": len(joints) == len(found.rest)}
-    if found.shape == "rows":
-        rows = row_numbers(arm.recording.row[found.samples])
-        return state.corrected(DataFault("unsettled_readouts", rows, numbers | {"rest": float(found.rest[0])}))
     arm, found = settled(arm, found, options)
     largest = int(np.argmax(np.abs(found.rest)))
     correction = _rests(state.recording)[found.shape] * found.rest
@@ -74,8 +67,6 @@ def settle_joints(state: Screened, options: ScreeningOptions) -> Screened:
 
 def count_numbers(fault: DataFault) -> int:
     """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
-    if fault.numbers["shape"] == "rows":
-        return 0
     return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
 
 
@@ -91,19 +82,12 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     velocity, or an angle. No effect depends on where the arm was before but backlash, whose sign is the opposite; all
     are estimated beside each other. Where the moves that follow explain the poses too, nothing is said: the order of
     the poses is tied to where they are, and it is something else that depends on that.
-
-    Args:
-        arm: fitted.
-        options: the thresholds.
     """
     recording, dof = arm.recording, arm.recording.dof
     too_few = {"reason": "too_few_rows"}
     if arm.samples < 3:
         return None, too_few
-    single = _unsettled_rows(arm, options)
-    if single is not None:
-        return single, {}
-    few = thinned(arm.samples, options)
+    few = spread_rows(arm.samples, options.most_samples)
     shapes: dict[Shape, Array] = {name: shape[few] for name, shape in _rests(recording).items()}
     arm = arm.select(few)
     # from where each joint is in the row after; zero in the last row of a run
@@ -127,7 +111,7 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
         least = min(least, p_one, float(p_each.min()))
         if min(p_one, float(p_each.min())) > options.settling_level:
             continue
-        chance = chdtri(max(dof - 1, 1), options.separate_level)
+        chance = chdtri(max(dof - 1, 1), options.settling_level)
         if p_one > options.settling_level or separate - common > max(chance, options.separate_share * separate):
             concerned = p_each < options.settling_level
             rest = np.where(concerned, each, 0.0)
@@ -140,13 +124,13 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
         if name != "velocity":
             after = future if name == "move" else np.sign(future)
             both = projected.regression(np.concatenate([own, arm.joints * after.T[:, None]]))[2]
-            chance = chdtri(len(own), options.next_move_level)
+            chance = chdtri(len(own), options.jump_level)
             if both - separate > max(chance, options.next_move_share * separate):
                 ordered = True
                 continue
         joints = tuple(int(j) for j in np.flatnonzero(concerned))
         if joints:
-            found.append((separate, Unsettled(name, joints, rest, std, np.arange(recording.samples))))
+            found.append((separate, Unsettled(name, joints, rest, std)))
     if found:
         return max(found, key=lambda item: item[0])[1], {}
     return None, {"reason": "ordered_poses" if ordered else "chance", "p_value": min(least, 1.0)}
@@ -156,14 +140,13 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
-    few, step = thinned(arm.samples, options), found.rest
+    few, step = spread_rows(arm.samples, options.most_samples), found.rest
     shape = _rests(arm.recording)[found.shape]
     start = arm.recording
     for _ in range(options.refinements):
         rest = rest + step
-        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted(
-            options.most_fitted
-        )
+        moved = replace(start, joint_position=start.joint_position + shape * rest)
+        arm = arm.with_poses(moved).fitted(options.most_fitted)
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
         known = [
@@ -171,12 +154,10 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
             _curves(part, options),
         ]
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        values, covariance, _ = Projected(part, np.concatenate(known), options).regression(group)
-        std = np.sqrt(np.diagonal(covariance))
-        if np.all(np.abs(values) < options.converged * std):
+        if (more := next_step(part, np.concatenate(known), group, options)) is None:
             break
         step = np.zeros_like(rest)
-        step[concerned] = np.where(np.isfinite(std), values, 0.0)
+        step[concerned] = more
     return arm, found._replace(rest=rest)
 
 
@@ -211,25 +192,3 @@ def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
         if pieces >= options.fewest_pieces and len(knots) > 1:
             out.append(column * np.stack([np.interp(q, knots, hat) for hat in np.eye(len(knots))])[:, None])
     return np.concatenate(out)
-
-
-def _unsettled_rows(arm: RigidArm, options: ScreeningOptions) -> Unsettled | None:
-    """Rows far off whose residual lies along the move that led there."""
-    recording, scale = arm.recording, arm.scale
-    outlying = arm.squares > options.outlier_squares * arm.rows * scale**2
-    if not options.outlier_rows <= outlying.sum() <= arm.samples // 3:
-        return None
-    rows = np.flatnonzero(outlying)
-    far = arm.select(rows)
-    along = np.einsum("jrs,sj->rs", far.joints, moves(recording)[rows])
-    length = np.sum(along**2, 0)
-    product = np.sum(along * far.residuals, 0)
-    share = -product / np.maximum(length, 1e-300)
-    cosine2 = product**2 / np.maximum(length * far.squares, 1e-300)
-    hit = (cosine2 > options.along_move) & (share > 0)
-    by_chance = (1 - np.sqrt(options.along_move)) / 2
-    p = float(bdtrc(hit.sum() - 1, len(rows), by_chance))
-    if p > options.settling_level or hit.sum() < options.outlier_rows:
-        return None
-    rest = np.full(recording.dof, float(np.median(share[hit])))
-    return Unsettled("rows", tuple(range(recording.dof)), rest, np.zeros_like(rest), rows[hit])
