@@ -30,7 +30,7 @@ from benchmarks.campaigns.command import differences
 from benchmarks.campaigns.report import markdown, sections, tables
 from benchmarks.campaigns.rounds import KINDS
 from benchmarks.concealed import plans
-from benchmarks.concealed.campaign import POSES
+from benchmarks.concealed.campaign import POSES, READINGS
 from benchmarks.measure import DONE
 from benchmarks.torque_trials import plans as torque_plans
 from benchmarks.torque_trials import trials as torque_trials
@@ -175,6 +175,17 @@ def test_a_campaign_goes_on_where_it_stopped(campaign, tmp_path):
     assert [row["index"] for row in campaign.read_rows(out)] == [first, second, third]
     with pytest.raises(ValueError, match="another seed"):
         quietly(refused, 1, [first], out)
+
+
+def test_results_of_another_sensor_are_not_continued(tmp_path):
+    out = tmp_path / "a.parquet"
+    refused = {name: replace(each, answer=refusing) for name, each in {"": POSES, **READINGS}.items()}
+    (index,) = READINGS["contact"].rounds.indices(4, 1, "clean")
+    rows = quietly(refused["contact"], 4, [index], out)
+    assert quietly(refused["contact"], 4, [index], out) == rows
+    for name in ("", "distance"):
+        with pytest.raises(ValueError, match=r"another sensor \(contact\); give that, or another file"):
+            quietly(refused[name], 4, [index], out)
 
 
 @DOMAINS

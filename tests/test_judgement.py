@@ -56,6 +56,7 @@ def unnamed(site, driver, **more):
             [unnamed("joint4", "position of joint 2"), a_finding("joint_coupling", "joint4", source_joint=2.0)],
             "right",
         ),
+        ([DRIFT], [unnamed("joint4", "position of joint 2"), a_finding("joint_offset", "link4")], "right"),
         ([DRIFT], [a_finding("joint_lag", "joint4", rivals=[("unnamed", "joint4", 2.0)])], "right"),
         ([DRIFT], [a_finding("joint_lag", "joint4", rivals=[("unnamed", "joint4", 7.0)])], "misleading"),
         ([DRIFT], [], "partial"),
@@ -77,6 +78,51 @@ def unnamed(site, driver, **more):
 )
 def test_a_statement_is_right_partial_or_misleading(hidden, findings, expected):
     assert grade(hidden, *findings) == expected
+
+
+def test_a_site_that_no_recording_tells_apart_is_the_right_one():
+    """For a function, for the parts of a sum, and in the columns of a row."""
+    row = a_row([DRIFT], unnamed("link4", "position of joint 2"), kind="outside")
+    assert (row["hidden"][0]["site_found"], row["top_site"]) == (True, True)
+    elsewhere = a_row([DRIFT], unnamed("joint3", "position of joint 2"), kind="outside")
+    assert (elsewhere["hidden"][0]["site_found"], elsewhere["top_site"]) == (False, False)
+    parts = a_finding("joint_compliance", "joint2"), a_finding("joint_windup", "joint2")
+    there, away = YIELDS | {"site": "link2", "sites": ["link2", "joint2"]}, YIELDS | {"site": "link2"}
+    assert judgement.is_summed(there, parts)
+    assert all(judgement.is_true(part, [there], parts) for part in parts)
+    assert not judgement.is_summed(away, parts)
+
+
+def test_sizes_that_were_planned_at_a_bound_are_of_it_in_spite_of_rounding():
+    wave = a_hidden("joint_harmonic", "joint3", {"order": 2.0}, size=1.999)
+    assert judgement.is_at_least(wave, 2.0)
+    assert not judgement.is_at_least(wave | {"size": 1.97}, 2.0)
+    finding = a_finding("joint_harmonic", "joint3", order=2.1)
+    assert len(judgement.numbers([a_row([wave], finding)], 2.0)) == 1
+    assert [cells for title, _, cells in sections(POSES, [a_row([wave], finding)]) if title.startswith("Unseen")]
+    soft = SOFT | {"size": 1.999}
+    assert grade([soft]) == "partial"
+    assert grade([soft], verdict="consistent") == "misleading"
+
+
+def test_the_thresholds_of_intervals_are_said_in_goal_and_table():
+    wave = a_hidden("joint_harmonic", "joint3", {"order": 2.0}, size=3.0)
+    rows = [a_row([wave], a_finding("joint_harmonic", "joint3", order=2.1))]
+    for poses, known in ((POSES, "3"), (campaign.READINGS["contact"], "2")):
+        shown = {title: cells for title, _, cells in sections(poses, rows)}
+        asked = f"95 % intervals cover, from {known} thresholds on: 93 to 97 %"
+        (reached,) = (cells[1] for cells in shown["Goals"] if cells[0] == asked)
+        of_numbers = shown[f"Numbers of effects that were named, from {known} thresholds on"]
+        assert of_numbers[0][1] == reached == "100 % (2.5–100) of 1"
+
+
+def test_tables_count_every_number_of_rows_and_no_distance_that_is_not_known():
+    right = unnamed("joint4", "position of joint 2")
+    near = DRIFT | {"rival": {"name": "joint_lag", "site": "joint4", "apart": 3.0}}
+    rows = [a_row([each], right, kind="outside", index=k) | {"rows": 15} for k, each in enumerate((DRIFT, near))]
+    shown = {title: {row[0]: row[1] for row in cells} for title, _, cells in sections(POSES, rows)}
+    assert shown["What is said outside the catalogue and at its edge"]["15 to 40 rows"] == "2"
+    assert shown["Outside the catalogue"]["0 to 4 standard deviations from what is nearest"] == "1"
 
 
 @pytest.mark.parametrize("verdict", ["consistent", "explained"])
@@ -110,7 +156,7 @@ def test_the_first_line_is_the_rate_of_wrong_names_with_its_interval():
     assert title == "Goals"
     assert cells[0][0] == "wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %"
     assert cells[0][1:] == ("40 % (5.3–85) of 5", "NO")
-    assert campaign.goals([])[0].met is None
+    assert POSES.goals([])[0].met is None
 
 
 def test_orders_that_are_reported_count_in_the_coverage():
@@ -121,7 +167,8 @@ def test_orders_that_are_reported_count_in_the_coverage():
     said["parameters"]["order"]["std"] = 0.0
     exact = a_row([whole], said)
     assert judgement.numbers([exact], 3.0) == []
-    assert judgement.exact_orders([exact, off]) == (1, 1)
+    assert judgement.exact_orders([exact, off], 3.0) == (1, 1)
+    assert judgement.exact_orders([exact], 6.0) == (0, 0)
 
 
 def test_a_finding_is_the_truth_by_name_site_order_and_source():

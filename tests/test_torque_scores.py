@@ -17,10 +17,9 @@ from trial_answers import (
 )
 
 from benchmarks.campaigns.judgement import covered
-from benchmarks.campaigns.report import KNOWN
 from benchmarks.campaigns.rounds import KINDS
 from benchmarks.torque_trials import plans, trials
-from benchmarks.torque_trials.campaign import goals, scored
+from benchmarks.torque_trials.campaign import TORQUES, scored
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,7 @@ def rows_of(truths, answer, off=0.0):
 
 
 def met(rows):
-    return {goal.asked.partition(":")[0]: goal.met for goal in goals(rows)}
+    return {goal.asked.partition(":")[0]: goal.met for goal in TORQUES.goals(rows)}
 
 
 def a_truth(*hidden, kind="single", **more):
@@ -66,7 +65,7 @@ def test_an_oracle_is_right_in_every_trial(truths):
         nameless = any(effect.get("nameless") for effect in truth["hidden"])
         assert row["exact"] == (not nameless)
         assert row["fault_found"] == bool(truth["fault"]) or truth["fault"] == "torque_unit"  # which is refused
-    assert covered(rows, KNOWN).value > 0.5
+    assert covered(rows, TORQUES.known).value > 0.5
 
 
 def test_goals_tell_an_oracle_from_silence_and_lies(truths):
@@ -88,7 +87,7 @@ def test_goals_of_detection_are_met_by_an_oracle_only():
         found = met(rows_of([truth] * 40, answer))
         assert found["single effects at twice the threshold, found"] is wanted
         assert found["— right site and name, or within the set said inseparable"] is wanted
-    assert all(goal.met is None for goal in goals([]))
+    assert all(goal.met is None for goal in TORQUES.goals([]))
 
 
 def test_false_alarms_need_many_clean_trials():
@@ -104,7 +103,7 @@ def test_intervals_that_are_too_narrow_are_seen():
     for std in (0.1, 0.03):
         offs = 0.5 + 0.1 * rng.normal(size=600)
         said = [a_finding("coulomb_friction", "joint3", coulomb_Nm=off, std=std) for off in offs]
-        rows.append(covered([judged(a_truth(FRICTION), each) for each in said], KNOWN).value)
+        rows.append(covered([judged(a_truth(FRICTION), each) for each in said], TORQUES.known).value)
     assert rows[0] == pytest.approx(0.95, abs=0.03)
     assert rows[1] < 0.6
 

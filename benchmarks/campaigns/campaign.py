@@ -87,27 +87,35 @@ class Campaign:
     Attributes:
         name: of its command.
         count: how many trials, if not said.
+        known: thresholds from which the intervals of an effect's numbers are to hold.
         rounds: in which its kinds come.
         schema: of the results, a row a trial; as `schema_of`.
         draw: a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed
             families.
         score: the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error.
-        goals: those that are set on rows.
+        set_goals: those on rows, and on the intervals of effects that are `known` thresholds large.
         unseen: a table on the errors of the unseen motion.
+        measuring: the sensors that its rows may name; empty where they name none.
         answer: diagnoses the files of a folder and writes what comes of it there.
         sensors: campaigns of other sensors, among which `--sensor` chooses.
     """
 
     name: str
     count: int
+    known: float
     rounds: Rounds
     schema: pa.Schema
     draw: Callable[[int, int, bool], Any]
     score: Callable[[Row, Row | None, Row | None, float, str], Row]
-    goals: Callable[[Sequence[Row]], list[Goal]]
+    set_goals: Callable[[Sequence[Row], float], list[Goal]]
     unseen: Callable[[Sequence[Row]], Section]
+    measuring: Sequence[str] = ()
     answer: Callable[[Path], None] = diagnose_and_predict
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
+
+    def goals(self, rows: Sequence[Row]) -> list[Goal]:
+        """The goals on rows, and whether they are met."""
+        return self.set_goals(rows, self.known)
 
     def export(self, seed: int, index: int, sealed_families: bool, folder: Path) -> Path:
         """Writes a trial with its open truth into a folder of its own, which it names: to look for what went wrong."""
@@ -144,11 +152,14 @@ class Campaign:
             scheduler: the address of the scheduler of a Dask cluster, in place of processes.
 
         Raises:
-            ValueError: the file has trials of another seed, or of families that are sealed where these are not.
+            ValueError: the file has trials of another seed or sensor, or of families that are sealed where these are
+                not.
         """
         rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
+        if others := sorted({str(row.get("sensor")) for row in rows.values()} - set(self.measuring or ("None",))):
+            raise ValueError(f"{out}: has trials of another sensor ({', '.join(others)}); give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             kept = "open" if sealed_families else "sealed"
             raise ValueError(f"{out}: has trials of {kept} families; give another file")

@@ -24,6 +24,8 @@ LARGE, LARGE_IN_FEW, FEW = 1.5, 4.5, 60
 """Times the noise from which a missed effect contradicts the verdict; the second with fewer than `FEW` rows."""
 DISTINGUISHED = 4.0
 """Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
+_ROUNDING = 0.01
+"""The share by which the size of a trial may be below the planned one: sizes are computed again of what is hidden."""
 _ENDED = ("consistent", "explained")
 """The verdicts that say that nothing is left."""
 
@@ -39,6 +41,16 @@ class Statement(NamedTuple):
 
     grade: Grade
     why: str
+
+
+def is_at_least(effect: Row, least: float) -> bool:
+    """Whether a hidden effect is so many thresholds large, but for the rounding of a size that was planned as that."""
+    return effect["size"] >= (1 - _ROUNDING) * least
+
+
+def sites_of(effect: Row) -> Sequence[str]:
+    """The site of a hidden effect, and outside the catalogue those that no recording tells from it."""
+    return effect.get("sites", (effect["site"],))
 
 
 def called(effect: Row) -> str:
@@ -63,11 +75,8 @@ def same(effect: Row, finding: Row) -> bool:
 
 
 def unnamed_of(effect: Row, finding: Row) -> bool:
-    """Whether a finding without a name is a function at the effect's site of a driver on which the effect depends.
-
-    Outside the catalogue, sites that no recording tells apart are the effect's as well (`sites` of the truth).
-    """
-    if finding["effect"] != "unnamed" or finding["site"] not in effect.get("sites", (effect["site"],)):
+    """Whether a finding without a name is a function at one of `sites_of` the effect, of a driver of the effect."""
+    if finding["effect"] != "unnamed" or finding["site"] not in sites_of(effect):
         return False
     return is_driven(finding.get("driver", ""), drivers_of(effect))
 
@@ -108,9 +117,8 @@ def drivers_of(effect: Row) -> list[list[str]]:
 
 def admits(effect: Row, finding: Row) -> bool:
     """Whether a finding is the hidden effect or says that it may be."""
-    sites = effect.get("sites", (effect["site"],))
     return same(effect, finding) or any(
-        rival["effect"] == called(effect) and rival["site"] in sites for rival in rivals_of(finding)
+        rival["effect"] == called(effect) and rival["site"] in sites_of(effect) for rival in rivals_of(finding)
     )
 
 
@@ -147,14 +155,16 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
         said.append(f"false: {', '.join(false)}")
     if hidden and diagnosis["verdict"] in _ENDED:
         left, large = _left(truth, diagnosis), LARGE_IN_FEW if rows < FEW else LARGE
-        missed = [e for e in missing if e["size"] >= DETECTABLE and e["moved_m"] * e["seen"] > large * truth["noise_m"]]
+        missed = [
+            e for e in missing if is_at_least(e, DETECTABLE) and e["moved_m"] * e["seen"] > large * truth["noise_m"]
+        ]
         if left > LEFT:
             said.append(f"verdict {diagnosis['verdict']} with {left:.2g} times the noise left")
         elif missed:
             said.append(f"verdict {diagnosis['verdict']} without {_listed(missed)}")
     if said:
         return Statement("misleading", "; ".join(said))
-    lacking = [effect for effect in hidden if not _whole(effect, findings) and effect["size"] >= DETECTABLE]
+    lacking = [effect for effect in hidden if not _whole(effect, findings) and is_at_least(effect, DETECTABLE)]
     return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
 
 
@@ -164,10 +174,10 @@ def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> boo
         if admits(effect, finding) or unnamed_of(effect, finding):
             return True
         # the straight part of a function has a name, which is true only beside what is not straight
-        beside = finding["effect"] in effect.get("beside", ()) and finding["site"] == effect["site"]
+        beside = finding["effect"] in effect.get("beside", ()) and finding["site"] in sites_of(effect)
         if beside and any(unnamed_of(effect, other) for other in findings):
             return True
-        part = finding["effect"] in effect.get("sum_of", ()) and finding["site"] == effect["site"]
+        part = finding["effect"] in effect.get("sum_of", ()) and finding["site"] in sites_of(effect)
         if part and is_summed(effect, findings):
             return True
     return False
@@ -175,7 +185,7 @@ def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> boo
 
 def is_summed(effect: Row, findings: Sequence[Row]) -> bool:
     """Whether an effect outside the catalogue that is a sum of some inside it is found as that sum, at its site."""
-    there = {finding["effect"] for finding in findings if finding["site"] == effect["site"]}
+    there = {finding["effect"] for finding in findings if finding["site"] in sites_of(effect)}
     return bool(effect.get("sum_of")) and there.issuperset(effect["sum_of"])
 
 
@@ -224,7 +234,7 @@ def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str
         "found": not error and bool(hidden) and paired(hidden, findings, admits),
         "exact": not error and alone and paired(hidden, findings, same),
         "exact_in_set": not error and alone and paired(hidden, findings, admits),
-        "top_site": bool(first and top and top["site"] == first["site"]),
+        "top_site": bool(first and top and top["site"] in sites_of(first)),
         "top_named": bool(first and top and same(first, top)),
         "top_in_set": bool(first and top and admits(first, top)),
         "findings": [_of_finding(finding, hidden) for finding in findings],
@@ -255,7 +265,7 @@ def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
         "rival": rival["name"],
         "rival_site": rival["site"],
         "apart": rival["apart"],
-        "site_found": any(finding["site"] == effect["site"] for finding in findings),
+        "site_found": any(finding["site"] in sites_of(effect) for finding in findings),
         "named": ours is not None or is_summed(effect, findings),
         "in_set": any(admits(effect, finding) for finding in findings) or is_summed(effect, findings),
         "numbers": numbers,
@@ -283,8 +293,9 @@ def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> 
 
 
 def distinguishable(row: Row) -> bool:
-    """Whether the data distinguish the one hidden effect from what it is most easily taken for (`apart`)."""
-    return (row["hidden"][0]["apart"] or 0.0) >= DISTINGUISHED
+    """Whether the data distinguish the one hidden effect from its nearest rival; not where none was sought."""
+    apart = row["hidden"][0]["apart"]
+    return apart is not None and apart >= DISTINGUISHED
 
 
 def numbers(rows: Iterable[Row], least: float) -> list[Row]:
@@ -297,10 +308,15 @@ def numbers(rows: Iterable[Row], least: float) -> list[Row]:
         number | {"effect": effect["effect"], "size": effect["size"]}
         for row in rows
         for effect in row["hidden"]
-        if effect["size"] >= least
+        if is_at_least(effect, least)
         for number in effect["numbers"]
         if number["std"] > 0 and (number["bound"] > 0 or number["name"] == "order")
     ]
+
+
+def covering(least: float) -> str:
+    """The goal on `covered`, in words."""
+    return f"95 % intervals cover, from {least:g} thresholds on: 93 to 97 %"
 
 
 def covered(rows: Iterable[Row], least: float) -> Share:
@@ -309,17 +325,18 @@ def covered(rows: Iterable[Row], least: float) -> Share:
     return share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(kept, least))
 
 
-def exact_orders(rows: Iterable[Row]) -> Share:
-    """Of the orders that were stated without an interval, those that are exactly so."""
+def exact_orders(rows: Iterable[Row], least: float) -> Share:
+    """Of the orders that were stated without an interval, of effects so many thresholds large, those exactly so."""
     return share(
         abs(number["off"]) < 1e-9
         for row in rows
         for effect in row["hidden"]
+        if is_at_least(effect, least)
         for number in effect["numbers"]
         if number["name"] == "order" and not number["std"]
     )
 
 
 def share_found(rows: Iterable[Row]) -> Share:
-    """Of the trials that hide something, those all of whose effects were found; results of version 0.1 do not say."""
+    """Of the trials that hide something and say whether all of it was found, those in which it was."""
     return share(row["found"] for row in rows if row["hidden"] and row["found"] is not None)

@@ -13,6 +13,7 @@ from rich.table import Table
 from scipy.stats import norm
 
 from benchmarks.campaigns.campaign import Campaign, Section
+from benchmarks.campaigns.detection import ALARM, SEARCHED
 from benchmarks.campaigns.judgement import DISTINGUISHED, Row, covered, distinguishable, exact_orders, numbers, singles
 from benchmarks.campaigns.shares import share
 
@@ -20,12 +21,10 @@ Groups = Iterable[tuple[str, Sequence[Row]]]
 Columns = dict[str, str | Callable[[Row], Any]]
 """Of a table of shares: a key of the rows or a function of one; what is None does not count."""
 
-KNOWN = 4.0
-"""Thresholds from which the intervals of an effect's numbers are to hold."""
 _APART = (0.0, DISTINGUISHED, 8.0, 16.0, math.inf)
 """Standard deviations between which trials outside the catalogue are counted together."""
-_ROWS = (15, 40, 200, 3000)
-"""Between which trials at stake are counted together."""
+_ROWS = ((15, 40), (41, 200), (201, 3000))
+"""The fewest and the most rows of trials at stake that are counted together."""
 _SINGLE: Columns = {
     "something detected": "detected",
     "found, effect and site": "found",
@@ -76,7 +75,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
             [
                 ("all", judged),
                 *_split(judged, "kind"),
-                *((f"{a} to {b} rows", [row for row in judged if a < row["rows"] <= b]) for a, b in pairwise(_ROWS)),
+                *((f"{a} to {b} rows", [row for row in judged if a <= row["rows"] <= b]) for a, b in _ROWS),
             ],
             {grade: lambda row, grade=grade: row["statement"] == grade for grade in ("right", "partial", "misleading")},
         ),
@@ -89,7 +88,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
                 *(
                     (f"{a:g} to {b:g} standard deviations from what is nearest", found)
                     for a, b in pairwise(_APART)
-                    if (found := [row for row in outside if a <= (row["hidden"][0]["apart"] or 0.0) < b])
+                    if (found := [row for row in outside if _apart(row) is not None and a <= _apart(row) < b])
                 ),
             ],
             {
@@ -106,7 +105,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
             _split([row for row in rows if row["fault"]], "fault"),
             {"found": "fault_found", "and nothing else but what is hidden": "exact_in_set"},
         ),
-        _numbers(rows),
+        _numbers(rows, campaign.known),
         campaign.unseen(rows),
         _run(rows),
     ):
@@ -138,6 +137,10 @@ def _split(rows: Sequence[Row], of: str | Callable[[Row], Any]) -> list[tuple[st
     return [(f"{said:g}" if isinstance(said, float) else str(said), found[said]) for said in sorted(found)]
 
 
+def _apart(row: Row) -> Any:
+    return row["hidden"][0]["apart"]
+
+
 def _effect(row: Row) -> str:
     return row["hidden"][0]["effect"]
 
@@ -149,18 +152,18 @@ def best_chance(row: Row) -> float | None:
     return min(said) if said else None
 
 
-def _numbers(rows: Sequence[Row]) -> Section:
-    title = f"Numbers of effects that were named, from {KNOWN:g} thresholds on"
-    large = [row for row in rows if row["kind"] in ("single", "mixture")]
-    found = numbers(large, KNOWN)
+def _numbers(rows: Sequence[Row], known: float) -> Section:
+    title = f"Numbers of effects that were named, from {known:g} thresholds on"
+    named = [row for row in rows if row["kind"] in ("single", "mixture")]
+    found = numbers(named, known)
     if not found:
         return title, (), ()
     off, std, bound = (np.array([number[key] for number in found]) for key in ("off", "std", "bound"))
     bounded = bound > 0
     cells = [
-        ("within their 95 % interval", str(covered(rows, KNOWN))),
-        *((f"— {name}", str(covered(each, KNOWN))) for name, each in _split(large, "engine") if numbers(each, KNOWN)),
-        ("orders stated as exact that are", str(exact_orders(large))),
+        ("within their 95 % interval", str(covered(rows, known))),
+        *((f"— {name}", str(covered(each, known))) for name, each in _split(named, "engine") if numbers(each, known)),
+        ("orders stated as exact that are", str(exact_orders(named, known))),
         ("error over its standard deviation, median size (0.67 if honest)", f"{np.median(abs(off / std)):.2f}"),
     ]
     if bounded.any():
@@ -241,7 +244,7 @@ def detection(rows: Sequence[Row], path: Path) -> Path:
             )
         if sizes:
             at = np.geomspace(min(sizes), max(sizes), 80)
-            limit = norm.isf(0.5e-4)
+            limit = norm.isf(ALARM / SEARCHED / 2)
             power = 100 * (norm.sf(limit - at * limit) + norm.cdf(-limit - at * limit))
             axes.plot(at, power, color=_GREY, lw=1.2, ls="--", label="a test that is told where to look and what for")
         axes.axhline(95, color=_GREY, lw=0.8, ls=":")
