@@ -24,10 +24,12 @@ MODULES = {
 }
 """Workloads in the order in which they run: functions of this folder's modules."""
 WORKLOADS = {name: module for module, names in MODULES.items() for name in names}
-BY_NAME = ("devices", "ceres", "fleet_diagnosis")
+BY_NAME = ("devices", "ceres", "fleet_diagnosis", "soak")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
 PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}
 """Those of the extra `benchmark`, by the module that is imported."""
+OF_WORKLOADS = ("scipy", "pinocchio", "mujoco")
+"""What the workloads cannot do without."""
 COMMANDS = {
     "concealed": ("concealed.campaign", "mujoco"),
     "torque": ("torque_trials.campaign", "mujoco"),
@@ -41,7 +43,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:
     """The exit code: 0, 1 where an answer was wrong, 2 where the benchmarks cannot run."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    module, *needed = COMMANDS.get(arguments[0] if arguments else "", ("", *list(PACKAGES)[:3]))
+    module, *needed = COMMANDS.get(arguments[0] if arguments else "", ("", *OF_WORKLOADS))
     missing = [PACKAGES[each] for each in needed if importlib.util.find_spec(each) is None]
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)

@@ -22,12 +22,17 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.campaigns.campaign import write_files
+from benchmarks.campaigns.command import at_least
 from benchmarks.concealed.trials import draw
 
 FACTOR = 1.5
 SEED = 8
 TRIALS = (35, 45, 100, 0, 3, 5, 10, 25, 55, 60)
 """Mixed, outside, faulty, clean and single ones, static and moving, of chains known, uncertain and unknown."""
+
+
+Change = tuple[str, float, float, int, int, float, int]
+"""An option, its value and the one tried; then trials whose findings differ, whose faults do, the shift, failures."""
 
 
 class Outcome(NamedTuple):
@@ -42,20 +47,23 @@ def main(arguments: Sequence[str]) -> int:
     """Runs all changes and prints what depends on each option, the most first. The exit code."""
     description = "What a diagnosis depends on, option by option."
     parser = argparse.ArgumentParser(prog="python -m benchmarks sensitivity", description=description)
-    parser.add_argument("--trials", type=int, default=len(TRIALS), metavar="N", help="how many of the fixed set")
+    parser.add_argument(
+        "--trials", type=at_least(1), default=len(TRIALS), metavar="N", help="how many of the fixed set"
+    )
     parser.add_argument("--only", nargs="+", metavar="OPTION", help="only these options, as group.name")
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)), metavar="P")
+    parser.add_argument("--processes", type=at_least(1), default=len(os.sched_getaffinity(0)), metavar="P")
     chosen = parser.parse_args(arguments)
-    changes = [c for c in variations() if not chosen.only or c[0] in chosen.only]
-    if not changes:
-        parser.error("--only: no such option; they are " + ", ".join(dict.fromkeys(name for name, *_ in variations())))
+    known = list(dict.fromkeys(name for name, *_ in variations()))
+    if unknown := [name for name in chosen.only or () if name not in known]:
+        parser.error(f"--only: no option {', '.join(unknown)}; they are {', '.join(known)}")
+    changes = [change for change in variations() if change[0] in (chosen.only or known)]
     with tempfile.TemporaryDirectory() as name:
         folder, indices = Path(name), TRIALS[: chosen.trials]
         with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
             list(pool.map(partial(_write, folder), indices))
             before = list(pool.map(partial(_outcome, folder, None, 0.0), indices))
             jobs = [pool.map(partial(_outcome, folder, option, tried), indices) for option, _, tried in changes]
-            rows = []
+            rows: list[Change] = []
             for k, (change, after) in enumerate(zip(changes, jobs, strict=True), 1):
                 rows.append((*change, *_compare(before, list(after))))
                 print(f"\r{k} of {len(jobs)}", end="", file=sys.stderr, flush=True)
@@ -68,13 +76,20 @@ def main(arguments: Sequence[str]) -> int:
         cells = (f"{value:.4g}", f"{tried:.4g}", str(findings), str(faults), f"{shift:.2g}", str(failed))
         table.add_row(option, *cells)
     Console().print(table)
-    options = {row[0] for row in rows}
-    idle = sorted(options - {row[0] for row in rows if row[3] or row[4] or row[5] > 0.01})
+    options, idle = {row[0] for row in rows}, idle_options(rows)
     Console().print(f"{len(idle)} of {len(options)} options change nothing here: {', '.join(idle)}.")
     return 0
 
 
-def _dependence(row: tuple[str, float, float, int, int, float, int]) -> tuple[int, float]:
+def idle_options(rows: Sequence[Change]) -> list[str]:
+    """The options of whose changes none has other findings, other faults, a shift above 0.01 σ or a failure."""
+    changing = {
+        name for name, _, _, findings, faults, shift, failed in rows if findings or faults or failed or shift > 0.01
+    }
+    return sorted({name for name, *_ in rows} - changing)
+
+
+def _dependence(row: Change) -> tuple[int, float]:
     """By which rows are sorted, those on which most depends first."""
     *_, findings, faults, shift, failed = row
     return -findings - faults - failed, -shift

@@ -220,6 +220,16 @@ def test_sizes_and_faults_go_round():
     assert sorted(plan.fault for plan in drawn("faulty", len(plans.FAULTS))) == sorted(plans.FAULTS)
 
 
+def test_the_rows_repeated_in_a_file_are_those_that_are_sealed():
+    of_kind = plans.ROUNDS.indices(4, len(plans.FAULTS), "faulty")
+    index = next(i for i in of_kind if plans.draw_plan(4, i, np.random.default_rng(0)).fault == "repeated_rows")
+    trial = trials.draw(4, index)
+    _, *lines = trial.files["recording.csv"].splitlines()
+    again = [k for k, line in enumerate(lines) if k and line == lines[k - 1]]
+    assert trial.truth["fault_rows"] == [k - before for before, k in enumerate(again)]
+    assert len(again) == 8
+
+
 # ------------------------------------------------------------------ physics outside the catalogue
 
 

@@ -28,9 +28,9 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     )
     count = campaign.count
     parser.add_argument(
-        "--trials", type=_at_least(1), default=count, metavar="N", help=f"how many, {count} if not given"
+        "--trials", type=at_least(1), default=count, metavar="N", help=f"how many, {count} if not given"
     )
-    parser.add_argument("--seed", type=_at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
+    parser.add_argument("--seed", type=at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
     parser.add_argument(
         "--kind",
         choices=list(campaign.rounds.shares),
@@ -50,7 +50,7 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         "at once, when the development is over",
     )
     parser.add_argument(
-        "--trial", type=_at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it"
+        "--trial", type=at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it"
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped"
@@ -62,7 +62,7 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument(
-        "--processes", type=_at_least(1), metavar="P", help="that work at a time; one a core if not given"
+        "--processes", type=at_least(1), metavar="P", help="that work at a time; one a core if not given"
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
@@ -159,7 +159,9 @@ def _said(row: Row) -> tuple[list[str], list[str]]:
     return sorted(findings), sorted(set(row["faults"]))
 
 
-def _at_least(least: int) -> Callable[[str], int]:
+def at_least(least: int) -> Callable[[str], int]:
+    """What an argument is read by that is a whole number from the least on."""
+
     def whole(text: str) -> int:
         value = int(text)
         if value < least:

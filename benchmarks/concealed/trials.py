@@ -156,7 +156,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, {"oracle": fitted})
     if plan.masses_off:
         truth["mass_errors"] = (actual.mass / nominal.mass - 1).tolist()
-    files = files_of(plan, nominal, declared, motion, recorded, *pose_readings(plan, measured), unseen)
+    files = files_of(plan, nominal, declared, motion, recorded, *pose_readings(plan, measured), unseen, faulty)
     return Trial(plan, truth, files)
 
 
@@ -334,6 +334,7 @@ def files_of(
     readings: Mapping[str, Any],
     said: Mapping[str, Any],
     unseen: Motion,
+    faulty: Sequence[int] = (),
 ) -> dict[str, str]:
     """What the diagnosis is given, and the motion that is to be predicted.
 
@@ -346,6 +347,7 @@ def files_of(
         readings: columns of as many rows for each sample; `inside` is which rows there are.
         said: what the sidecar says of the sensor.
         unseen: what is to be predicted.
+        faulty: rows (from 1) that are faults.
     """
     (count,) = {len(column) // len(q) for column in readings.values()}
     columns = {name: np.repeat(column, count) for name, column in _columns(motion, q, plan.moving).items()}
@@ -355,8 +357,7 @@ def files_of(
         k = len(rows) // 3
         rows[k : k + 12] = rows[k : k + 12][::-1]
     if plan.fault == "repeated_rows":
-        again = np.random.default_rng([plan.seed, 9, plan.index]).choice(len(rows), 8, replace=False)
-        rows = np.sort(np.concatenate([rows, again]))
+        rows = np.sort(np.concatenate([rows, np.array(faulty) - 1]))
     return {
         **_declared(plan, nominal, declared, said),
         "recording.csv": csv_text({name: column[rows] for name, column in columns.items()}),
