@@ -1,1 +1,1 @@
-"""Workloads × rivals in one run, every answer checked: `python -m benchmarks [NAME] [--json OUT]`."""
+"""Workloads × rivals in one run, answers checked where they can be: `python -m benchmarks [NAME] [--json OUT]`."""

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measure import DONE, MISSED, UNUSABLE, Record, Workload, ended, write_records
+from benchmarks.measure import DONE, MISSED, UNUSABLE, Record, Workload, run_command, write_records
 from lite6jax.storage import check_writable
 
 MODULES = {
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         return UNUSABLE
     if module:
         return importlib.import_module(f"benchmarks.{module}").main(arguments[1:])
-    return ended(partial(_run, arguments, dict(known or {name: partial(_workload, name) for name in WORKLOADS})))
+    return run_command(partial(_run, arguments, dict(known or {name: partial(_workload, name) for name in WORKLOADS})))
 
 
 def _workload(name: str, **options: Any) -> Iterator[Record]:

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from benchmarks import seed_way
-from benchmarks.measure import OURS, ROOT, Record, disagreement, timed
+from benchmarks.measure import OURS, ROOT, Record, disagreement, time_call
 from benchmarks.problem import chain_error, simulated_arms
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
@@ -37,7 +37,7 @@ TARGETS = {"cold": 10.0, "warm": 3.0, "rows": 30.0}
 
 
 def run_processes(arguments: list[str], caches: list[Path], check: Callable[[Path], str]) -> tuple[float | None, str]:
-    """Median seconds of a process a cache folder, and why its answer is wrong.
+    """Median seconds of one process for each cache folder, and why an answer is wrong.
 
     Args:
         arguments: to which `--out FILE` is added.
@@ -52,7 +52,7 @@ def run_processes(arguments: list[str], caches: list[Path], check: Callable[[Pat
         environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
         call = partial(subprocess.run, [*arguments, "--out", str(out)], cwd=ROOT, env=environment)
-        taken, run = timed(partial(call, capture_output=True, text=True))
+        taken, run = time_call(partial(call, capture_output=True, text=True))
         if run.returncode:
             return None, (run.stderr.strip().splitlines() or [f"exit code {run.returncode}"])[-1]
         seconds.append(taken)
@@ -110,9 +110,9 @@ def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
 
         def fleet(out: Path, processes: int) -> float:
             given = ["fleet", str(arms), "--out", str(out), "--force", "--processes", str(processes)]
-            return timed(partial(subprocess.run, [*COMMAND, *given], cwd=ROOT, capture_output=True, check=True))[0]
+            return time_call(partial(subprocess.run, [*COMMAND, *given], cwd=ROOT, capture_output=True, check=True))[0]
 
-        loader = min(timed(loaded)[0] for _ in range(repeats))
+        loader = min(time_call(loaded)[0] for _ in range(repeats))
         yield Record(work, "PyYAML's C loader", "wall time", loader, "s")
         fleet(Path(name, "warm.parquet"), 2)
         taken, tables = [], []
@@ -144,7 +144,7 @@ def diagnose(long: int = 12_000, repeats: int = 3) -> Iterator[Record]:
             seconds, wrong = run_processes([*COMMAND, "diagnose", str(file)], used, check)
             yield from _against("400 rows", f"lite6jax diagnose, {cache} cache", seconds, cache, wrong)
         for known in (True, False):
-            seconds, found = timed(partial(diagnosis_of, hidden(folder, known, long)))
+            seconds, found = time_call(partial(diagnosis_of, hidden(folder, known, long)))
             work = f"{long} rows, chain {'known' if known else 'unknown'}"
             wrong = wrong_findings(tuple(finding.effect for finding in found.findings))
             yield from _against(work, OURS, seconds, "rows", wrong)

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.concealed.chain import MADE, Array, factory_text, lite6, quaternion_from_rotation, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
-from benchmarks.measure import OURS, Record, timed
+from benchmarks.measure import OURS, Record, time_call
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.compensate import compensate, read_pose_targets
@@ -86,7 +86,7 @@ def soft_arm(rng: np.random.Generator) -> Soft:
     return Soft(setup, {mass: Arm(setup, tuple(hidden), mass) for mass in PAYLOADS})
 
 
-def drawn(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+def draw_poses(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Joint positions within the limits and a turn, and a payload for each."""
     lower, upper = np.clip(lite6().limits, -np.pi, np.pi).T
     return rng.uniform(lower, upper, (count, len(lower))), rng.choice(PAYLOADS, count)
@@ -108,14 +108,14 @@ def compensation(
             calibration = Path(folder) / "factory.yaml" if known else None
             if calibration:
                 write_atomically(calibration, factory_text(soft.setup.chain.rows))
-            recorded = soft.recording(*drawn(rng, rows), rng, turned, calibration)
+            recorded = soft.recording(*draw_poses(rng, rows), rng, turned, calibration)
             path = write_recording(recorded, Path(folder) / "run.csv")
             recording = read_recording(path)
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
-            seconds, found = timed(partial(diagnose, recording))
+            seconds, found = time_call(partial(diagnose, recording))
             document = Path(folder) / "diagnosis.json"
             write_document(found.to_dict(), document)
-            wanted_q, payload = drawn(rng, targets)
+            wanted_q, payload = draw_poses(rng, targets)
             wanted = np.asarray(plain.predict(wanted_q), np.float64)
             asked = Recording.from_arrays(
                 wanted_q,
@@ -126,7 +126,7 @@ def compensation(
             )
             model = read_model(document)
             asked_path = write_recording(asked, Path(folder) / "targets.csv")
-            taken, solved = timed(partial(compensate, model, read_pose_targets(asked_path, model)))
+            taken, solved = time_call(partial(compensate, model, read_pose_targets(asked_path, model)))
         before, after = (
             np.linalg.norm(soft.poses(q, payload)[1] - wanted[:, :3, 3], axis=1)
             for q in (wanted_q, np.asarray(solved.joint_position, np.float64))

@@ -24,7 +24,7 @@ from jax.typing import DTypeLike
 from scipy.optimize import least_squares
 
 from benchmarks import seed_way
-from benchmarks.measure import AGREES, OURS, ROOT, Record, disagreement, median_time, timed, unlikely
+from benchmarks.measure import AGREES, OURS, ROOT, Record, disagreement, median_time, time_call, unlikely
 from benchmarks.problem import NOISE, SCALE, Measured, chain_error, measured
 from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.arms.chains import HayatiForm
@@ -161,7 +161,7 @@ def fleet(
 
 def _raced(work: str, problem: Measured, repeats: int, rivals: Sequence[Rival]) -> Iterator[Record]:
     arms = len(problem.pose)
-    first, _ = timed(lambda: fit(problem))
+    first, _ = time_call(lambda: fit(problem))
     seconds, solution = median_time(lambda: fit(problem), repeats)
     wrong = wrong_fit(solution, problem)
     yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", wrong)
@@ -170,7 +170,7 @@ def _raced(work: str, problem: Measured, repeats: int, rivals: Sequence[Rival]) 
         given = list(zip(problem.joint_position, problem.pose, strict=True))[: rival.arms]
         if rival.solve is not python_loop:
             rival.solve(*given[0])  # compiles
-        taken, answers = timed(lambda rival=rival, given=given: np.array([rival.solve(*each) for each in given]))
+        taken, answers = time_call(lambda rival=rival, given=given: np.array([rival.solve(*each) for each in given]))
         wrong = disagreement(answers, solution.parameters[: len(given)], AGREES, "parameters (m, rad)")
         yield Record(work, rival.name, "fit an arm", 1e3 * taken / len(given), "ms", wrong)
         yield Record(work, OURS, f"faster than {rival.name}", taken / len(given) * arms / seconds, "×", wrong)
@@ -289,7 +289,7 @@ def devices(
         with computing_on(platform):
             for count in arms:
                 problem = measured(count, 300, seed=2)
-                first, _ = timed(lambda problem=problem: fit(problem))
+                first, _ = time_call(lambda problem=problem: fit(problem))
                 seconds, solution = median_time(lambda problem=problem: fit(problem), repeats)
                 wrong = wrong_fit(solution, problem)
                 yield Record("devices", platform, f"first fit of {count} × 300", first, "s", wrong)

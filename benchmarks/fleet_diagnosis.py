@@ -22,7 +22,7 @@ from benchmarks.concealed.hiding import beyond_named, detection_threshold
 from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, Setup, poses
 from benchmarks.concealed.plans import SENSORS, Plan
 from benchmarks.concealed.trials import PAYLOAD_CENTER, draw_motion, files_of, measure, pose_readings
-from benchmarks.concealed.view import Open, View, turned
+from benchmarks.concealed.view import Open, View, transform
 from benchmarks.measure import ROOT, Record
 
 HALF = 0.5
@@ -170,8 +170,8 @@ def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[
         plan = Plan(
             seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows
         )
-        sensor = turned(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
-        tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
+        sensor = transform(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
+        tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
         setup, noise = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER)), SENSORS[plan.sensor][:2]
         motion = draw_motion(rng, actual, False, rows, loading=True)
         view = View(setup, Open(True, 3, False), motion, noise)  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
 
-from benchmarks.measure import DONE, ended
+from benchmarks.measure import DONE, run_command
 from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.calibration.source import declared_arm_of
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
@@ -169,4 +169,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
             Console(highlight=False).print(table)
         return DONE
 
-    return ended(shown)
+    return run_command(shown)

@@ -1,4 +1,4 @@
-"""A measured number with its unit, how it is timed and kept, whether its answer is right, how a run ends."""
+"""A measured number with its unit, its time, its check and its file, and the exit codes."""
 
 import json
 import sys
@@ -34,7 +34,7 @@ class Record:
         metric: what the number says.
         value: the number; None where there is none because the subject failed.
         unit: of `value`.
-        failed: why the answer behind the number is wrong; empty where it was checked and is right.
+        failed: why the answer behind the number is wrong; empty where it is right or has no check.
     """
 
     workload: str
@@ -53,7 +53,7 @@ Workload = Callable[..., Iterator[Record]]
 """Runs without arguments; those it takes are for smaller runs."""
 
 
-def timed(call: Callable[[], T]) -> tuple[float, T]:
+def time_call(call: Callable[[], T]) -> tuple[float, T]:
     """Seconds of one call, and its answer."""
     start = time.perf_counter()
     answer = call()
@@ -62,7 +62,7 @@ def timed(call: Callable[[], T]) -> tuple[float, T]:
 
 def median_time(call: Callable[[], T], repeats: int) -> tuple[float, T]:
     """Median seconds of some calls, and the last answer. Warm up before."""
-    runs = [timed(call) for _ in range(repeats)]
+    runs = [time_call(call) for _ in range(repeats)]
     return median(seconds for seconds, _ in runs), runs[-1][1]
 
 
@@ -96,7 +96,7 @@ def write_records(path: Path, records: Sequence[Record]) -> None:
     write_atomically(path, json.dumps([each.as_json() for each in records], indent=1, allow_nan=False), overwrite=True)
 
 
-def ended(work: Callable[[], int], refused: tuple[type[Exception], ...] = (InputError,), kept: str = "") -> int:
+def run_command(work: Callable[[], int], refused: tuple[type[Exception], ...] = (InputError,), kept: str = "") -> int:
     """The exit code of a command.
 
     Args:

@@ -25,7 +25,7 @@ from lite6jax.recordings import Recording
 Array = NDArray[Any]
 
 _WILD = 8.0
-"""Robust standard deviations beyond which a row is left out of what a rival is fitted to."""
+"""Times the median distance from the median beyond which a row is not fitted."""
 _GP_TUNED, _GP_ROWS = 800, 3000
 """Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
 ORDERS = tuple(range(1, 61))
@@ -288,7 +288,7 @@ def gravity(view: View) -> list[Group]:
 
 
 def other_physics(view: View) -> list[Group]:
-    """The rest of the catalogue that is linear in the joints' angles, as far as the rows have what it depends on."""
+    """The catalogue's other linear effects, where the rows have their drivers."""
     r, found = view.recording, []
     for i in range(r.dof):
         drivers: list[tuple[str, Callable[[View], Array]]] = [
@@ -416,7 +416,7 @@ def stepwise(free: bool, seen: View) -> Fitted:
             if g not in chosen:
                 S = A[part, part] - A[part][:, at] @ explained[:, part]
                 S = S + _GAUGE * np.eye(len(S))
-                # what the geometry all but does is not to be told from it
+                # a group that the geometry explains almost wholly has no coefficient of its own
                 if np.linalg.eigvalsh(S)[0] > 1e-6:
                     gains[g] = rest[part] @ np.linalg.solve(S, rest[part])
         worth = [bic(max(now - gain, 1e-12), [*chosen, g]) for g, gain in enumerate(gains)]

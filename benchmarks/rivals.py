@@ -1,8 +1,8 @@
 """`python -m benchmarks rivals`: the diagnosis beside what others would do, on real series.
 
-Each rival sees the rows outside a contiguous fold and predicts the fold from its joints, payload, temperature and time;
-the errors of all folds together are its score, all rows counted. Every one starts from the same fitted geometry, and
-corrects it: a displacement and a turn of the tool in the base's axes.
+Each rival sees the rows outside a contiguous fold and predicts the fold from its joints, direction of motion, payload
+and temperatures; stepwise regression has time too. The score is the error over all rows of all folds. Every rival
+starts from the same fitted geometry and corrects it by a displacement and a turn of the tool in the base's axes.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.concealed.chain import rotation_from_vector
-from benchmarks.measure import DONE, OURS, Record, ended, timed, write_records
+from benchmarks.measure import DONE, OURS, Record, run_command, time_call, write_records
 from benchmarks.residual import (
     Array,
     Fitted,
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.every < 1:
         parser.error("--every: give 1 or more")
     keep_compiled_code()
-    return ended(partial(_compare, options, Path(real)))
+    return run_command(partial(_compare, options, Path(real)))
 
 
 def _compare(options: argparse.Namespace, real: Path) -> int:
@@ -143,7 +143,7 @@ class Outcome:
 
 def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcome]:
     """The diagnosis of a recording by its held-out rows, and registered to another one."""
-    seconds, found = timed(partial(diagnose, recording))
+    seconds, found = time_call(partial(diagnose, recording))
     names = tuple(finding.effect.label for finding in found.findings)
     own = Outcome(OURS, found.after, found.fit.terms.size, names, seconds)
     yield own
@@ -167,17 +167,17 @@ def rivals(free: bool) -> dict[str, Rival]:
 def compare(recording: Recording, folds: int = FOLDS) -> Iterator[Outcome]:
     """All rivals on one recording, by contiguous folds, and on all of it for their names."""
     held = recording.contiguous_folds(folds)
-    geometries = [timed(partial(Geometry.of, recording.select(~fold))) for fold in held]
-    whole = timed(partial(Geometry.of, recording))
+    geometries = [time_call(partial(Geometry.of, recording.select(~fold))) for fold in held]
+    whole = time_call(partial(Geometry.of, recording))
     for name, rival in rivals(whole[1].free).items():
         errors, seconds = np.zeros(recording.samples), sum(s for s, _ in (*geometries, whole))
         for fold, (_, geometry) in zip(held, geometries, strict=True):
-            taken, fitted = timed(partial(_fit, geometry, rivals(geometry.free)[name], recording.select(~fold)))
+            taken, fitted = time_call(partial(_fit, geometry, rivals(geometry.free)[name], recording.select(~fold)))
             view = geometry.view(recording.select(fold))
             assert view.missed is not None
             errors[fold] = np.linalg.norm(fitted.correct(view)[:, :3] - view.missed, axis=1)
             seconds += taken
-        taken, fitted = timed(partial(_fit, whole[1], rival, recording))
+        taken, fitted = time_call(partial(_fit, whole[1], rival, recording))
         yield Outcome(name, errors, fitted.parameters, fitted.names, seconds + taken)
 
 
@@ -188,12 +188,12 @@ def _fit(geometry: Geometry, rival: Callable[..., Fitted], recording: Recording)
 
 def transfer(recording: Recording, other: Recording) -> Iterator[Outcome]:
     """Fitted to one recording, errors on another of the same arm, its sensor frame and tool registered anew."""
-    taken, geometry = timed(partial(Geometry.of, recording))
+    taken, geometry = time_call(partial(Geometry.of, recording))
     view = geometry.view(other)
     assert other.position is not None
     R = None if other.quaternion is None else rotations(other.quaternion)
     for name, rival in rivals(geometry.free).items():
-        seconds, fitted = timed(partial(_fit, geometry, rival, recording))
+        seconds, fitted = time_call(partial(_fit, geometry, rival, recording))
         moved = fitted.correct(view)
         tool = np.tile(np.eye(4), (len(moved), 1, 1))
         tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(moved[:, 3:]) @ view.tool_axes, view.tool + moved[:, :3]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measure import Record, timed
+from benchmarks.measure import Record, time_call
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller.connection import Address
 from lite6jax.controller.recorder import LiveRecording, record
@@ -31,9 +31,9 @@ def soak(seconds: float = 600.0) -> Iterator[Record]:
             out = Path(folder, "run.parquet")
             station = read_station(address, load_bundled("lite6"), "lite6")
             before = time.process_time()
-            wall, done = timed(lambda out=out, to=address, of=station: record(to, out, of, seconds=seconds))
+            wall, done = time_call(lambda out=out, to=address, of=station: record(to, out, of, seconds=seconds))
             busy = time.process_time() - before
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # reading the file back takes more
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10  # reading the file back takes more
             rows = round(seconds * RATE_HZ)
             yield Record("soak", kind, "rows", float(done.rows), "", wrong_rows(done, out, rows))
             yield Record("soak", kind, "reports lost", float(done.missing))
@@ -44,7 +44,7 @@ def soak(seconds: float = 600.0) -> Iterator[Record]:
             else:
                 yield Record("soak", kind, "rows a second", done.rows / wall, "1/s")
             yield Record("soak", kind, "bytes a row", out.stat().st_size / max(done.rows, 1))
-            yield Record("soak", kind, "peak memory of the process", peak, "MB")
+            yield Record("soak", kind, "peak memory of the process", peak, "MiB")
 
 
 def wrong_rows(done: LiveRecording, out: Path, rows: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio
 
 from benchmarks.fits import by_minpack
-from benchmarks.measure import AGREES, OURS, Record, disagreement, median_time, timed
+from benchmarks.measure import AGREES, OURS, Record, disagreement, median_time, time_call
 from benchmarks.problem import NOISE, simulated_arms
 from benchmarks.seed_way import LEVER, NOMINAL, sample_joints
 from lite6jax.arms import dynamics
@@ -58,7 +58,7 @@ def _information(experiment: Experiment, q: np.ndarray) -> Iterator[Record]:
 
     ours()
     seconds, answer = median_time(ours, 5)
-    taken, theirs = timed(lambda: np.linalg.svd(np.linalg.qr(plain_rows(q), mode="r"), compute_uv=False))
+    taken, theirs = time_call(lambda: np.linalg.svd(np.linalg.qr(plain_rows(q), mode="r"), compute_uv=False))
     wrong = disagreement(answer / theirs, 1.0, DIFFERENCES, "singular values")
     yield Record(work, OURS, "time", 1e3 * seconds, "ms", wrong)
     yield Record(work, rival, "time", 1e3 * taken, "ms")
@@ -75,7 +75,7 @@ def _design(experiment: Experiment, q: np.ndarray, count: int) -> Iterator[Recor
 
     ours_of()
     seconds, design = median_time(ours_of, 3)
-    taken, others = timed(lambda: plain_exchange(rows, count))
+    taken, others = time_call(lambda: plain_exchange(rows, count))
     ours, theirs = log_determinant(rows[design.indices]), log_determinant(rows[others])
     wrong = disagreement(design.values[-1], ours, 1e-6, "the criterion")
     if ours < theirs - 0.01 * rows.shape[2]:  # 1 % of the poses

@@ -28,7 +28,7 @@ PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 
 
 def a_setup(rng, arm=None):
-    sensor, tool = views.turned(rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)), np.eye(4)
+    sensor, tool = views.transform(rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)), np.eye(4)
     tool[:3, 3] = 0.02, 0.0, 0.06
     return Setup((arm or lite6()).moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
 

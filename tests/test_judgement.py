@@ -7,7 +7,7 @@ from trial_answers import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
 from benchmarks.campaigns import judgement, shares
 from benchmarks.campaigns.report import sections
 from benchmarks.concealed import campaign
-from benchmarks.concealed.campaign import POSES, scored
+from benchmarks.concealed.campaign import POSES, score
 
 DRIFT = a_hidden(
     *("squared_coupling", "joint4", {"turn_rad": 1e-4}),
@@ -34,7 +34,7 @@ def a_document(*findings, verdict="partly_explained", left=1.0):
 
 def grade(hidden, *findings, rows=300, **said):
     document = a_document(*findings, **said)
-    return judgement.judged(TRUTH | {"hidden": list(hidden)}, document, rows).grade
+    return judgement.grade(TRUTH | {"hidden": list(hidden), "rows": rows}, document).grade
 
 
 def unnamed(site, driver, **more):
@@ -132,7 +132,7 @@ def test_a_verdict_that_nothing_is_left_is_false_where_something_is(verdict):
     assert grade([SOFT], right, verdict=verdict, left=1.31) == "misleading"
     assert grade([SOFT], right, verdict="partly_explained", left=1.31) == "right"
     turned = a_document(right, verdict=verdict) | {"left": {"orientation_over_noise": 1.4}}
-    assert judgement.judged(TRUTH | {"hidden": [SOFT]}, turned, 300).grade == "misleading"
+    assert judgement.grade(TRUTH | {"hidden": [SOFT], "rows": 300}, turned).grade == "misleading"
 
 
 def test_a_verdict_that_nothing_is_left_is_false_where_a_large_effect_was_missed():
@@ -190,12 +190,12 @@ def test_bars_hold_unseen_positions_or_not():
     shown = {name: [0.1, 0.2] for name in ("x_m", "y_m", "z_m")} | {"outside": [0.0, 1.0]}
     truth = TRUTH | {"hidden": [], "noise_m": 2e-5, "unseen_position_m": [[0.1, 0.1, 0.1], [0.2, 0.2, 0.3]]}
     bars = {f"{axis}_std_m": [1e-3, 1e-3] for axis in "xyz"}
-    row = scored(truth, a_diagnosis(), shown | bars, 1, "")
+    row = score(truth, a_diagnosis(), shown | bars, 1, "")
     assert (row["inside_components"], row["inside_covered"]) == (3.0, 3.0)
     assert (row["outside_components"], row["outside_covered"]) == (3.0, 2.0)
     assert campaign.within_bars([row], "inside") == 1.0
     assert campaign.within_bars([row], "outside") == pytest.approx(2 / 3)
-    assert np.isnan(campaign.within_bars([scored(truth, a_diagnosis(), shown, 1, "")], "inside"))
+    assert np.isnan(campaign.within_bars([score(truth, a_diagnosis(), shown, 1, "")], "inside"))
 
 
 def test_shares_have_the_intervals_of_clopper_and_pearson():

@@ -19,7 +19,7 @@ from trial_answers import (
 from benchmarks.campaigns.judgement import covered
 from benchmarks.campaigns.rounds import KINDS
 from benchmarks.torque_trials import plans, trials
-from benchmarks.torque_trials.campaign import TORQUES, scored
+from benchmarks.torque_trials.campaign import TORQUES, score
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def truths():
 
 def rows_of(truths, answer, off=0.0):
     rng = np.random.default_rng(0)
-    return [scored(t, answer(t, rng), the_prediction(t, off), 1.0, "") | {"sha256": "0" * 64} for t in truths]
+    return [score(t, answer(t, rng), the_prediction(t, off), 1.0, "") | {"sha256": "0" * 64} for t in truths]
 
 
 def met(rows):
@@ -43,7 +43,7 @@ def a_truth(*hidden, kind="single", **more):
 
 
 def judged(truth, *findings, faults=()):
-    return scored(truth, a_diagnosis(*findings, faults=faults), the_prediction(truth), 1.0, "")
+    return score(truth, a_diagnosis(*findings, faults=faults), the_prediction(truth), 1.0, "")
 
 
 FRICTION = a_hidden("coulomb_friction", "joint3", {"coulomb_Nm": 0.5}, bound={"coulomb_Nm": 0.1}, size=4.0)
@@ -151,15 +151,15 @@ def test_a_fault_is_said_with_its_size_or_among_its_like(fault, numbers, said, r
 
 def test_another_unit_is_refused_and_a_heavy_link_is_absurd():
     unit = a_truth(kind="faulty", fault="torque_unit", fault_joints=[1, 2], fault_numbers={"factors": [1e3, 1e3]})
-    assert scored(unit, None, None, 1.0, "InputError: they are in another unit")["fault_found"]
-    assert not scored(unit, None, None, 1.0, "InputError: no times")["fault_found"]
+    assert score(unit, None, None, 1.0, "InputError: they are in another unit")["fault_found"]
+    assert not score(unit, None, None, 1.0, "InputError: no times")["fault_found"]
     for mass, absurd in ((0.2, False), (13.0, True)):
         heavy = a_finding("link_mass", "link3", mass_kg=mass)
         assert judged(a_truth(kind="clean"), heavy)["absurd"] is absurd
 
 
 def test_a_trial_without_an_answer_counts_as_wrong():
-    row = scored(a_truth(FRICTION), None, None, 2.0, "InputError: no")
+    row = score(a_truth(FRICTION), None, None, 2.0, "InputError: no")
     assert (row["exact"], row["found"], row["unseen_Nm"]) == (False, False, None)
     assert met([row])["single effects at twice the threshold, found"] is False
 
@@ -171,5 +171,5 @@ def test_predictions_of_the_wrong_shape_or_with_gaps_are_none():
         {"tau1_Nm": [1.0], "tau2_Nm": [2.0]},
         {"tau1_Nm": [np.nan] * 2, "tau2_Nm": [2.0, 4.0]},
     ):
-        assert scored(truth, a_diagnosis(), said, 1.0, "")["unseen_Nm"] is None
-    assert scored(truth, a_diagnosis(), the_prediction(truth, 0.02), 1.0, "")["unseen_Nm"] == pytest.approx(0.02)
+        assert score(truth, a_diagnosis(), said, 1.0, "")["unseen_Nm"] is None
+    assert score(truth, a_diagnosis(), the_prediction(truth, 0.02), 1.0, "")["unseen_Nm"] == pytest.approx(0.02)

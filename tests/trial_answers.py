@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.concealed.campaign import scored
+from benchmarks.concealed.campaign import score
 from benchmarks.torque_trials import plans
 from benchmarks.torque_trials.effects import FAMILIES
 
@@ -69,7 +69,7 @@ def a_row(hidden=(), *findings, kind="single", faults=(), fault="", size=2.0, in
     truth |= {"sizes": [size] if hidden else []}
     said = {"x_m": [0.1, 0.2], "y_m": [0.2, 0.2], "z_m": [0.3, 0.2]}
     found = a_diagnosis(*findings, faults=[{"fault": each} for each in faults])
-    return scored(truth, found, said, 1.0, "") | {"sha256": "0" * 64}
+    return score(truth, found, said, 1.0, "") | {"sha256": "0" * 64}
 
 
 WAVE = a_hidden(

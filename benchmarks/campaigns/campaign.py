@@ -212,7 +212,7 @@ def _seal(
     digests = {int(Path(name).stem): digest for digest, name in pairs}
     todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
     with workers(len(todo)) as at_work:
-        work: Any = at_work.outcomes(drawn, ((index, [index]) for index in todo), given, died=_not_drawn)
+        work: Any = at_work.outcomes(draw_trial, ((index, [index]) for index in todo), given, died=_not_drawn)
         for done, (index, (files, truth)) in enumerate(work, 1):
             write_files(files, given_in(folder, index))
             write_files({sealed_in(folder, index).name: truth}, sealed_in(folder, index).parent)
@@ -281,7 +281,7 @@ class Answer(NamedTuple):
     error: str
 
 
-def drawn(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> Any:
+def draw_trial(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> Any:
     """The files and the truth of a trial."""
     (index,) = indices
     trial = draw(seed, index, sealed_families)

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks.campaigns.campaign import Campaign, open_truth
 from benchmarks.campaigns.judgement import Row
-from benchmarks.campaigns.report import detection, markdown, sections, tables
-from benchmarks.measure import DONE, MISSED, ended
+from benchmarks.campaigns.report import draw_detection, markdown, sections, tables
+from benchmarks.measure import DONE, MISSED, run_command
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
@@ -77,7 +77,9 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
     kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
     work = _exported if options.export else _many if options.trial is None else _one
-    return ended(partial(work, campaign, options, Console(highlight=False)), (InputError, ValueError, OSError), kept)
+    return run_command(
+        partial(work, campaign, options, Console(highlight=False)), (InputError, ValueError, OSError), kept
+    )
 
 
 def _many(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
@@ -103,7 +105,7 @@ def _many(campaign: Campaign, options: argparse.Namespace, console: Console) -> 
         for line in differences(campaign.read_rows(options.compare), rows):
             console.print(line, soft_wrap=True)
     if options.figure:
-        console.print(f"Wrote {detection(rows, options.figure)}", soft_wrap=True)
+        console.print(f"Wrote {draw_detection(rows, options.figure)}", soft_wrap=True)
     if options.markdown:
         print(markdown(sections(campaign, rows)))
     else:

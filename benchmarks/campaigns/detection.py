@@ -1,8 +1,7 @@
 """The size from which a test finds an effect, and what of an effect the rest cannot do.
 
-The **threshold** of an effect is the size at which a test finds it half the time that is told its name, its site and
-the sensor's noise, and is as strict as one of `SEARCHED` must be for all to raise a false alarm once in `1 / ALARM`.
-Nothing that does not know where to look does better; at twice the threshold this test finds 99.99 %.
+Threshold λ: P(χ²ₖ(λ²) > c) = ½, with P(χ²ₖ > c) = ALARM/SEARCHED. The test knows name, site and noise. All SEARCHED
+tests together raise a false alarm in one of 1/ALARM recordings. At 2λ it finds at least 99.99 %.
 """
 
 from collections.abc import Callable, Iterable
@@ -116,9 +115,9 @@ def apart(rest: Array, columns: Array, left: Array) -> float:
     """Standard deviations of what columns leave of an effect.
 
     Args:
-        rest: what of the effect nothing that is open can do.
+        rest: the effect's residual after projection on the nuisance.
         columns: of what it may be taken for.
-        left: what of these nothing that is open can do.
+        left: their residual after projection on the nuisance.
     """
     lengths = np.linalg.norm(columns, axis=0)
     ways, sizes, _ = np.linalg.svd(left / np.where(lengths > 0, lengths, 1.0), full_matrices=False)

@@ -140,8 +140,8 @@ def value_of(parameter: Any) -> float:
     return float(parameter["value"] if isinstance(parameter, dict) else parameter)
 
 
-def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
-    """The grade of what a diagnosis of so many rows says.
+def grade(truth: Row, diagnosis: Row | None) -> Statement:
+    """The grade of what a diagnosis says.
 
     A trial without an answer is misleading: whoever waits for one is left with nothing.
     """
@@ -154,7 +154,7 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
     if false:
         said.append(f"false: {', '.join(false)}")
     if hidden and diagnosis["verdict"] in _ENDED:
-        left, large = _left(truth, diagnosis), LARGE_IN_FEW if rows < FEW else LARGE
+        left, large = _left(truth, diagnosis), LARGE_IN_FEW if truth["rows"] < FEW else LARGE
         missed = [
             e for e in missing if is_at_least(e, DETECTABLE) and e["moved_m"] * e["seen"] > large * truth["noise_m"]
         ]

@@ -1,4 +1,4 @@
-"""The scores of many trials as tables and a figure, and the story of one trial."""
+"""The scores of many trials as tables and a figure."""
 
 import math
 from collections import Counter
@@ -214,7 +214,7 @@ def markdown(shown: Iterable[Section]) -> str:
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
 
 
-def detection(rows: Sequence[Row], path: Path) -> Path:
+def draw_detection(rows: Sequence[Row], path: Path) -> Path:
     """Draws the shares of single effects that were found, placed and named, over their size, with the intervals."""
     import matplotlib.pyplot as plt  # takes a while to load
 

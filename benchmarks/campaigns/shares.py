@@ -66,7 +66,7 @@ class Ratio(NamedTuple):
 
 
 def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> Ratio:
-    """Of errors that are already in a common unit."""
+    """Ratio of RMS errors, both in one unit, by paired bootstrap."""
     a, b = np.square(np.asarray(ours, float)), np.square(np.asarray(theirs, float))
     if not len(a) or not b.any():
         return Ratio(math.nan, math.nan, math.nan, math.nan, 0)

@@ -14,8 +14,8 @@ from benchmarks.campaigns.judgement import (
     covered,
     covering,
     distinguishable,
+    grade,
     is_at_least,
-    judged,
     score_findings,
     share_found,
     singles,
@@ -35,7 +35,7 @@ from benchmarks.concealed.trials import draw, draw_reading
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
 _ABSENT: Row = {"rows": ROWS, "edge": "", "masses_off": False, "sealed": False}
-"""What an earlier version did not draw, and its truths do not say."""
+"""Defaults that `Plan.told` leaves out."""
 _UNSEEN = ("unseen_m", "inside_components", "inside_covered", "outside_components", "outside_covered")
 SCHEMA = schema_of(
     "moved_m",
@@ -48,10 +48,10 @@ SCHEMA = schema_of(
 )
 
 
-def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
+def score(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
     """The row of a trial; `predicted` has columns `x_m` …, `qw` … of the unseen motion."""
     truth = _ABSENT | truth
-    statement = judged(truth, diagnosis, truth["rows"])
+    statement = grade(truth, diagnosis)
     row = score_findings(truth, diagnosis, seconds, error, "moved_m")
     said = diagnosis or {"data_faults": [], "before": {}, "after": {}, "noise": {}}
     nearest = said.get("nearest") or {}
@@ -78,7 +78,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
 def _unseen(truth: Row, predicted: Row | None) -> Row:
     """The error of predicted positions, and how many of their components lie within the bars that hold 95 %.
 
-    The bars are without the sensor's noise: it is drawn for both, from the declared distribution.
+    Predicted bars exclude the sensor's noise. Its variance is added to them, and a noise draw to the truth.
     """
     row: Row = dict.fromkeys(_UNSEEN) | {"oracle_m": (truth.get("oracle") or {}).get("unseen_position_rms_m")}
     if predicted is None:
@@ -204,7 +204,7 @@ def unseen(rows: Sequence[Row]) -> Section:
     return "Unseen motion, error over the oracle's", ("trials", "ratio, 95 % interval"), cells
 
 
-POSES = Campaign("concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, scored, goals, unseen, measuring=tuple(SENSORS))
+POSES = Campaign("concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS))
 """Of sensors that measure poses."""
 READINGS = {
     name: replace(

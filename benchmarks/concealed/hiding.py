@@ -48,9 +48,9 @@ _MOST = {
 """Sizes beyond which an effect is no small error any more, or of no material: kg, s, rad/Nm, 1/K (plastics); 20 mrad or
 20 mm for the rest."""
 _EQUAL, _EQUAL_ROWS = 0.03, 150
-"""The share by which sites may differ that are called equal: axes that an arm's maker meant to be one are not quite."""
+"""The share by which effects of equal sites may differ: axes that coincide in a design do so only nearly in an arm."""
 _STEADY = "squared_drift"
-"""The family that does a power of the time, of 0 the same at every sample, at any site."""
+"""The family that moves a site by a power of the time; of power 0 it is constant."""
 _POWERS = 3
 """Of a driver: a function that is to stand in for another is a polynomial of this degree."""
 _NEARER = 1.0
@@ -145,7 +145,7 @@ def _draw_effect(name: str, rng: np.random.Generator, view: View, plan: Plan, at
     """Somewhere an effect can be, or at a joint; its values of the right proportions but not yet of a size."""
     dof, motion = view.setup.chain.dof, view.motion
     if name in OUTSIDE:
-        found = outside.drawn(name, rng, loaded(view.setup, motion))
+        found = outside.draw_form(name, rng, loaded(view.setup, motion))
         # a spring gives way to the load, never against it
         side = 1.0 if name.endswith("spring") else float(rng.choice([-1.0, 1.0]))
         return None if found is None else Hidden(name, found[0], (side,), found[1])

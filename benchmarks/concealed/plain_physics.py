@@ -54,7 +54,7 @@ class Hidden:
         site: jointN, linkN, links, base, tool, sensor, clock or payload.
         values: its numbers, one for each coordinate; a harmonic's order may be the third.
         fixed: what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside
-            the catalogue, whatever `outside.drawn` draws.
+            the catalogue, whatever `outside.draw_form` draws.
     """
 
     name: str

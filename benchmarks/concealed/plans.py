@@ -84,7 +84,7 @@ class Plan:
         kind: what is hidden.
         engine: which physics.
         arm: lite6, seven or six.
-        sensor: a key of `SENSORS`.
+        sensor: a key of `SENSORS` or `READERS`.
         moving: whether poses are taken along a trajectory.
         geometry: known, uncertain or unknown.
         mounted: whether sensor frame and tool are unknown.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import Array, Chain, rotation_from_vector, vector_from_rotation
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
-from benchmarks.concealed.view import Reading, turned
+from benchmarks.concealed.view import Reading, transform
 
 Poses = tuple[Array, Array]
 
@@ -155,7 +155,7 @@ def _camera(rng: np.random.Generator, size: float, starts: int, fixed: bool) -> 
         stands[:3, 3] = centre + far * np.eye(3)[0]
     else:
         stands[:3, 3] = centre * [1, 1, 0.2]
-    stands = stands @ turned(rng.uniform(-0.1, 0.1, 3), np.zeros(3))
+    stands = stands @ transform(rng.uniform(-0.1, 0.1, 3), np.zeros(3))
 
     def pixels(shown: Poses, board: Array) -> Array:
         R, p = shown

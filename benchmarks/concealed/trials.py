@@ -41,7 +41,7 @@ from benchmarks.concealed.plans import (
     draw_plan,
     draw_reading_plan,
 )
-from benchmarks.concealed.view import Open, View, oracle, turned
+from benchmarks.concealed.view import Open, View, oracle, transform
 
 MASS_ERROR = 0.1
 """One standard deviation of the masses' errors where they are off, relative; twice that is the most."""
@@ -73,7 +73,7 @@ def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
     """The trial of a plan; None where the arm does not come to the places, or what it would hide cannot be seen."""
     nominal, actual, declared = _arms(plan, rng)
     scene = readings.draw_scene(plan.sensor, rng, actual, plan.rows)
-    tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.03, -0.01, 0.08]) + rng.uniform(-0.01, 0.01, 3))
+    tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.03, -0.01, 0.08]) + rng.uniform(-0.01, 0.01, 3))
     setup, frame = Setup(actual, scene.sensor, tool, np.array(PAYLOAD_CENTER)), scene.turned
     touched = plan.geometry == "unknown" and not frame
     left_open = Open(
@@ -118,8 +118,8 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     nominal, actual, declared = _arms(plan, rng)
     sensor, tool = np.eye(4), np.eye(4)
     if plan.mounted:
-        sensor = turned(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
-        tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
+        sensor = transform(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
+        tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
     setup = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER))
     noise = SENSORS[plan.sensor][:2]
     left_open = Open(

@@ -216,7 +216,7 @@ def source(effect: Hidden) -> dict[str, float]:
     return {key: value for key, value in effect.fixed.items() if key == "source_joint"}
 
 
-def turned(rpy: Array, position: Array) -> Array:
+def transform(rpy: Array, position: Array) -> Array:
     """`(4, 4)` of roll, pitch, yaw and a position."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_from_rpy(*rpy), position
@@ -226,7 +226,7 @@ def turned(rpy: Array, position: Array) -> Array:
 def oracle(
     view: View, believed: Setup, hidden: tuple[Hidden, ...], measured: tuple[Array, Array], used: NDArray[np.bool_]
 ) -> tuple[Setup, tuple[Hidden, ...]]:
-    """A least-squares fit that is told the form of the truth and starts there: what no search can beat but by luck.
+    """A least-squares fit that is told the form of the truth and starts there.
 
     Of the set-up that is `believed`, what is closed is held and a prior is centred there; rows that are `used` are no
     faults.

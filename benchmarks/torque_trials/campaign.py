@@ -39,7 +39,7 @@ SCHEMA = schema_of(
 )
 
 
-def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
+def score(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
     """The row of a trial; `predicted` has columns `tau1_Nm` … of the unseen motion."""
     hidden = truth["hidden"]
     said = diagnosis or {"findings": [], "data_faults": [], "before": {}, "after": {}}
@@ -160,7 +160,7 @@ def unseen(rows: Sequence[Row]) -> Section:
     return "Unseen motion", ("", "trials", "within the bound", "error over the bound, median", "90 %"), cells
 
 
-TORQUES = Campaign("torque", 500, 4.0, ROUNDS, SCHEMA, draw, scored, goals, unseen)
+TORQUES = Campaign("torque", 500, 4.0, ROUNDS, SCHEMA, draw, score, goals, unseen)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,7 +17,7 @@ EDGES = ("short", "slow", "two ripples", "resting joints")
 DATA_FAULTS = (
     *("swapped_torques", "reversed_torque", "swapped_columns", "reversed_positions", "reversed_joint", "joint_zero"),
     *("wrong_torque_constant", "torque_unit", "no_gravity", "wrong_gravity", "joint_turns", "velocity_bias"),
-    *("estimated_torque", "joint_zero"),
+    *("estimated_torque", "joint_zero"),  # twice, so that it comes twice as often
 )
 """What is wrong with the file, under the names that the library has for it."""
 FAULTS = ("contact", *DATA_FAULTS)

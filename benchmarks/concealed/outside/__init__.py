@@ -73,7 +73,7 @@ _LOADS: dict[str, Callable[[Fixed, Motion], Array]] = {
 """Of which a form counts in the 90th percentile."""
 
 
-def drawn(name: str, rng: np.random.Generator, s: Motion) -> tuple[str, dict[str, float]] | None:
+def draw_form(name: str, rng: np.random.Generator, s: Motion) -> tuple[str, dict[str, float]] | None:
     """A site of a family and what else belongs to its form; None where no load acts that it needs."""
     family, dof = FAMILIES[name], s.q.shape[1]
     joint = int(rng.integers(1, dof + 1))
