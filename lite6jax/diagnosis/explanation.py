@@ -215,7 +215,7 @@ def _settling_weighed(best: Explanation, case: Case) -> Explanation:
     Among few poses an effect that is not modelled yet can look like such a rest, whose correction would then have to be
     undone by physics: a rest by a backlash of twice its size.
     """
-    if not any(f.code == "unsettled_readouts" and f.numbers["shape"] != "rows" for f in best.screened.found):
+    if not best.screened.count("unsettled_readouts"):
         return best
     corrections = replace(best.decisions.corrections, settling=False)
     rival = case.explanation(replace(best.decisions, corrections=corrections))

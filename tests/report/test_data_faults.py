@@ -28,7 +28,7 @@ FOUND = [
         "all 80 joint positions are multiples of 0.0001 rad",
     ),
     (
-        fault("commanded_joints", reason="grid", distinct_positions=90, grid_rad=1.7e-4, grid_unit="deg"),
+        fault("commanded_joints", distinct_positions=90, grid_rad=1.7e-4, grid_unit="deg"),
         "multiples of 0.01 deg",
     ),
     (fault("swapped_joints", joints=[2, 3], **COLUMNS), "Joints 2 and 3 are swapped."),

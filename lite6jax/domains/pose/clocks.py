@@ -61,7 +61,7 @@ _GEOMETRY = (1e-3, 3e-3)
 _MOST_WITH_GEOMETRY = 3000
 """… which are fitted by so many rows."""
 _DIFFERENCE = 1e-6
-"""s, m and rad, by which derivatives are found."""
+"""m and rad, by which their derivatives are found."""
 _DRIFT = 1e-3
 """Standard deviation of drifts beforehand: clocks drift by 1e-4 at most, nominal frame rates are off by 1e-3."""
 _OFFSET_S = 1.0
@@ -72,12 +72,14 @@ _LEVER_M = 0.1
 """By which rotations of the flange count as motion."""
 _STANDSTILL_S = 0.1
 """A change of the offset that no moving arm would hide."""
+_DIFFERENCE_S = 1e-4
+"""By which velocities are found."""
 _BEYOND = 2
 """Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
 _LEAST_LEFT = 0.1
 """Of the rows, as many as they are worth, that is left beside the numbers that were fitted."""
-_ROUNDS, _STEPS, _DONE_S = 4, 12, 1e-7
-"""Estimates of the scale, steps in each, and the change of the offset in s that is the last."""
+_ROUNDS, _ROUNDS_WITH_GEOMETRY, _DONE_S, _DONE = 30, 10, 1e-9, 1e-2
+"""At most; a step in s, and in standard deviations of the offset, that is the last."""
 
 
 class Clocks(NamedTuple):
@@ -362,6 +364,17 @@ def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
     return np.linalg.solve(normal + ridge, np.swapaxes(A, 1, 2) @ b)[..., 0]
 
 
+class _Estimate(NamedTuple):
+    """Offset and drift, the arm, the sensor's frame, and the measured point on the flange."""
+
+    offset: float
+    drift: float
+    arm: Arm
+    R_sensor_base: Array
+    t_sensor_base: Array
+    tool: Array
+
+
 def _fitted(
     arm: Arm,
     joints: JointStream,
@@ -374,62 +387,88 @@ def _fitted(
 ) -> Clocks:
     """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known.
 
-    Cauchy's loss, its scale estimated, over offset, drift, the turn and the translation of the sensor's frame, and the
-    point on the flange. The geometry is fitted too where standard deviations of its lengths and angles about the
-    nominal ones are given.
+    The geometry is fitted too where standard deviations of its lengths and angles about the nominal ones are given.
     """
-    from scipy.optimize import least_squares  # both take longer to import than captures in their order take
-    from scipy.spatial.transform import Rotation
+    from scipy.spatial.transform import Rotation  # takes longer to import than captures in their order take
 
     known = joints.known(time + offset + drift * (time - middle))
     nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
     if known.sum() < FEWEST:
         return nothing
-    time, seen, center = time[known], position[known], float(np.mean(time[known]))
-    offset, middle, since = offset + drift * (center - middle), center, time - center
-    flange = flange_poses(arm, joints.at(time + offset + drift * since))
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, seen, None, None, None)
-    turned = Rotation.from_matrix(T_sensor_base[:3, :3])
-
-    def missed(x: Array) -> Array:
-        """`(sample, 3)` m."""
-        there = replace(arm, kinematics=arm.kinematics + x[11:].reshape(-1, 6), dh=None) if geometry else arm
-        point = flange_poses(there, joints.at(time + offset + x[0] + x[1] * since))[:, :3] @ np.r_[x[8:11], 1.0]
-        return seen - (Rotation.from_rotvec(x[2:5]) * turned).apply(point) - x[5:8]
-
-    # nothing is known of frame and point beforehand
+    center = float(np.mean(time[known]))
+    offset, middle = offset + drift * (center - middle), center
+    flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
+    now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
+    # beforehand nothing is known of frame and point; an offset is believed as it is
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
-    x = np.r_[0.0, drift, np.zeros(3), T_sensor_base[:3, 3], T_flange_tool[:3, 3], np.zeros(len(std) - 11)]
-    rounds = 0
+    rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
     while True:
-        rounds += 1
-        scale = 2 * max(float(np.median(np.linalg.norm(missed(x), axis=1))), 1e-9)
-        noise = scale / 3  # of an axis, roughly
-        found = least_squares(
-            lambda x, noise=noise: np.r_[missed(x).ravel(), noise / std * x],
-            x,
-            loss="cauchy",
-            f_scale=scale / np.sqrt(3),
-            x_scale="jac",
-            diff_step=_DIFFERENCE,
-            max_nfev=_STEPS,
-        )
-        shift, x = np.abs(found.x[0] - x[0]) + np.abs(found.x[1] - x[1]) * np.max(np.abs(since)), found.x
-        if shift < _DONE_S or rounds == _ROUNDS:
+        since, seen, missed, J = _linearised(joints, time, position, middle, now, geometry is not None)
+        if len(missed) < FEWEST:
+            return nothing
+        distance = np.linalg.norm(missed, axis=1)
+        scale = 2 * max(float(np.median(distance)), 1e-9)
+        weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
+        score, prior = weight[:, None] * np.einsum("sim,si->sm", J, missed), noise / std**2
+        if done or not rounds:
             break
-    rest = missed(x)
-    distance, z = np.linalg.norm(rest, axis=1), (found.fun / (scale / np.sqrt(3))) ** 2
-    # SciPy's derivatives are those times the root of the loss's curvature, by which the scores are divided again
-    curvature = np.maximum(1 / (1 + z) - 2 * z / (1 + z) ** 2, np.finfo(float).eps)
-    score = (found.jac * (found.fun / (1 + z) / np.sqrt(curvature))[:, None])[: rest.size].reshape(len(rest), 3, -1)
-    inverse = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12, hermitian=True)[:, :2]
-    by_prior = noise**4 / std**2 @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
-    by_rows = [_std_of_sum(part, len(std)) for part in (score.sum(1) @ inverse).T]
+        rounds -= 1
+        away = np.r_[0.0, now.drift, np.zeros(9), (now.arm.kinematics - arm.kinematics).ravel()][: len(std)]
+        normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
+        step = np.linalg.lstsq(normal, score.sum(axis=0) - prior * away, rcond=1e-12)[0]
+        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
+        now = _Estimate(
+            float(now.offset + step[0]),
+            float(now.drift + step[1]),
+            _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm,
+            Rotation.from_rotvec(step[2:5]).as_matrix() @ now.R_sensor_base,
+            now.t_sensor_base + step[5:8],
+            now.tool + step[8:11],
+        )
+        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
+        done = shift < max(_DONE_S, _DONE * float(np.sqrt(noise / max(normal[0, 0], 1e-300))))
+    curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
+    information = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
+    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)[:, :2]
+    by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
+    by_rows = [_std_of_sum(part, len(std)) for part in (score @ inverse).T]
     offset_std, drift_std = np.hypot(by_rows, np.sqrt(by_prior))
     error, moved = float(np.median(distance)), median_distance(seen)
-    return Clocks(
-        float(offset + x[0]), float(x[1]), middle, float(offset_std), float(drift_std), error, moved, len(rest)
-    )
+    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(missed))
+
+
+def _linearised(
+    joints: JointStream, time: Array, position: Array, middle: float, now: _Estimate, geometry: bool
+) -> tuple[Array, Array, Array, Array]:
+    """Of rows whose joints are known: the time since the middle in s, and positions, errors and columns in m.
+
+    The columns `(sample, 3, 11 | 11 + 6 joints)` are of offset, drift, the turn and the translation of the sensor's
+    frame, the point, and the geometry.
+    """
+    at = time + now.offset + now.drift * (time - middle)
+    known = joints.known(at)
+    at, since, seen = at[known], time[known] - middle, position[known]
+    q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
+    R = now.R_sensor_base
+
+    def placed(arm: Arm, joint: Array) -> Array:
+        return (flange_poses(arm, joint)[:, :3] @ np.r_[now.tool, 1.0]) @ R.T
+
+    velocity = (placed(now.arm, ahead) - placed(now.arm, behind)) / (2 * _DIFFERENCE_S)
+    flange, here = flange_poses(now.arm, q), placed(now.arm, q)
+    turned = np.cross(np.eye(3), here[:, None])  # of each axis, by which `here` moves
+    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], np.swapaxes(turned, 1, 2)]
+    columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
+    if geometry:
+        unit = _DIFFERENCE * np.eye(now.arm.kinematics.size).reshape(-1, *now.arm.kinematics.shape)
+        columns += [((placed(_changed(now.arm, one), q) - here) / _DIFFERENCE)[:, :, None] for one in unit]
+    return since, seen, seen - here - now.t_sensor_base, np.concatenate(columns, axis=2)
+
+
+def _changed(arm: Arm, change: Array) -> Arm:
+    """An arm with other numbers `(joint, 6)` in m and rad."""
+    return replace(arm, kinematics=arm.kinematics + change, dh=None)
 
 
 def _std_of_sum(parts: Array, parameters: int) -> float:

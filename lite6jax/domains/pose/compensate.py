@@ -50,6 +50,8 @@ _SINGULAR = 2e-3
 """m: with a smaller error inside the joint limits, a target is next to a singular position; else out of reach."""
 _FAR = 0.2
 """rad: a solution further than this from the joint positions given is reported."""
+_NEAREST = 0.03
+"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
 _NEAR = 1e-2
@@ -253,17 +255,18 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
 
     Args:
-        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`.
+        path: the table. Names of its own, such as X, Y and Z, are recognised as by `inspect`; the arm's reach says
+            whether positions are in m or mm.
         model: the arm.
         given: columns with the names that they have in a recording, where the caller knows better; or `ignore`.
 
     Raises:
-        InputError: as `read_targets`; or what a column means is not certain.
+        InputError: as `read_targets`; or what a column means, or its unit, is not certain.
     """
     path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, said = _recognised(path, model, given or {})
+    columns, said = _recognised(path, model, reach, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
     recording = replace(recording, notes=(*said, *recording.notes))
     settings = recording.settings
@@ -274,7 +277,9 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     return Targets(declare_anew(recording, settings), start)
 
 
-def _recognised(path: Path, model: DiagnosedArm, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+def _recognised(
+    path: Path, model: DiagnosedArm, reach: float, given: Mapping[str, str]
+) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
     _, table = open_table(path, (), ArmJoints(model.dof), [])
@@ -296,13 +301,27 @@ def _recognised(path: Path, model: DiagnosedArm, given: Mapping[str, str]) -> tu
             f"{path}: what the angles {', '.join(turned.block.columns)} mean is not certain; say it: --column "
             f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
         )
-    if place.unit.sure == "assumed":
-        raise InputError(
-            f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
-            f"{place.block.columns[0]}=x_mm (or x_m), and likewise the others"
-        )
-    told = ", ".join(f"{own}={name}" for own, name in found.columns.items() if name != "ignore" and own != name)
-    return found.columns, ((f"columns are read as {told}",) if told else ())
+    unit = place.unit.choice
+    if place.unit.reason != "name":
+        points = np.stack([np.asarray(columns[name], float) for name in place.block.columns], 1)
+        T = np.asarray(model.model.T_sensor_base)
+        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
+        if len(units) != 1:
+            name = place.block.columns[0]
+            raise InputError(
+                f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
+                f"{name}=x_mm (or x_m), and likewise the others"
+            )
+        unit = units[0]
+    meant = found.columns | place.renamed(unit=unit)
+    told = ", ".join(f"{own}={name}" for own, name in meant.items() if name != "ignore" and own != name)
+    return meant, ((f"columns are read as {told}",) if told else ())
+
+
+def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
+    """Whether most points `(row, 3)` m, in the base's frame or the sensor's, are where an arm can work."""
+    far = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in (np.zeros(3), T_sensor_base[:3, 3])]
+    return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
 
 
 def _reached(solved: Solved) -> Flags:
@@ -362,9 +381,7 @@ class _Search:
         cost = [np.zeros(0) if first is None else first.cost]
         for k, starts in enumerate(_STARTS):
             tried = np.repeat(everywhere[unsolved], starts)
-            m, started = self.model, self._random(len(tried), k)
-            ended = inverse.solve_rigid(m.model, self._target(tried), started, self.limits, m.sliding)
-            rigid, missed = ended.joint_position.T, ended.cost
+            rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
             best = np.full(count, np.inf)
             np.minimum.at(best, tried, missed)
             kept = (missed < _NEAR**2) | (missed == best[tried])
@@ -418,6 +435,21 @@ class _Search:
         R = measured_rotations(self.targets)
         rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
         return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
+
+    def _rigid(self, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
+        """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
+
+        Without limits it does not stop at one of them; its joints are then returned by whole turns.
+        """
+        turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
+        limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
+        m = self.model
+        solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
+        q = solved.joint_position.T
+        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
+        q = np.where(turns & unlimited, q - whole, q)
+        inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
+        return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
     def _differ(self, one: Motion, other: Motion) -> Flags:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""

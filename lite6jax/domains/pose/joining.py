@@ -186,7 +186,7 @@ def _joined_by_time(joints: File, poses: File, arm: Arm) -> JoinedFiles | None:
     try:
         clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
     except InputError as error:
-        raise InputError(f"{who}: {error}") from error
+        raise InputError(f"{who}: {error}{_assumed(joints, poses)}") from error
     wanted = clocks.robot_time(at[placed] - start)
     kept = _kept(joints, _OF_JOINTS)
     names = [name for name in _columns(joints, "q") if name in kept]
@@ -244,6 +244,19 @@ def _joint_columns(file: File, arm: Arm) -> Array:
             "with --column NAME=q1_deg and so on"
         )
     return np.stack([found[number] for number in sorted(found)], 1)
+
+
+def _assumed(*files: File) -> str:
+    """What units of times and joints were taken that nothing says for certain, and how to say others."""
+    found = [(file, meaning) for file in files for meaning in file.found.meanings if meaning.unit.sure != "certain"]
+    said = ""
+    for file, meaning in found:
+        if (kind := meaning.block.kind) in ("q", "time"):
+            column, unit = meaning.block.columns[0], meaning.unit.choice
+            other = next(one for one in units_of(kind) if one != unit)
+            name = f"q1_{other}" if kind == "q" else f"time_{other}"
+            said += f"; {column} of {file.source} was read in {unit}: if that is wrong, give --column {column}={name}"
+    return said
 
 
 def _times(file: File) -> Array:

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from lite6jax.domains.pose.columns import physics_of
 from lite6jax.domains.pose.problem import PoseProblem
@@ -85,14 +84,19 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
         return 0.0
     most = int(_MOST_OF_RUN * max(len(speed) for speed, _ in found))
     lags = np.arange(-most, most + 1)
-    # where two runs overlap: of the products of both speeds, and of the squares of each
-    sums = np.zeros((3, len(lags)))
-    for speeds in found:
-        (one, other), size = (speed - speed.mean() for speed in speeds), len(speeds[0])
-        kept, ones = lags[np.abs(lags) < size - _FEWEST // 2], np.ones(size)
-        for row, (a, b) in enumerate(((one, other), (one**2, ones), (ones, other**2))):
-            sums[row, kept + most] += correlate(b, a, method="fft")[kept + size - 1]
-    correlation = sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-300))
+    products, squares = np.zeros(len(lags)), np.zeros((2, len(lags)))
+    for one, other in found:
+        size = len(one)
+        there = np.abs(lags) < size - _FEWEST // 2
+        lag = lags[there]
+        first, last = np.maximum(-lag, 0), np.minimum(size, size - lag)  # of the part of a run that overlaps
+        sums = _between(one, first, last), _between(other, first + lag, last + lag)
+        count = last - first
+        spectra = np.conj(np.fft.rfft(one, 2 * size)) * np.fft.rfft(other, 2 * size)
+        products[there] += np.fft.irfft(spectra, 2 * size)[lag] - sums[0] * sums[1] / count
+        squares[0, there] += _between(one**2, first, last) - sums[0] ** 2 / count
+        squares[1, there] += _between(other**2, first + lag, last + lag) - sums[1] ** 2 / count
+    correlation = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
     best = int(np.argmax(correlation))
     if abs(lags[best]) < _LEAST_SAMPLES or correlation[best] < max(_CORRELATED, correlation[most] + _BETTER):
         return 0.0
@@ -102,6 +106,11 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
 def _speed(time: Array, position: Array, grid: Array) -> Array:
     at = np.stack([np.interp(grid, time, row) for row in position])
     return np.linalg.norm(np.gradient(at, axis=1), axis=0)
+
+
+def _between(values: Array, first: NDArray[np.integer], last: NDArray[np.integer]) -> Array:
+    total = np.cumsum(np.pad(values, (1, 0)))
+    return total[last] - total[first]
 
 
 def search_load_model(

@@ -487,9 +487,12 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 
     Of many displacements with the same effect, these are the smallest: the fit's prior is wide.
     """
-    pair = (frames.transform_from_row(one.chain.kinematics) for one in (free, start))
-    displaced = enumerate(zip(*map(np.ndarray.tolist, frames.compare_transforms(*pair)), strict=True))
-    links = [{"link": j, "distance_m": distance, "rotation_rad": angle} for j, (distance, angle) in displaced]
+    after, before = (frames.transform_from_row(one.chain.kinematics) for one in (free, start))
+    displaced = frames.compare_transforms(after @ np.linalg.inv(before), np.broadcast_to(np.eye(4), after.shape))
+    links = [
+        {"link": j, "distance_m": float(distance), "rotation_rad": float(angle)}
+        for j, (distance, angle) in enumerate(zip(*displaced, strict=True))
+    ]
     links.sort(key=lambda link: link["distance_m"] + LEVER * link["rotation_rad"], reverse=True)
     return {
         "difference": "other_geometry",

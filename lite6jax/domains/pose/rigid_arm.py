@@ -144,7 +144,7 @@ class RigidArm(NuisanceProblem):
 
     @property
     def samples(self) -> int:
-        """Number of samples, without the frames of any."""
+        """Number of samples; no frames are computed for it."""
         return self.recording.samples
 
     @cached_property
@@ -249,7 +249,7 @@ class RigidArm(NuisanceProblem):
         return replace(self, start=start, sensor=sensor, offset=self.offset + nuisance)
 
     def with_poses(self, recording: Recording) -> Self:
-        """The arm with as many other poses, of the same sensor."""
+        """The arm with other poses of the same sensor, weighed as these are."""
         assert isinstance(self.sensor, Measured)
         sensor = measured_poses(recording, self.sensor.whitener)._replace(at=self.sensor.at)
         return replace(self, recording=recording, sensor=sensor)

@@ -428,7 +428,9 @@ def test_what_is_written_is_a_motion_that_predicts_the_targets(capsys, diagnosis
     np.testing.assert_allclose(position[:-1], poses[: FEW - 1, :3, 3], atol=1e-9)
 
 
-def test_positions_under_names_of_their_own_are_read_in_the_unit_of_their_size(capsys, diagnosis, targets, tmp_path):
+def test_positions_under_names_of_their_own_are_read_in_the_unit_that_the_arm_reaches(
+    capsys, diagnosis, targets, tmp_path
+):
     head, *rows = (line.split(",") for line in targets.read_text().strip().split("\n"))
     at = [head.index(name) for name in ("x_m", "y_m", "z_m")]
     lines = [[f"{1e3 * float(v)!r}" if k in at else v for k, v in enumerate(row)] for row in rows]
@@ -452,7 +454,7 @@ def test_positions_under_names_of_their_own_are_read_in_the_unit_of_their_size(c
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("X,Y,Z\n0,0,0\n7,0,0\n", "whether X, Y, Z are in m or mm is not certain; say it: --column X=x_mm (or x_m)"),
+        ("X,Y,Z\n1e-7,0,0\n", "whether X, Y, Z are in m or mm is not certain; say it: --column X=x_mm (or x_m)"),
         ("q1_rad\n0\n", "no columns look like positions to reach; say which they are: --column NAME=x_mm"),
     ],
 )
