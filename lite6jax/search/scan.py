@@ -64,8 +64,8 @@ _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
 _KEPT = 1 << 26
 """Of features of pairs that are kept: 512 MB. The likeliest pairs are weighed beside each model anew."""
-_AT_ONCE = 100
-"""Processes that are weighed in one call."""
+_AT_ONCE = 16
+"""Processes that are weighed first, the most promising; twice as many each time after."""
 _EXACT, _UNDERRATED = 60, 2.5
 """Terms, the likeliest, that are weighed exactly in autocorrelated noise, and what their log odds grow by at most.
 
@@ -187,10 +187,10 @@ class Scan:
         key = which, kernel, rolloff
         if key not in self._features:
             if len(which) == 1:
-                self._features[key] = self.problem.seen(self._factor(*key))
+                self._features[key] = _as_few(self.problem.seen(self._factor(*key)))
                 return self._features[key]
             if key not in self._products:
-                found = self._product(which, kernel)
+                found = _as_few(self._product(which, kernel))
                 if found.size * (1 + len(self._products)) > _KEPT:
                     self._products.clear()  # there are thousands of pairs
                 self._products[key] = found
@@ -464,20 +464,22 @@ class _Weighed:
             few = [(k,) for k in range(len(self._scan.quantities)) if k not in many]
             few = [which for which in few if self._scan.may_act(component.site, *which)]
             found += self._of_kernels(component, few, "line") if few else []
-        order = np.argsort(limits)[::-1]
+        order, count = np.argsort(limits)[::-1], _AT_ONCE
         while order.size and limits[order[0]] > least:
-            some, order = order[:_AT_ONCE], order[_AT_ONCE:]
+            some, order, count = order[:count], order[count:], 2 * count
+            some = [i for i in some if limits[i] > least]
             pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
             left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
             for name in kernels.SCALED:
                 each = self._of_splines(name, pull, information, left, freedom)
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
-            for i in some:
-                component, k = at[i][:2]
-                for name in ("wave", "play"):
-                    if self._scan.suits(name, (k,)):
-                        found.append(self.of_kernel(component, (k,), name))
+            own: dict[tuple[int, str], list[int]] = {}
+            for i, name in product(some, ("wave", "play")):
+                if self._scan.suits(name, (at[i][1],)):
+                    own.setdefault((id(at[i][0]), name), []).append(i)
+            for (_, name), members in own.items():
+                found += self._of_kernels(at[members[0]][0], [(at[i][1],) for i in members], name)
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
 
@@ -499,11 +501,14 @@ class _Weighed:
 
     def _spectra_of(self, component: Component, k: int, exact: bool = False) -> list[Ranked]:
         """Of every corner and slope: they differ in the size of their functions alone."""
+        bounds = self._scan.quantities[k].bounds
+        if len(kernels.spectrum_deviations(bounds, _SPECTRA[0])) > self._problem.samples:
+            return [self.of_kernel(component, (k,), "spectrum", rolloff, exact) for rolloff in _SPECTRA]
         functions = self._scan.features((k,), "spectrum")[None]
         (pull,), (information,), left, freedom = self._equations(component, functions, exact)
         found = []
         for rolloff in _SPECTRA:
-            size = kernels.spectrum_deviations(self._scan.quantities[k].bounds, rolloff)
+            size = kernels.spectrum_deviations(bounds, rolloff)
             one = of_process(pull * size, information * np.outer(size, size), left, freedom, self._options.confounded)
             found.append(self._process(one, component, (k,), "spectrum", rolloff))
         return found
@@ -666,6 +671,11 @@ def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
     near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
     first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
     return [first, *(one for one in ordered if one is not first)]
+
+
+def _as_few(functions: Array) -> Array:
+    """The functions `(function, sample)` of a process; of more than samples as many of the same covariance."""
+    return np.asarray(np.linalg.qr(functions, mode="r")) if len(functions) > functions.shape[1] else functions
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
