@@ -187,6 +187,8 @@ def test_results_of_another_sensor_are_not_continued(tmp_path):
     for name in ("", "distance"):
         with pytest.raises(ValueError, match=r"another sensor \(contact\); give that, or another file"):
             quietly(refused[name], 4, [index], out)
+    with pytest.raises(ValueError, match="another campaign than torque; give another file"):
+        quietly(replace(TORQUES, answer=refusing), 4, [index], out)
 
 
 @DOMAINS

@@ -152,9 +152,11 @@ class Campaign:
             scheduler: the address of the scheduler of a Dask cluster, in place of processes.
 
         Raises:
-            ValueError: the file has trials of another seed or sensor, or of families that are sealed where these are
-                not.
+            ValueError: the file has trials of another campaign, seed or sensor, or of families that are sealed where
+                these are not.
         """
+        if out.exists() and not _hidden_columns(pq.read_schema(out)) <= _hidden_columns(self.schema):
+            raise ValueError(f"{out}: has trials of another campaign than {self.name}; give another file")
         rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
@@ -197,6 +199,11 @@ class Campaign:
     def read_rows(self, path: Path) -> list[Row]:
         """The rows of a file of results."""
         return pq.read_table(path, schema=self.schema).to_pylist()
+
+
+def _hidden_columns(schema: pa.Schema) -> set[str]:
+    """What rows say of a hidden effect: poses and torques differ in what it moves."""
+    return {field.name for field in schema.field("hidden").type.value_type}
 
 
 def _seal(
