@@ -210,6 +210,7 @@ class Family:
         on: quantities on which it depends, of the joint itself or "of by".
         keys: what is drawn for it beside the joint.
         beside: effects of the catalogue that are true beside an unnamed one of the same joint: its straight part.
+        sum_of: effects of the catalogue, at the same joint, that describe it whole together.
         warm: whether it needs temperatures that vary.
         nameless: whether no curve over anything recorded can be it, so that only a wrong name is wrong.
         positive: whether its size is positive by physics: friction takes energy, a spring pulls back, a sensor that
@@ -220,6 +221,7 @@ class Family:
     on: str
     keys: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    sum_of: tuple[str, ...] = ()
     warm: bool = False
     nameless: bool = False
     positive: bool = False
@@ -293,8 +295,10 @@ FAMILIES: dict[str, Family] = {
     "asymmetric_viscous": Family(
         lambda m: np.abs(m.dq), "velocity", beside=("viscous_friction", "coulomb_friction", "torque_offset")
     ),
-    # friction of churned oil
-    "squared_speed": Family(lambda m: m.dq * np.abs(m.dq), "velocity", beside=_FRICTION, positive=True),
+    # friction of churned oil, which is viscous friction with an exponent of 2
+    "squared_speed": Family(
+        lambda m: m.dq * np.abs(m.dq), "velocity", beside=_FRICTION, sum_of=("viscous_friction",), positive=True
+    ),
     # a current sensor that compresses what is beyond a knee
     "saturation": Family(
         lambda m: -np.sign(m.exerted) * np.maximum(0.0, np.abs(m.exerted) - m["knee_Nm"]),

@@ -269,6 +269,7 @@ def describe(view: View, hidden: Sequence[Hidden]) -> list[dict[str, Any]]:
         else:
             drivers = family.drivers(effect.number, effect.fixed)
             about |= {"rival": None, "drivers": drivers, "beside": family.beside, "nameless": family.nameless}
+            about |= {"sum_of": family.sum_of} if family.sum_of else {}
         said.append(about)
     return said
 
