@@ -64,8 +64,8 @@ _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
 _KEPT = 1 << 26
 """Of features of pairs that are kept: 512 MB. The likeliest pairs are weighed beside each model anew."""
-_AT_ONCE = 16
-"""Processes that are weighed first, the most promising; twice as many each time after."""
+_AT_ONCE = 100
+"""Processes that are weighed in one call."""
 _EXACT, _UNDERRATED = 60, 2.5
 """Terms, the likeliest, that are weighed exactly in autocorrelated noise, and what their log odds grow by at most.
 
@@ -446,7 +446,8 @@ class _Weighed:
     def singles(self, least: float) -> list[Ranked]:
         """Processes of one quantity that may exceed `least`, each as its likeliest kernel.
 
-        No kernel explains more than all splines of its quantity without a prior: what is less is not looked at closer.
+        No function of a quantity explains more than all its splines without a prior: what is less is not looked at
+        closer. A play, which depends on the past as well, may; it is weighed where its splines are among the first.
         """
         many, splines = self._scan.splines
         found: list[Ranked] = []
@@ -464,10 +465,9 @@ class _Weighed:
             few = [(k,) for k in range(len(self._scan.quantities)) if k not in many]
             few = [which for which in few if self._scan.may_act(component.site, *which)]
             found += self._of_kernels(component, few, "line") if few else []
-        order, count = np.argsort(limits)[::-1], _AT_ONCE
+        order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
-            some, order, count = order[:count], order[count:], 2 * count
-            some = [i for i in some if limits[i] > least]
+            some, order = order[:_AT_ONCE], order[_AT_ONCE:]
             pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
             left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
             for name in kernels.SCALED:
