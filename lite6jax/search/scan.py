@@ -187,10 +187,10 @@ class Scan:
         key = which, kernel, rolloff
         if key not in self._features:
             if len(which) == 1:
-                self._features[key] = _as_few(self.problem.seen(self._factor(*key)))
+                self._features[key] = self.problem.seen(self._factor(*key))
                 return self._features[key]
             if key not in self._products:
-                found = _as_few(self._product(which, kernel))
+                found = self._product(which, kernel)
                 if found.size * (1 + len(self._products)) > _KEPT:
                     self._products.clear()  # there are thousands of pairs
                 self._products[key] = found
@@ -474,12 +474,11 @@ class _Weighed:
                 each = self._of_splines(name, pull, information, left, freedom)
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
-            own: dict[tuple[int, str], list[int]] = {}
-            for i, name in product(some, ("wave", "play")):
-                if self._scan.suits(name, (at[i][1],)):
-                    own.setdefault((id(at[i][0]), name), []).append(i)
-            for (_, name), members in own.items():
-                found += self._of_kernels(at[members[0]][0], [(at[i][1],) for i in members], name)
+            for i in some:
+                component, k = at[i][:2]
+                for name in ("wave", "play"):
+                    if self._scan.suits(name, (k,)):
+                        found.append(self.of_kernel(component, (k,), name))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
 
@@ -501,14 +500,11 @@ class _Weighed:
 
     def _spectra_of(self, component: Component, k: int, exact: bool = False) -> list[Ranked]:
         """Of every corner and slope: they differ in the size of their functions alone."""
-        bounds = self._scan.quantities[k].bounds
-        if len(kernels.spectrum_deviations(bounds, _SPECTRA[0])) > self._problem.samples:
-            return [self.of_kernel(component, (k,), "spectrum", rolloff, exact) for rolloff in _SPECTRA]
         functions = self._scan.features((k,), "spectrum")[None]
         (pull,), (information,), left, freedom = self._equations(component, functions, exact)
         found = []
         for rolloff in _SPECTRA:
-            size = kernels.spectrum_deviations(bounds, rolloff)
+            size = kernels.spectrum_deviations(self._scan.quantities[k].bounds, rolloff)
             one = of_process(pull * size, information * np.outer(size, size), left, freedom, self._options.confounded)
             found.append(self._process(one, component, (k,), "spectrum", rolloff))
         return found
@@ -671,11 +667,6 @@ def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
     near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
     first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
     return [first, *(one for one in ordered if one is not first)]
-
-
-def _as_few(functions: Array) -> Array:
-    """The functions `(function, sample)` of a process; of more than samples as many of the same covariance."""
-    return np.asarray(np.linalg.qr(functions, mode="r")) if len(functions) > functions.shape[1] else functions
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
