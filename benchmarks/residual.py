@@ -169,7 +169,7 @@ def geometry_alone(seen: View) -> Fitted:
 def _learn(seen: View, angles: bool, learn: Callable[[Array, Array], Any]) -> tuple[Any, Callable[[View], Array]]:
     """A black box fitted to inputs that vary, of mean zero and deviation one, and outputs over theirs; what it says.
 
-    It is told joints (`angles`: their sines and cosines too) and all that varies.
+    Its inputs are joints (`angles`: their sines and cosines too) and all that varies.
     """
     from sklearn.exceptions import ConvergenceWarning
 

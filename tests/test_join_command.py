@@ -142,10 +142,12 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
     foreign = write(tmp_path / "foreign.csv", {"time_s": shown} | dict(zip("xyz", other.T, strict=True)))
     still = write(tmp_path / "still.csv", {"time_s": shown} | {axis: 1e-5 * rng.normal(size=len(at)) for axis in "xyz"})
     timeless = write(tmp_path / "timeless.csv", xyz)
+    unsaid = write(tmp_path / "unsaid.csv", {"t": shown} | dict(zip("xyz", other.T, strict=True)))
     for files, arm, message in (
         ((robot, tracker), None, f"name it, `lite6jax init {robot} {tracker} --arm NAME`"),
         ((robot, tracker, foreign), "lite6", "3 recordings: name one, or two"),
         ((robot, foreign), "lite6", "agree at no offset of the clocks"),
+        ((robot, unsaid), "lite6", "; assumed were timestamp in s, t in s: say other units as --column"),
         ((robot, still), "lite6", "hardly moves, so that nothing shows the offset of the clocks"),
         ((robot, timeless), "lite6", f"name the column of the times of {timeless}, such as --column NAME=time_s"),
         ((robot, robot), "lite6", "both have joint positions"),
@@ -155,7 +157,7 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
         said = refused(capsys, "init", *files, *(("--arm", arm) if arm else ()), "--yes")
         assert message in said, said
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
-        p.name for p in (robot, tracker, foreign, still, timeless)
+        p.name for p in (robot, tracker, foreign, still, timeless, unsaid)
     )
 
 

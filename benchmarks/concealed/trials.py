@@ -149,7 +149,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         seen, unseen_truth = poses(setup, hidden, motion), poses(setup, hidden, unseen)
 
     measured, recorded, used, faulty = measure(plan, rng, setup, motion, seen)
-    # of faults the oracle is told, of a file that is another arm's too; of noise it is not
+    # the oracle knows of faults, and of a file that is another arm's; of noise it does not
     read = replace(view, motion=replace(motion, q=recorded)) if plan.noise == "in the joints" else view
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
     fitted = _oracle(read, believed, hidden, measured, used, unseen, unseen_truth)
@@ -209,7 +209,7 @@ def _oracle(
     unseen: Motion,
     truth: tuple[Array, Array],
 ) -> dict[str, float]:
-    """How well the fit that is told the form of the truth predicts the unseen motion."""
+    """How well the fit that knows the form of the truth predicts the unseen motion."""
     rotation, position = poses(*oracle(view, believed, hidden, measured, used), unseen)
     turn = vector_from_rotation(np.swapaxes(truth[0], 1, 2) @ rotation)
     return {

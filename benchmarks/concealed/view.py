@@ -226,7 +226,7 @@ def transform(rpy: Array, position: Array) -> Array:
 def oracle(
     view: View, believed: Setup, hidden: tuple[Hidden, ...], measured: tuple[Array, Array], used: NDArray[np.bool_]
 ) -> tuple[Setup, tuple[Hidden, ...]]:
-    """A least-squares fit that is told the form of the truth and starts there.
+    """A least-squares fit that knows the form of the truth and starts there.
 
     Of the set-up that is `believed`, what is closed is held and a prior is centred there; rows that are `used` are no
     faults.

@@ -345,7 +345,7 @@ def bounds(view: View, hidden: Sequence[Hidden]) -> list[dict[str, float]]:
 
 
 def unseen_error(view: View, hidden: Sequence[Hidden], unseen: Motion) -> float:
-    """Nm RMS over all joints by which an efficient fit that is told the form is off on another motion, on average."""
+    """Nm RMS over all joints by which an efficient fit that knows the form is off on another motion, on average."""
     later = View.of(view.setup, unseen, view.noise, view.inertial)
     ours, theirs = [view.span()], [later.nuisance]
     for k, effect in enumerate(hidden):

@@ -147,7 +147,7 @@ def measure(
 def files_of(
     plan: Plan, rng: np.random.Generator, setup: Setup, told: Arm, motion: Motion, read: Spoiled, unseen: Motion
 ) -> dict[str, str]:
-    """What the diagnosis is given of an arm as it is told, and the motion that is to be predicted."""
+    """The files of a diagnosis of an arm with this description, and of the motion that is to be predicted."""
     torque = read.torque
     said: dict[str, Any] = {
         "arm": "arm.yaml",

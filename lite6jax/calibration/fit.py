@@ -30,6 +30,7 @@ from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positio
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
 Loss = Literal["student_t", "least_squares"]
@@ -131,7 +132,7 @@ def fit_recording(
     """
     problem = recording_problem(recording, nominal, geometry)
     form, chain = problem.form, problem.form.chain
-    few = np.unique(np.linspace(0, recording.samples - 1, min(MOST_SPREAD, recording.samples)).astype(int))
+    few = spread_rows(recording.samples, MOST_SPREAD)
     spread = few if len(few) < recording.samples else slice(None)
     information = _information(problem.select(few), recording.source)
     free, held = _without_scale(problem, *_free_of_frames(problem, information))

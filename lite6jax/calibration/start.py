@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.recordings.sequence import spread_rows
 
 if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
     from lite6jax.recordings import Recording
@@ -104,7 +105,7 @@ def frames_from_poses(
         `T_sensor_base` and `T_flange_tool`, `(4, 4)` each.
     """
     if len(flange) > _MOST_SAMPLES:
-        chosen = np.linspace(0, len(flange) - 1, _MOST_SAMPLES).astype(int)
+        chosen = spread_rows(len(flange), _MOST_SAMPLES)
         flange, position = flange[chosen], position[chosen]
         rotation = None if rotation is None else rotation[chosen]
     R, p = flange[:, :3, :3], flange[:, :3, 3]
@@ -165,7 +166,7 @@ def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array,
 
 def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Array]:
     """The sensor frame's rotation and both translations from the best of many rotations, on some of the samples."""
-    few = np.unique(np.linspace(0, len(p) - 1, _FEW).astype(int))
+    few = spread_rows(len(p), _FEW)
     R, p, position, weight = R[few], p[few], position[few], np.ones(len(few))
     quarter_turns = (
         np.eye(3)[list(order)] * signs for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)

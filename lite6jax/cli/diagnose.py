@@ -422,7 +422,7 @@ class View:
         arm = diagnosis_file.read_model(self.diagnosis, effects)
         file = self.recording or command.require_recording(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
-            return viewer.pose_scene(document, arm, pose_predict.read_motion(file, arm)), file
+            return viewer.pose_scene(document, arm, recordings.read_motion(file, arm)), file
 
 
 @dataclass(frozen=True)
@@ -467,14 +467,14 @@ class Predict:
             if self.register:
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
             motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            recording = pose_predict.read_motion(self.motion, motors)
+            recording = recordings.read_motion(self.motion, motors)
             found = torque_predict.predicted_torques(motors, recording)
             columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
             if motors.relative_to is not None:
                 opening.append(statements.model_statement(motors.relative_to, "rows"))
         else:
             model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            recording = pose_predict.read_motion(self.motion, model)
+            recording = recordings.read_motion(self.motion, model)
             if self.register:
                 model, registered = registration.register_model(model, recording)
             found = poses = pose_predict.predicted(model, recording)

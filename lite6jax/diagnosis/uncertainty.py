@@ -19,6 +19,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.estimation.terms import Terms
+from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
@@ -80,8 +81,8 @@ def uncertainty_of_poses(
         typical = np.sqrt(typical + left**2)
     some = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
     q = problem.recording.joint_position
-    rows = _rows_kept(some)
-    measured = some[np.linspace(0, len(some) - 1, min(_MOST, len(some))).astype(int)]
+    rows = some[spread_rows(len(some), _ROWS)]  # of those that a model keeps, from which the distance is measured
+    measured = some[spread_rows(len(some), _MOST)]
     recorded = RecordedRange(
         joints=np.stack([q[some].min(0), q[some].max(0)], 1),
         positions=np.round(q[rows], 5),
@@ -134,7 +135,7 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
     states = states_of(dynamics)[..., at]
     ranges = np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1)
-    rows = _rows_kept(kept)
+    rows = kept[spread_rows(len(kept), _ROWS)]
     values_of = {phrase: each[at] for phrase, each in driver_values(fit.terms, dynamics).items()}
     recorded = RecordedRange(
         joints=ranges[0],
@@ -225,11 +226,6 @@ def _excess(variance: Array, noise: float, numbers: float) -> float:
     error = max(_relative_error(numbers) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
     z = asked / error
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
-
-
-def _rows_kept(rows: Rows) -> Rows:
-    """Those of the indices of rows that a model keeps, from which the distance is measured."""
-    return np.unique(rows[np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).astype(int)])
 
 
 def _spacing(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:

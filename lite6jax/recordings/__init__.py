@@ -9,7 +9,15 @@ from lite6jax.recordings.checks import (
     require_samples,
     time_disorder,
 )
-from lite6jax.recordings.files import Targets, read_recording, read_targets, recording_file, stranger, write_recording
+from lite6jax.recordings.files import (
+    Targets,
+    read_motion,
+    read_recording,
+    read_targets,
+    recording_file,
+    stranger,
+    write_recording,
+)
 from lite6jax.recordings.readings import Readings, readings_from_arrays
 from lite6jax.recordings.recording import (
     Recording,
@@ -43,6 +51,7 @@ __all__ = [
     "estimated_torque",
     "join_recordings",
     "outside_limits",
+    "read_motion",
     "read_recording",
     "read_settings",
     "read_targets",

@@ -4,9 +4,10 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from math import pi
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +22,14 @@ from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
 from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
-from lite6jax.recordings.settings import RecordingSettings, growing_path, read_sidecar, sidecar_path, write_settings
+from lite6jax.recordings.settings import (
+    RecordingSettings,
+    growing_path,
+    read_settings,
+    read_sidecar,
+    sidecar_path,
+    write_settings,
+)
 from lite6jax.recordings.table import RawTable, make_arrays, tabulate
 from lite6jax.recordings.texts import open_text
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
@@ -232,6 +240,32 @@ def read_recording(
     if reach is not None:
         check_position_scale(recording, reach, table.spelling, assume_millimetres or table.converts("x_m"))
     return recording
+
+
+def read_motion(path: str | Path, model: Any) -> Recording:
+    """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
+
+    Args:
+        path: of the motion.
+        model: of poses or of torques: its `dof`, `sliding`, `motion` and `reference_temperature`.
+
+    Raises:
+        InputError: as `read_recording`.
+    """
+    sidecar, usual = sidecar_path(path), RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    settings = read_settings(sidecar) if exists(sidecar) else usual
+    recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
+    if settings.motion is None and recording.motion != model.motion:
+        settings = replace(settings, motion=model.motion)
+    return declare_anew(recording, settings)
+
+
+def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording:
+    """With other settings; notes on the file stay, except those on what was not declared."""
+    undeclared = ("there is no sidecar", *recording.made_anew().notes)
+    kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
+    anew = recording.made_anew(settings=settings)
+    return replace(anew, notes=(*kept, *anew.notes))
 
 
 class Targets(NamedTuple):

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
 from lite6jax.controller.sdk import GATE_M, Verification
+from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report.words import SCREEN, joint_units
 
 if TYPE_CHECKING:  # what studies take, and fits do not
@@ -160,7 +161,7 @@ def dots(panel: Axes, x: Array, y: Array, color: str, zorder: float = 2) -> None
     """Draws samples `(sample,)` as dots, evenly thinned where there are many; the fewer, the larger and more opaque."""
     crowded = np.log(max(len(x), 1) / _SEPARATE) / np.log(_CROWDED / _SEPARATE)
     few = 1 - float(np.clip(crowded, 0, 1))
-    shown = np.unique(np.linspace(0, max(len(x) - 1, 0), min(len(x), _MOST_POINTS)).astype(int))
+    shown = spread_rows(len(x), _MOST_POINTS)
     panel.plot(
         x[shown], y[shown], ".", color=color, markersize=5 + 5 * few, alpha=0.35 + 0.45 * few, markeredgewidth=0,
         rasterized=True, zorder=zorder,

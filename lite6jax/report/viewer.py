@@ -28,6 +28,7 @@ from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE
@@ -98,7 +99,7 @@ class PoseErrors:
     def shown(self) -> NDArray[np.integer]:
         """The samples that have an arrow."""
         there = np.flatnonzero(np.isfinite(self.length))
-        return there[np.unique(np.linspace(0, len(there) - 1, min(MOST_ARROWS, len(there))).astype(int))]
+        return there[spread_rows(len(there), MOST_ARROWS)]
 
     def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
         """Ends `(arrow, 2, 3)` m, from predicted to measured, of some samples or of `shown`."""

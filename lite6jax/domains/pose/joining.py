@@ -142,16 +142,16 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    position = _position(poses)
+    position, q = _position(poses), _joint_columns(joints, arm)
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
-    state_rows = np.flatnonzero(np.isfinite(_joint_columns(joints, arm)).all(axis=1))
+    state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     times = _meaning(joints, "time"), _meaning(poses, "time")
     taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
-    if None not in times and (joined := _joined_by_time(joints, poses, arm)) is not None:
+    if None not in times and (joined := _joined_by_time(joints, poses, arm, q, position)) is not None:
         return joined._replace(left_out=left_out)
-    q = _joint_columns(joints, arm)[state_rows]
-    pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
+    few = len(state_rows) <= _MOST_CAPTURES
+    pairing = pair_in_order(arm, q[state_rows], position[pose_rows]) if few else None
     if pairing is not None:
         states = state_rows[pairing.joint : pairing.joint + pairing.rows]
         placed = pose_rows[pairing.position : pairing.position + pairing.rows]
@@ -170,10 +170,9 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     )
 
 
-def _joined_by_time(joints: File, poses: File, arm: Arm) -> JoinedFiles | None:
-    """Joined by the motion; None of captures, which show none."""
+def _joined_by_time(joints: File, poses: File, arm: Arm, q: Array, position: Array) -> JoinedFiles | None:
+    """Joints `(row, joint)` and positions `(row, 3)` joined by the motion; None of captures, which show none."""
     clock, at = (_times(file) for file in (joints, poses))
-    q, position = _joint_columns(joints, arm), _position(poses)
     states = _in_order(clock, np.isfinite(q).all(axis=1))
     if len(states) < FEWEST or not (stream := JointStream.of(clock[states] - clock[states[0]], q[states])).resolved:
         return None
@@ -248,15 +247,14 @@ def _joint_columns(file: File, arm: Arm) -> Array:
 
 def _assumed(*files: File) -> str:
     """What units of times and joints were taken that nothing says for certain, and how to say others."""
-    found = [(file, meaning) for file in files for meaning in file.found.meanings if meaning.unit.sure != "certain"]
-    said = ""
-    for file, meaning in found:
+    said, remedies = [], []
+    for meaning in (meaning for file in files for meaning in file.found.meanings if meaning.unit.sure != "certain"):
         if (kind := meaning.block.kind) in ("q", "time"):
             column, unit = meaning.block.columns[0], meaning.unit.choice
-            other = next(one for one in units_of(kind) if one != unit)
-            name = f"q1_{other}" if kind == "q" else f"time_{other}"
-            said += f"; {column} of {file.source} was read in {unit}: if that is wrong, give --column {column}={name}"
-    return said
+            other = next(one for one in units_of(kind, meaning.block.slides) if one != unit)
+            said.append(f"{column} in {unit}")
+            remedies.append(f"--column {column}={'q1' if kind == 'q' else kind}_{other}")
+    return f"; assumed were {', '.join(said)}: say other units as {' or '.join(remedies)}" if said else ""
 
 
 def _times(file: File) -> Array:

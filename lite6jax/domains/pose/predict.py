@@ -37,20 +37,11 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import (
-    ArmJoints,
-    Recording,
-    RecordingSettings,
-    read_recording,
-    read_settings,
-    require_radians,
-    sidecar_path,
-)
+from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
-from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -381,36 +372,6 @@ def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) 
         raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
     require_radians(recording.joint_position, model.joint_limits)
     return recording
-
-
-def read_motion(path: str | Path, model: Any) -> Recording:
-    """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
-
-    Args:
-        path: of the motion.
-        model: of poses or of torques: its `dof`, `sliding`, `motion` and `reference_temperature`.
-
-    Raises:
-        InputError: as `read_recording`.
-    """
-    sidecar = sidecar_path(path)
-    settings = (
-        read_settings(sidecar)
-        if exists(sidecar)
-        else RecordingSettings(reference_temperature_degC=model.reference_temperature)
-    )
-    recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
-    if settings.motion is None and recording.motion != model.motion:
-        settings = replace(settings, motion=model.motion)
-    return declare_anew(recording, settings)
-
-
-def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording:
-    """With other settings; notes on the file stay, except those on what was not declared."""
-    undeclared = ("there is no sidecar", *recording.made_anew().notes)
-    kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
-    anew = recording.made_anew(settings=settings)
-    return replace(anew, notes=(*kept, *anew.notes))
 
 
 @final

@@ -17,7 +17,7 @@ from lite6jax.calibration.start import frames_from_poses
 from lite6jax.recordings import naming, sizes
 from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, quaternions, units_of
 from lite6jax.recordings.naming import Block
-from lite6jax.recordings.sequence import inferred_motion
+from lite6jax.recordings.sequence import inferred_motion, spread_rows
 from lite6jax.recordings.sizes import Decision, Sureness
 
 Array = NDArray[np.floating]
@@ -161,11 +161,6 @@ def digit_step(values: Array) -> float:
     digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
     place = next(digits, None)
     return 0.0 if place is None else 10.0**-place
-
-
-def spread_rows(count: int, most: int) -> NDArray[np.integer]:
-    """`most` of so many rows, spread evenly; all where they are no more."""
-    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
 def median_distance(position: Array) -> float:

@@ -18,7 +18,7 @@ from lite6jax.domains.pose.kinematics import (
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, read_motion, require_model
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.effects.kinematic import BaseDrift, SensorDrift
@@ -29,7 +29,7 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording, RecordingSettings, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_samples
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
 

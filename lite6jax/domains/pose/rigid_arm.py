@@ -29,7 +29,6 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
-from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.touching import require_scale, shown_by, touch_sensor
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
@@ -38,11 +37,17 @@ from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import spread_rows
 from lite6jax.sensors.points import Contact
 from lite6jax.sensors.pose import Measured
 from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
+
+UNDECLARED_TOUCH = 1e-4
+"""m, one sigma of readings whose noise is not declared."""
+_TOOL_M = 0.15
+"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
 
 
 class NuisanceProblem:
@@ -403,12 +408,6 @@ def rigid_arm(
         form=form,
     )
     return begun if touch is None or form.frame else _locate_tool(begun)
-
-
-UNDECLARED_TOUCH = 1e-4
-"""m, one sigma of readings whose noise is not declared."""
-_TOOL_M = 0.15
-"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
 
 
 def _locate_tool(arm: RigidArm) -> RigidArm:

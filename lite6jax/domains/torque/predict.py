@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
-from lite6jax.domains.pose.predict import read_motion
 from lite6jax.domains.torque.composition import (
     composed,
     delayed,
@@ -38,7 +37,7 @@ from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import Delaying, Dynamics, Scaling, UnnamedTorque
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms, join
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, read_motion
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]

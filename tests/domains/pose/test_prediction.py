@@ -15,12 +15,12 @@ from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.predict import Prediction, predict, prediction_columns, read_motion
+from lite6jax.domains.pose.predict import Prediction, predict, prediction_columns
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.effects.user_effects import load_effects
-from lite6jax.recordings import Recording, RecordingSettings, write_recording
+from lite6jax.recordings import Recording, RecordingSettings, read_motion, write_recording
 from lite6jax.report.statements import model_statement
 
 SAMPLES = 30

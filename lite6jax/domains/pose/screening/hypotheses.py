@@ -23,7 +23,6 @@ from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
@@ -32,6 +31,7 @@ from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
+from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
 Hypothesis = tuple["Change", ...]

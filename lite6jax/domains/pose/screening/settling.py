@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr
 
-from lite6jax.domains.pose.readings import spread_rows
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.sequence import run_segments, spread_rows
 
 Array = NDArray[np.floating]
 
