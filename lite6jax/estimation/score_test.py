@@ -174,13 +174,12 @@ class ScoreTest:
 
         Those of processes always are.
         """
-        columns = []
-        for f in (self.fit, part):
-            kept = [not term.nonparametric and term in part.terms.terms for term in f.terms.terms]
-            named, values = f.terms.part(f.values, kept)
-            own = self.problem.columns(named.terms, values, (f.terms, f.values))
-            columns.append(np.concatenate([self.problem.nuisance_columns(f.terms, f.values), own]))
-        return np.array_equal(*columns)
+        (before, whole), (nuisance, own) = self._named, _named_columns(self.problem, part)
+        return np.array_equal(before, nuisance) and all(np.array_equal(whole[term], own[term]) for term in own)
+
+    @cached_property
+    def _named(self) -> "tuple[Array, dict[Term, Array]]":
+        return _named_columns(self.problem, self.fit)
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
@@ -466,6 +465,14 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     blocks = _blocks(problem.samples, time, options)
     spanned = _spanned(problem, fit, scale, options)
     return ScoreTest(problem, fit, options, residual, blocks, n - fit.parameters, time, scale, *spanned)
+
+
+def _named_columns(problem: Problem, fit: Fit) -> tuple[Array, dict[Term, Array]]:
+    """The columns `(number, row, sample)` of a model: of its nuisance, and of each term that is no process."""
+    named, values = fit.terms.part(fit.values, [not term.nonparametric for term in fit.terms.terms])
+    columns = problem.columns(named.terms, values, (fit.terms, fit.values))
+    each = {term: columns[part] for term, part in zip(named.terms, named.slices, strict=True)}
+    return problem.nuisance_columns(fit.terms, fit.values), each
 
 
 def _stated(problem: Problem) -> NDArray[np.integer]:

@@ -62,8 +62,8 @@ _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
 _NUMBERS = 1 << 22
 """Of columns that are formed at once: 32 MB."""
-_KEPT = 1 << 26
-"""Of features of pairs that are kept: 512 MB. The likeliest pairs are weighed beside each model anew."""
+_KEPT = 1 << 27
+"""Of features of pairs that are kept: 1 GB. The likeliest pairs are weighed beside each model anew."""
 _AT_ONCE = 100
 """Processes that are weighed in one call."""
 _EXACT, _UNDERRATED = 60, 2.5
@@ -191,7 +191,7 @@ class Scan:
                 return self._features[key]
             if key not in self._products:
                 found = self._product(which, kernel)
-                if found.size * (1 + len(self._products)) > _KEPT:
+                if found.size + sum(each.size for each in self._products.values()) > _KEPT:
                     self._products.clear()  # there are thousands of pairs
                 self._products[key] = found
             return self._products[key]

@@ -58,22 +58,19 @@ def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
     return total
 
 
-def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> tuple[Array, Array]:
-    """Torques at another time than that of each sample, and their derivatives by time.
+def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+    """Torques at another time than that of each sample, `(joint, sample)` Nm.
 
     Beyond the ends of a run they go on along the line through some samples: a cubic would follow their noise.
 
     Args:
-        torque: `(joint, sample)` Nm.
+        torque: `(joint, sample)` Nm; those of runs that are too short to say stay as they are.
         offsets: `(joint,)` s after the sample.
         time: `(sample,)` s.
         runs: `(sample,)`, the run of each sample.
-
-    Returns:
-        `(joint, sample)` Nm and Nm/s; of runs that are too short to say, as they are and zero.
     """
-    value, slope = np.array(torque), np.zeros(torque.shape)
-    for offset in np.unique(offsets).tolist():
+    value = np.array(torque)
+    for offset in set(offsets[offsets != 0].tolist()):
         joints = np.flatnonzero(offsets == offset)
         for rows, spline in interpolant(torque[joints], time, runs):
             t, part = time[rows], torque[joints, rows]
@@ -83,8 +80,19 @@ def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer
                 near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
                 along = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
                 found = np.where(beyond != 0, part[:, [far]] + along[:, None] * beyond, found)
-            value[joints, rows], slope[joints, rows] = found, spline(at, 1)
-    return value, slope
+            value[joints, rows] = found
+    return value
+
+
+def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+    """The derivatives by time of what `delayed` gives, `(joint, sample)` Nm/s; zero of runs that are too short."""
+    slope = np.zeros(torque.shape)
+    for offset in set(offsets.tolist()):
+        joints = np.flatnonzero(offsets == offset)
+        for rows, spline in interpolant(torque[joints], time, runs):
+            t = time[rows]
+            slope[joints, rows] = spline(np.clip(t + offset, t[0], t[-1]), 1)
+    return slope
 
 
 def joints_of(effect: TorqueEffect) -> slice:

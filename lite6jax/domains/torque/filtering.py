@@ -8,6 +8,7 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -409,7 +410,7 @@ def _each(runs: NDArray[np.integer]) -> list[slice]:
 
 def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:
     """Each run low-passed on its own, without shift in time."""
-    sections = scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos")
+    sections = _sections(cutoff, rate)
     out = np.array(rows, float)
     for part in _each(runs):
         length = part.stop - part.start
@@ -417,6 +418,11 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
             pad = min(int(3 * rate / cutoff) + 1, length - 1)
             out[..., part] = scipy.signal.sosfiltfilt(sections, rows[..., part], padlen=pad)
     return out
+
+
+@cache
+def _sections(cutoff: float, rate: float) -> Array:
+    return scipy.signal.butter(_ORDER, cutoff, fs=rate, output="sos")
 
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from lite6jax.domains.torque.composition import (
     pairs,
     read_driver,
     scales_of,
+    slope_of_delayed,
     slopes,
     unit_torques,
 )
@@ -219,7 +220,7 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
     """
     torque = composed(terms, values, dynamics)
     offsets = offsets_of(terms, values, len(torque))
-    return delayed(torque, offsets, time, runs)[0] if offsets.any() else torque
+    return delayed(torque, offsets, time, runs)
 
 
 def _bars(
@@ -265,7 +266,7 @@ def _estimated(
             moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
         elif isinstance(effect, Delaying):
             shown, time = composed(model.terms, model.values, dynamics), np.asarray(dynamics.motion.time)
-            slope = delayed(shown, np.zeros(model.dof), time, runs)[1]
+            slope = slope_of_delayed(shown, np.zeros(model.dof), time, runs)
             moved += own[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
         elif effect.linear:
             joints, units = joints_of(effect), unit_torques(effect, dynamics)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.torque.composition import (
-    composed,
     delayed,
     joints_of,
     offsets_of,
     pairs,
     read_driver,
     scales_of,
+    slope_of_delayed,
     slopes,
     unit_torques,
 )
@@ -87,11 +87,15 @@ class Known:
 
     Attributes:
         units: filtered `unit_torques` of linear effects, and of processes, at some inertial numbers.
+        everywhere: the same, of every sample.
+        slopes: filtered `slopes` of the effects that are not linear, at zero and at the latest numbers.
         waves: filtered sine and cosine `(2, sample)` by joint, from 1, and order.
         thinned: of one in so many of the samples.
     """
 
     units: dict[Hashable, Array] = field(default_factory=dict)
+    everywhere: dict[Hashable, Array] = field(default_factory=dict)
+    slopes: dict[Hashable, tuple[bytes, Array]] = field(default_factory=dict)
     waves: dict[tuple[int, float], Array] = field(default_factory=dict)
     thinned: dict[int, "Known"] = field(default_factory=dict)
 
@@ -332,26 +336,45 @@ class TorqueProblem:
         """Predicted torques `(joint, sample)` Nm, filtered, as their stamps say."""
         offsets = offsets_of(terms, values, self.rows)
         if offsets.any():
-            return self._delayed(nuisance, terms, values, offsets)[0]
+            data = self.data
+            there = self._shown_everywhere(nuisance, terms, values)
+            return delayed(there, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
-        there = self.dynamics
+        return self._shown(total, nuisance, terms, values, everywhere=False)
+
+    @property
+    def _time(self) -> Array:
+        """`(every sample,)` s."""
+        return np.asarray(self.data.recording.time)
+
+    def _shown_everywhere(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """As `torque`, `(joint, every sample)`, without delays."""
+        data, total = self.data, self._rigid_everywhere
+        if nuisance.any():
+            total = total + data.filter.whole(data.bodies.of_inertia(np.tensordot(nuisance, self.directions, 1)))
+        return self._shown(total, nuisance, terms, values, everywhere=True)
+
+    @cached_property
+    def _rigid_everywhere(self) -> Array:
+        """As `rigid`, of every sample."""
+        return self.data.filter.whole(self.dynamics.declared)
+
+    def _shown(self, rigid: Array, nuisance: Array, terms: Terms, values: Array, everywhere: bool) -> Array:
+        """What effects make of the torques of rigid bodies, without delays; of every sample if `everywhere`."""
+        there, total = self.dynamics, np.array(rigid)
         if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in pairs(terms)):
             there = self.data.bodies.dynamics(self.links_at(nuisance))
         for effect, part in pairs(terms):
-            if not isinstance(effect, Scaling | Delaying):
-                total = total + self._added(effect, np.asarray(values[part], float), there)
+            joints, own = joints_of(effect), np.asarray(values[part], float)
+            if isinstance(effect, Scaling | Delaying):
+                continue
+            if effect.linear and (there is self.dynamics or not _loaded(effect)):
+                total[joints] += np.tensordot(own, self._units(effect, everywhere), 1)
+            else:
+                total[joints] += self._filtered(effect.torque(own, there)[joints], everywhere)
         return scales_of(terms, values, self.rows) * total
-
-    def _delayed(self, nuisance: Array, terms: Terms, values: Array, offsets: Array) -> tuple[Array, Array]:
-        """Predicted torques that belong to the motion `offsets` `(joint,)` s later, and their derivatives by these."""
-        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
-        total = composed(terms, values, dynamics)
-        data = self.data
-        time, at = np.asarray(data.recording.time), data.filter.kept[self.chosen]
-        value, slope = delayed(data.filter.whole(total), offsets, time, data.filter.runs)
-        return value[:, at], slope[:, at]
 
     def columns(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -364,7 +387,7 @@ class TorqueProblem:
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
         others, numbers = beside or (own, at)
         found = np.zeros((own.size, self.rows, self.samples))
-        slope, delayed = found[:0], None  # by the time of torques that are late by `delayed`
+        slope, late = found[:0], None  # by the time of torques that are late by that
         for effect, part in pairs(own):
             joints = joints_of(effect)
             if isinstance(effect, Scaling):
@@ -375,15 +398,20 @@ class TorqueProblem:
                 offsets = offsets_of(others, numbers, self.rows)
                 if effect not in others.terms:
                     offsets = offsets + effect.offset(float(at[part][0]), self.rows)
-                if delayed is None or not np.array_equal(offsets, delayed):
-                    slope, delayed = self._delayed(np.zeros(len(self.precision)), others, numbers, offsets)[1], offsets
+                if late is None or not np.array_equal(offsets, late):
+                    slope, late = self._slope(others, numbers, offsets), offsets
                 found[part] = effect.offset(1.0, self.rows)[:, None] * slope
             elif effect.linear:
                 found[part, joints] = self._units(effect)
             else:
-                found[part] = self._kept(slopes(effect, at[part], self.dynamics))
+                found[part, joints] = self._slopes(effect, at[part])
             found[part, joints] /= self.sigma[joints]
         return found
+
+    def _slope(self, terms: Terms, values: Array, offsets: Array) -> Array:
+        """`(joint, sample)` Nm/s, by the time, of torques that are late by `offsets` `(joint,)` s."""
+        data, there = self.data, self._shown_everywhere(np.zeros(len(self.precision)), terms, values)
+        return slope_of_delayed(there, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
 
     def factored(self, term: Term) -> None:
         """None: a term acts on one row, over which there is no sum."""
@@ -449,20 +477,25 @@ class TorqueProblem:
         """Torques `(…, joint, every sample)` filtered, of the samples of this problem."""
         return self.data.filter(torque)[..., self.chosen]
 
-    def _added(self, effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
-        """`(joint, sample)` Nm by an effect on an arm of these dynamics, filtered."""
-        if not effect.linear or (_loaded(effect) and dynamics is not self.dynamics):
-            return self._kept(effect.torque(values, dynamics))
-        added = np.zeros((self.rows, self.samples))
-        added[joints_of(effect)] = np.tensordot(values, self._units(effect), 1)
-        return added
+    def _filtered(self, torque: Array, everywhere: bool) -> Array:
+        return self.data.filter.whole(torque) if everywhere else self._kept(torque)
 
-    def _units(self, effect: TorqueEffect) -> Array:
+    def _units(self, effect: TorqueEffect, everywhere: bool = False) -> Array:
         """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
-        units, key = self.known.units, effect.process if isinstance(effect, UnnamedTorque) else effect
+        units = self.known.everywhere if everywhere else self.known.units
+        key = effect.process if isinstance(effect, UnnamedTorque) else effect
         if key not in units:
-            units[key] = self._kept(unit_torques(effect, self.dynamics))
+            units[key] = self._filtered(unit_torques(effect, self.dynamics), everywhere)
         return units[key]
+
+    def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
+        """The same of an effect that is not linear, at some of its numbers."""
+        key, at = (effect, bool(values.any())), values.tobytes()
+        known = self.known.slopes.get(key)  # a fold of another thread may keep its own any time
+        if known is None or known[0] != at:
+            known = at, self._kept(slopes(effect, values, self.dynamics)[:, joints_of(effect)])
+            self.known.slopes[key] = known
+        return known[1]
 
 
 def _resolved_waves(data: TorqueRows, j: int) -> float | None:

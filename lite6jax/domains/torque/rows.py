@@ -66,7 +66,7 @@ class RigidBodies:
 
     def of_inertia(self, numbers: Array) -> Array:
         """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
-        return np.einsum("jps,p->js", self.regressor, np.asarray(numbers, float).ravel())
+        return np.asarray(numbers, float).ravel() @ self.regressor
 
     @cached_property
     def of_payload(self) -> Array:
@@ -85,8 +85,7 @@ class RigidBodies:
         """Torques `(joint, sample)` at rest of links `(joint, 10)` with the payload, by a gravity `(3,)` m/s²."""
         q = self.moved[0]
         at_rest = np.asarray(regressor(self.kinematics, q, 0 * q, 0 * q, gravity, self.motion.sliding.joints))
-        torque, per_kg = (np.einsum("jps,p->js", at_rest, each.ravel()) for each in (links, self.at_flange))
-        return torque + per_kg * np.asarray(self.motion.payload)
+        return links.ravel() @ at_rest + self.at_flange.ravel() @ at_rest * np.asarray(self.motion.payload)
 
     def dynamics(self, links: Array) -> Dynamics:
         """The dynamics of an arm whose links have these inertial numbers `(joint, 10)`."""
