@@ -139,6 +139,7 @@ class Scan:
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
         self._products: dict[tuple[Any, ...], Array] = {}
+        self._kept = 0
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
@@ -191,8 +192,10 @@ class Scan:
                 return self._features[key]
             if key not in self._products:
                 found = self._product(which, kernel)
-                if found.size + sum(each.size for each in self._products.values()) > _KEPT:
-                    self._products.clear()  # there are thousands of pairs
+                self._kept += found.size
+                if self._kept > _KEPT:  # there are thousands of pairs
+                    self._products.clear()
+                    self._kept = found.size
                 self._products[key] = found
             return self._products[key]
         return self._features[key]
