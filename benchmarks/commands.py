@@ -19,7 +19,7 @@ from benchmarks.measure import OURS, ROOT, Record, disagreement, time_call
 from benchmarks.problem import chain_error, simulated_arms
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
@@ -144,7 +144,7 @@ def diagnose(long: int = 12_000, repeats: int = 3) -> Iterator[Record]:
             seconds, wrong = run_processes([*COMMAND, "diagnose", str(file)], used, check)
             yield from _against("400 rows", f"lite6jax diagnose, {cache} cache", seconds, cache, wrong)
         for known in (True, False):
-            seconds, found = time_call(partial(diagnosis_of, hidden(folder, known, long)))
+            seconds, found = time_call(partial(diagnose_poses, hidden(folder, known, long)))
             work = f"{long} rows, chain {'known' if known else 'unknown'}"
             wrong = wrong_findings(tuple(finding.effect for finding in found.findings))
             yield from _against(work, OURS, seconds, "rows", wrong)

@@ -13,7 +13,7 @@ from benchmarks.concealed.chain import MADE, Array, factory_text, lite6, quatern
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import OURS, Record, time_call
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.compensate import compensate, read_pose_targets
 from lite6jax.domains.pose.fit import fit
@@ -112,7 +112,7 @@ def compensation(
             path = write_recording(recorded, Path(folder) / "run.csv")
             recording = read_recording(path)
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
-            seconds, found = time_call(partial(diagnose, recording))
+            seconds, found = time_call(partial(diagnose_poses, recording))
             document = Path(folder) / "diagnosis.json"
             write_document(found.to_dict(), document)
             wanted_q, payload = draw_poses(rng, targets)

@@ -33,7 +33,7 @@ from benchmarks.residual import (
     stepwise,
 )
 from lite6jax.calibration.compiled import keep_compiled_code
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.registration import register, register_model
 from lite6jax.errors import InputError
@@ -143,7 +143,7 @@ class Outcome:
 
 def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcome]:
     """The diagnosis of a recording by its held-out rows, and registered to another one."""
-    seconds, found = time_call(partial(diagnose, recording))
+    seconds, found = time_call(partial(diagnose_poses, recording))
     names = tuple(finding.effect.label for finding in found.findings)
     own = Outcome(OURS, found.after, found.fit.terms.size, names, seconds)
     yield own

@@ -24,17 +24,9 @@ if TYPE_CHECKING:
     )
     from lite6jax.arms.dynamics import inverse_dynamics as inverse_dynamics, link_parameters as link_parameters
     from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
-    from lite6jax.diagnosis.diagnose import (
-        CombinedDiagnosis as CombinedDiagnosis,
-        Diagnosis as Diagnosis,
-        diagnose as diagnose,
-        diagnose_combined as diagnose_combined,
-    )
+    from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from lite6jax.diagnosis.options import Options as Options
-    from lite6jax.diagnosis.torque_diagnosis import (
-        TorqueDiagnosis as TorqueDiagnosis,
-        diagnose_torques as diagnose_torques,
-    )
+    from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis as TorqueDiagnosis
     from lite6jax.domains.pose.compensate import compensate as compensate
     from lite6jax.domains.pose.fit import fit as fit
     from lite6jax.diagnosis.document import read_model as read_model, read_torque_model as read_torque_model
@@ -109,9 +101,9 @@ _NAMES = {
     "lite6jax.arms.dh": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
     "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
-    "lite6jax.diagnosis.diagnose": ("CombinedDiagnosis", "Diagnosis", "diagnose", "diagnose_combined"),
+    "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "lite6jax.diagnosis.options": ("Options",),
-    "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis", "diagnose_torques"),
+    "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis",),
     "lite6jax.domains.pose.compensate": ("compensate",),
     "lite6jax.diagnosis.document": ("read_model", "read_torque_model"),
     "lite6jax.domains.pose.predict": ("predict", "predicted"),

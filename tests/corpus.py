@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.recorded import Made, moving_motion, static_motion
 
 from lite6jax import cli
-from lite6jax.diagnosis.diagnose import Diagnosis, diagnose
+from lite6jax.diagnosis.diagnose import Diagnosis, diagnose_poses
 from lite6jax.recordings import Recording, write_recording
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
@@ -44,7 +44,7 @@ class Diagnosed:
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """From the call."""
-        return diagnose(self.recording)
+        return diagnose_poses(self.recording)
 
     @cached_property
     def printed(self) -> tuple[Path, str]:

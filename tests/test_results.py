@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,6 @@ from lite6jax import InputError, results
 from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.fleet import compare
 from lite6jax.design.poses import plan_discrimination
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis
 from lite6jax.report import kinds, summaries  # noqa: F401 (they register)
 from lite6jax.results import Figures, PublicResult
 
@@ -43,7 +43,7 @@ def found(tmp_path_factory):
     effect = poses.findings[0].effect
     rivals = (effect, [1e-4]), type(effect)(3)
     made = [
-        *(recording, poses, torques, CombinedDiagnosis(poses, torques)),
+        *(recording, replace(poses, torques=torques), torques),
         *(lite6jax.fit(recording), lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6")),
         compare([read_factory(path, LITE6) for path in files[:2]]),
         *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12)),
@@ -119,10 +119,8 @@ def of(found, name):
     return next(one for kind, one in found.items() if kind.__name__ == name)
 
 
-@pytest.mark.parametrize("name", ["Diagnosis", "CombinedDiagnosis"])
-def test_a_saved_diagnosis_is_what_other_commands_read(found, name, tmp_path):
-    diagnosis = of(found, name)
-    model = lite6jax.read_model(diagnosis.save(tmp_path / "d.json"))
+def test_a_saved_diagnosis_is_what_other_commands_read(found, tmp_path):
+    model = lite6jax.read_model(of(found, "Diagnosis").save(tmp_path / "d.json"))
     assert [effect.label for effect in model.physics.effects] == ["joint_compliance:joint2"]
     document = json.loads((tmp_path / "d.json").read_text())
     assert document["findings"][0]["statement"].startswith("Joint compliance at joint2")

@@ -126,7 +126,7 @@ PYTHON = {
         "fit", "Solution", "Result", "fit_fleet", "fit_fleet_calibrations", "FleetSolution",
         "six_parameter_to_hayati", "hayati_to_six_parameter",
     ),
-    "Diagnose": ("diagnose", "Diagnosis", "diagnose_torques", "TorqueDiagnosis", "Options", "EngineOptions"),
+    "Diagnose": ("diagnose", "Diagnosis", "TorqueDiagnosis", "Options", "EngineOptions"),
     "Use a diagnosis": (
         "read_model", "predict", "predicted", "compensate", "register", "register_model", "read_torque_model",
         "predict_torques",

@@ -81,9 +81,9 @@ class Demo:
             ]
         )
         asked = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
-        _, domain, found = asked.search()
+        _, found = asked.search()
         document = asked.document(found)
-        asked.write(found, domain, document)
+        asked.write(found, document)
         main = [one for one in sections.sections_of(sections.Report(document)) if one.title in ("", _RANKING)]
         _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
         screen.show(sections.show_sections(main))

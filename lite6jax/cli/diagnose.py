@@ -26,13 +26,12 @@ from lite6jax.storage import exists, file_sha256, write_atomically
 with import_lazily():
     from lite6jax import recordings, workers
     from lite6jax.calibration import source
-    from lite6jax.diagnosis import diagnose, fold_processes, torque_diagnosis
+    from lite6jax.diagnosis import diagnose, fold_processes
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.torque import predict as torque_predict
-    from lite6jax.effects import user_effects
     from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
@@ -52,7 +51,7 @@ with import_lazily():
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Domain = Literal["poses", "torques", "both"]
+    Found = diagnose.Diagnosis | diagnose.TorqueDiagnosis
 
 
 @dataclass(frozen=True)
@@ -129,10 +128,11 @@ class Diagnose:
         command.check_processes(self.processes, None)
         read = [self.source, *self.more, self.reference, self.arm, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
-        self._check_figures("poses")
-        recording, domain, found = self.search()
+        names = (*diagnosis_figures.NAMES["both"], *diagnosis_figures.NAMES["torques"])
+        command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
+        recording, found = self.search()
         document = self.document(found)
-        written = self.write(found, domain, document)
+        written = self.write(found, document)
         if self.json:
             print(diagnosis_file.document_text(document))
         else:
@@ -140,23 +140,21 @@ class Diagnose:
             screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
             screen.show(screen.notes(recording.notes))
             screen.written(written)
-        poses = found.poses if domain == "both" else found
-        return command.BAD_FIT if domain != "torques" and poses.quality.verdict == "bad" else command.DONE
+        bad = isinstance(found, diagnose.Diagnosis) and found.quality.verdict == "bad"
+        return command.BAD_FIT if bad else command.DONE
 
-    def search(self) -> "tuple[recordings.Recording, Domain, Any]":
-        """The recording, what of it is diagnosed, and the diagnosis."""
+    def search(self) -> "tuple[recordings.Recording, Found]":
+        """The recording and its diagnosis."""
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
-            recording, domain, search = self._prepare(both=True)
-            if domain != "poses":
-                self._check_figures(domain)
+            recording, search = self._prepare()
             with screen.stages() as follow:
-                return recording, domain, search(progress=follow)
+                return recording, search(progress=follow)
 
-    def _prepare(self, both: bool) -> "tuple[recordings.Recording, Domain, Callable[..., Any]]":
-        """The recording, what of it is diagnosed, and the search, which takes `progress`.
+    def _prepare(self) -> "tuple[recordings.Recording, Callable[..., Found]]":
+        """The recording, and the search, which takes `progress`.
 
-        Of a recording that has both, poses and torques are diagnosed together where `both` says so.
+        Of a recording that has both, poses and torques are diagnosed together, but of a fleet the poses.
         """
         assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
         arm = source.load_nominal(self.arm)
@@ -165,26 +163,17 @@ class Diagnose:
             further = [source.load_recording(file, arm, **assumed) for file in self.more]
             recording = recordings.join_recordings([recording, *further])
         effects = command.load_own_effects(self.effects)
-        kinematic, dynamic = user_effects.by_domain(effects)
-        domain: Domain = "poses"
-        if self.torques or (recording.position is None and recording.has_torques):
-            domain = "torques"
-        elif both and recording.has_torques and recording.position is not None and not self.poses:
-            domain = "both"
-        if domain != "torques":
+        if recording.numbers_per_sample and not self.torques:
             arm = arm or source.arm_of(recording)
+        poses = recording.position is not None and (self.poses or self.fleet)
         given: dict[str, Any] = {
-            "options": diagnosis_options.QUICK if self.quick else None,
+            "domain": "torques" if self.torques else "poses" if poses else None,
             "reference": source.load_recording(self.reference, arm, **assumed) if self.reference else None,
+            "geometry": self.geometry,
+            "effects": effects,
+            "options": diagnosis_options.QUICK if self.quick else None,
         }
-        if domain != "torques":
-            given["geometry"] = self.geometry
-        search, own = {
-            "poses": (diagnose.diagnose, kinematic),
-            "torques": (torque_diagnosis.diagnose_torques, dynamic),
-            "both": (diagnose.diagnose_combined, effects),
-        }[domain]
-        return recording, domain, partial(search, recording, arm, effects=own, **given)
+        return recording, partial(diagnose.diagnose, recording, arm, **given)
 
     def document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
@@ -193,17 +182,12 @@ class Diagnose:
             inputs += [one for one in command.list_inputs(file) if one not in inputs]
         return statements.with_statements(found.to_dict() | {"inputs": inputs})
 
-    def _check_figures(self, domain: Domain) -> None:
-        if self.figures:
-            names = [f"{self.source.stem}_{name}" for name in diagnosis_figures.NAMES[domain]]
-            command.check_figures(self.figures, names, self.force)
-
-    def write(self, found: Any, domain: Domain, document: Any) -> list[Path]:
+    def write(self, found: "Found", document: Any) -> list[Path]:
         """Writes the document, the figures and the page where there are places for them."""
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if not (self.report or self.figures):
             return written
-        drawn, most = {}, len(diagnosis_figures.NAMES[domain])
+        drawn, most = {}, len(diagnosis_figures.NAMES["both"])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -213,8 +197,7 @@ class Diagnose:
                 written += figures.save(named, self.figures, self.force)
             advance(most)
             if self.report:
-                against = self.reference if domain == "both" else found.against and found.against.file
-                sides = f"{self.source} against {against}" if against else str(self.source)
+                sides = f"{self.source} against {self.reference.name}" if self.reference else str(self.source)
                 files = ranking.Files(self.source, self.out, self.effects)
                 html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))
@@ -282,8 +265,7 @@ class Diagnose:
 
         A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        _, _, search = self._prepare(both=not self.fleet)
-        found = search()
+        found = self._prepare()[1]()
         text = diagnosis_file.document_text(self.document(found))
         if not self.fleet:
             return text, None

@@ -1,12 +1,13 @@
-"""The diagnosis of poses: screen, explain, estimate finally, verify on held-out rows, design what to record next.
+"""The diagnosis: screen, explain, estimate finally, verify on held-out rows, design what to record next.
 
-Of a recording that has torques too both domains are diagnosed, and what they say of the quantities that they share.
+Of a recording that has poses and torques both are diagnosed, and what they say of the quantities that they share.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,75 +16,381 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.calibration.quality import ROUNDING
+from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
-from lite6jax.diagnosis.discrimination import separating_poses
-from lite6jax.diagnosis.estimates import DISAGREE, EffectEstimate, difference_p_value, estimate_effect, side_entry
+from lite6jax.diagnosis.discrimination import differ, separating_poses
+from lite6jax.diagnosis.document import effect_entry, pose_model_entry
+from lite6jax.diagnosis.estimates import Shared, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
+from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
+from lite6jax.domains.pose.kinematics import unwhitened
+from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
-from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset
-from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
+from lite6jax.domains.uncertainty import freed
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.kinematic import JointHarmonic
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.statics import with_mass_errors
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError, require_type
+from lite6jax.estimation.concentration import Concentration, concentration
+from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.projection import scaled_solve
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.results import PublicResult
 from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
+from lite6jax.search.state import Alternative
+from lite6jax.sensors.pose import Measured
+
+Array = NDArray[np.floating]
+Domain = Literal["poses", "torques"]
+Source = Recording | str | Path
+Nominal = Arm | str | Path | None
+
+
+class Contribution(NamedTuple):
+    """What a finding of poses moves, RMS over rows that are no outliers: m, and rad, None where it was not measured."""
+
+    position: float
+    orientation: float | None
+
+
+class Left(NamedTuple):
+    """What a model of poses leaves of the residuals, outliers excluded.
+
+    Attributes:
+        position: root mean square of held-out position errors per axis over the declared noise; None where that of
+            positions is not declared.
+        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
+        white: whether residuals of neighbouring rows are uncorrelated.
+        acts_at: the joint at which most of it acts; None where there is no such.
+    """
+
+    position: float | None
+    orientation: float | None
+    white: bool
+    acts_at: Concentration | None = None
+
+    @property
+    def over_noise(self) -> float | None:
+        """The larger ratio; None where no noise is declared."""
+        return max((ratio for ratio in (self.position, self.orientation) if ratio is not None), default=None)
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
+    """The diagnosis of poses, and beside it that of the torques of the same recording where it has them.
+
+    Attributes:
+        torques: the diagnosis of the torques; None where there are none, or these cannot be diagnosed.
+        shared: quantities on which both depend and which a finding concerns.
+        torques_refused: why the torques cannot be diagnosed, with the remedy; None where they are, or there are none.
+    """
+
+    torques: TorqueDiagnosis | None = None
+    shared: tuple[Shared, ...] = ()
+    torques_refused: str | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """As it was screened."""
+        return self.problem.recording
+
+    @property
+    def left_out(self) -> Mask:
+        """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
+        return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
+
+    @property
+    def estimated_noise(self) -> float:
+        """Standard deviation per axis of position, m, estimated from the residuals."""
+        scale = float(self.fit.scale[0])
+        if self.problem.floored:  # by less the residuals are not weighed, and what they have is said all the same
+            fit, rows = self.fit, self.problem.rows
+            squares = fit.residuals.squares[fit.training] * scale**2
+            scale = t_scale(squares, rows, FREEDOM) / gaussian_t_scale(rows, FREEDOM)
+        return scale * self.problem.noise[0]
+
+    @cached_property
+    def moves(self) -> tuple[Contribution, ...]:
+        """What each finding moves beyond what the fitted frames and geometry would take up, were it not in the model.
+
+        The displacement is that of the whole model, with the finding less without it. From it the weighted
+        least-squares fit of the nuisance beside the other findings, with its prior, is subtracted: an effect that a
+        sensor's frame imitates moves a measured pose by much and its residual by little.
+        """
+        problem, fit, kept = self.problem, self.fit, ~self.outliers
+        weight = np.where(fit.training & kept, fit.residuals.row_weight, 0.0)
+        whole = problem.residual(fit.nuisance, fit.terms, fit.values)
+
+        def rms(vectors: Array) -> float:
+            return float(np.sqrt(np.mean(np.sum(vectors**2, 0)))) if vectors.shape[1] else 0.0
+
+        moves = []
+        for k in range(len(fit.terms.terms)):
+            others = fit.terms.part(fit.values, [other != k for other in range(len(fit.terms.terms))])
+            moved = whole - problem.residual(fit.nuisance, *others)
+            nuisance = problem.nuisance_columns(*others)
+            if len(nuisance):
+                weighted = (nuisance * weight).reshape(len(nuisance), -1)
+                H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
+                moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
+            displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
+            moves.append(Contribution(rms(displaced[:3]), rms(displaced[3:]) if problem.rows == 6 else None))
+        return tuple(moves)
+
+    @cached_property
+    def left(self) -> Left:
+        """What the model leaves of the residuals."""
+        problem, fit, kept = self.problem, self.fit, ~self.outliers
+        position, orientation = None, None
+        if problem.declared_noise[0] is not None and kept.any():
+            rows = min(problem.rows, 3)
+            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
+        if problem.declared_noise[1] is not None and kept.any():
+            freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
+            orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
+        return Left(position, orientation, fit.noise.white, concentration(problem, fit, self.options.engine))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Whether the model with the findings describes the poses, on rows that were not used."""
+        problem, fit, kept = self.problem, self.fit, self.problem.valid
+        predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
+        if isinstance(problem.measured, Measured):
+            measured = np.asarray(problem.measured.position).T
+            predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
+        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.left.over_noise
+        return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
+
+    @cached_property
+    def rows_needed(self) -> int:
+        """About how many rows would make the nearest effect that is no finding significant, if it is real.
+
+        The evidence of an effect grows with the number of rows.
+        """
+        least = max(self.options.fewest_rows, self.problem.samples + 1)
+        if self.selection.nearest is None:
+            return least
+        term, p_value = self.selection.nearest
+        cost = Scan(self.problem, self.options.engine).cost_of_name(term)
+        now, needed = (cost - np.log(max(p, 1e-300)) for p in (p_value, self.options.engine.level))
+        return max(int(np.ceil(self.problem.samples * needed / now)), least)
+
+    @cached_property
+    def model(self) -> DiagnosedArm:
+        """The arm with the effects found, as `read_model` gives it from a file."""
+        problem, fit = self.problem, self.fit
+        arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
+        if inertia is not None and errors is not None:
+            inertia = with_mass_errors(inertia, errors.links, errors.payload)
+        effects, values = self._modelled
+        physics = Physics(effects)
+        against = None if self.against is None else self.against.to_dict()
+        model = DiagnosedArm(
+            model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
+            values=physics.join(values),
+            inertia=inertia,
+            joint_limits=problem.arm.joint_limits,
+            arm=problem.arm.name,
+            physics=physics,
+            orientation=problem.rows == 6,
+            reference_temperature=problem.recording.settings.reference_temperature_degC,
+            motion=problem.recording.motion,
+            accelerated=problem.motion.joint_acceleration is not None,
+            heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
+            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"]),
+            sliding=problem.arm.sliding,
+        )
+        known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
+        return replace(model, uncertainty=known)
+
+    @cached_property
+    def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:
+        """The effects of the model: the findings, and what joints do once a turn within their tolerance."""
+        effects, values = [f.effect for f in self.findings], [f.values for f in self.findings]
+        for j, wave in enumerate(self.problem.once_per_turn(self.fit.nuisance)):
+            own = JointHarmonic(j + 1, 1.0)
+            if own in effects:
+                values[effects.index(own)] = values[effects.index(own)] + wave
+            elif wave.any():
+                effects.append(own)
+                values.append(wave)
+        return tuple(effects), values
+
+    @property
+    def _covariances(self) -> list[Array]:
+        """Of the numbers of each effect of the model."""
+        known, ends = self.model.uncertainty, np.cumsum([freed(e).size for e in self.model.physics.effects])
+        more = []
+        for effect, end in list(zip(self.model.physics.effects, ends, strict=True))[len(self.findings) :]:
+            assert known is not None
+            own = len(known.sites) + end - effect.size + np.arange(effect.size)
+            more.append(known.covariance[np.ix_(own, own)])
+        return [finding.covariance for finding in self.findings] + more
+
+    def peak_to_peak(self, k: int) -> Estimate:
+        """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
+
+        Of each driver the central 96 % count: few samples are beyond.
+        """
+        finding, at = self.findings[k], self.problem.deflections
+        assert isinstance(finding.effect, Unnamed)
+        drivers = np.asarray(finding.effect.values_at(at.host_motion, at.loads))
+        low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
+        functions = at.basis(finding.effect)[:, ((drivers >= low) & (drivers <= high)).all(0)]
+        moved = finding.values @ functions
+        apart = functions[:, np.argmax(moved)] - functions[:, np.argmin(moved)]
+        variance = float(apart @ finding.covariance @ apart)
+        return Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
+
+    @property
+    def _too_few(self) -> bool:
+        if self.problem.samples < self.options.fewest_rows:
+            return True
+        bad = self.quality.verdict == "bad"
+        return not self._leaves_noise and not bad and self.rows_needed <= self.options.within_reach
+
+    @property
+    def _leaves_noise(self) -> bool:
+        # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
+        left = self.left
+        as_noise = left.white and (left.over_noise or 0.0) <= self.options.as_noise and self.quality.verdict != "bad"
+        return as_noise and (not self.findings or left.position is not None)
+
+    def _errors(self, stage: int) -> dict[str, float]:
+        """Statistics of the held-out errors before (0) or after (1)."""
+        kept, found = ~self.outliers, {}
+        turned = None if self.turned is None else self.turned[stage]
+        for name, unit, errors in (("position", "m", (self.before, self.after)[stage]), ("orientation", "rad", turned)):
+            if errors is not None:
+                there = errors[kept] if kept.any() else np.zeros(1)
+                found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
+        return found
+
+    def _own_parts(self) -> dict[str, Any]:
+        problem, left, withdrawn = self.problem, self.left, self.withdrawn
+        faults, outliers, acts_at = list(self.faults), self.outliers & problem.valid, left.acts_at
+        if outliers.any():
+            faults.append(DataFault("outliers", tuple(problem.recording.row[outliers].tolist())))
+        before, after = self._errors(0), self._errors(1)
+        beside: dict[str, Any] = {} if self.torques_refused is None else {"torques_refused": self.torques_refused}
+        if self.torques is not None:
+            beside = {"torques": self.torques.to_dict(), "shared": [each.to_dict() for each in self.shared]}
+        heldout = {
+            "heldout_rms_before_m": before["heldout_position_rms_m"],
+            "heldout_rms_after_m": after["heldout_position_rms_m"],
+        }
+        return {
+            "data_faults": [fault.to_dict() for fault in faults],
+            "before": before,
+            "after": after,
+            "left": {
+                "position_over_noise": left.position,
+                "orientation_over_noise": left.orientation,
+                "white": left.white,
+                "acts_at": None
+                if acts_at is None
+                else {"site": acts_at.site, "share": acts_at.share, "share_of_noise": acts_at.expected},
+            },
+            "quality": self.quality.to_dict(),
+            "withdrawn": None
+            if withdrawn is None
+            else {
+                "effects": [effect_entry(finding.effect) for finding in withdrawn.findings],
+                "heldout_position_rms_m": {"before": withdrawn.before, "after": withdrawn.after},
+            },
+            "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
+            "samples": problem.samples,
+            "left_out": problem.recording.row[self.left_out].tolist(),
+            "heldout_rows": int((~self.outliers).sum()),
+            "pose_source": problem.recording.settings.pose_source,
+            "noise": {
+                "declared_position_m": problem.declared_noise[0],
+                "declared_orientation_rad": problem.declared_noise[1],
+                "estimated_position_m": self.estimated_noise,
+            },
+            "findings": [self._finding(k, heldout) for k in range(len(self.findings))],
+            "separating_poses": [
+                {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
+                for item in self.separating
+            ],
+            "nuisance": {
+                "numbers": len(problem.frames),
+                "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
+            },
+            "model": pose_model_entry(self.model, self._covariances),
+            **beside,
+        }
+
+    def _finding(self, k: int, heldout: dict[str, float]) -> dict[str, Any]:
+        finding, size = self.findings[k], {}
+        effect = finding.effect
+        if isinstance(effect, Unnamed):
+            end = effect.component if effect.unit == "1" else effect.unit
+            sizes = {f"peak_to_peak_{end}": self.peak_to_peak(k)._asdict()}
+            size = {"peak_to_peak": sizes, "effective_parameters": finding.effective_parameters}
+        moves = {"moves_rms_m": self.moves[k].position, "moves_rms_rad": self.moves[k].orientation}
+        return finding.to_dict(size, moves | heldout, [self._alternative(k, one) for one in finding.alternatives])
+
+    def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
+        """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
+        effect, labels = one.term, (self.findings[k].effect.label, one.term.label)
+        assert isinstance(effect, Effect)
+        if one.gap >= self.options.engine.close:
+            status = "rejected"
+        elif effect in self.fit.terms.terms:
+            status = "found"
+        elif any(item.effects == labels for item in self.separating):
+            status = "separable"
+        elif effect.periodic and labels[0] == labels[1]:
+            status = "undecided"  # another order of the same wave
+        else:
+            status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
+        numbers = {key: getattr(effect, key) for key in ("order", "source_joint", "component") if hasattr(effect, key)}
+        return {**effect_entry(effect), **numbers, "log_likelihood_gap": one.gap, "status": status}
+
+
+# ------------------------------------------------------------------ the diagnosis of poses
 
 
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def diagnose(
-    recording: Recording | str | Path,
-    arm: Arm | str | Path | None = None,
+def diagnose_poses(
+    recording: Recording,
+    arm: Arm | None = None,
     *,
-    reference: Recording | str | Path | None = None,
+    reference: Recording | None = None,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
 ) -> Diagnosis:
-    """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
-
-    Args:
-        recording: measured poses in SI units, or the path of their file.
-        arm: the nominal arm, a bundled name or a file; from the sidecar, or recognised, where not given.
-        reference: poses at the same joint positions, or the path of their file. What the recording has beyond them is
-            then diagnosed; `against` of the result is the comparison.
-        geometry: what is known of it, as in `fit`.
-        effects: a user's own candidates, tested like the catalogue's.
-        factory: the arm's calibration; from the sidecar where not given.
-        options: thresholds; the documented ones where not given.
-        progress: called as each stage begins: of all rows (part 0), and of those without each held-out block.
-
-    Effects that raise the error on rows that were not used, or leave several times as much there as in those that they
-    were fitted to, are not kept, unless they hold in shorter blocks without which they are fitted again: they are in
-    `withdrawn` of the result.
+    """Locates, names, models and verifies what makes poses depart from the arm's model; arguments as of `diagnose`.
 
     Raises:
         InputError: no measured poses, too few of them, or as `fit` and `compare`.
     """
-    arm = load_nominal(arm)
-    recording = load_recording(recording, arm)
-    require_effects(effects)
-    require_type("options", options, Options | None, "lite6jax.Options(…)")
-    if recording.position is None and recording.has_torques:
-        raise InputError(f"{recording.source}: has torques and no poses; call lite6jax.diagnose_torques")
     if reference is not None:
-        seen = compare(recording, load_recording(reference, arm), arm, geometry)
+        seen = compare(recording, reference, arm, geometry)
         given: dict[str, Any] = {"geometry": seen.geometry, "factory": seen.factory, "effects": effects}
-        found = diagnose(seen.recording, arm, **given, options=options, progress=progress)
+        found = diagnose_poses(seen.recording, arm, **given, options=options, progress=progress)
         return replace(found, against=seen)
     options = options or Options()
     with followed(progress):
@@ -146,127 +453,105 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
 
 
-# ------------------------------------------------------------------ poses and torques of one recording
+# ------------------------------------------------------------------ of either domain, or of both
 
 
-Quantity = Literal["payload_mass", "gravity_direction", "clock_offset"]
+class _Given(TypedDict, total=False):
+    """The other arguments of `diagnose`, for type checkers."""
 
-_PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
-    ("payload_mass", PayloadError(), PayloadTorque(), 1.0),
-    # poses state by what gravity is turned, torques by what the base is: the opposite
-    ("gravity_direction", GravityDirection(), BaseTilt(), -1.0),
-    ("clock_offset", TimeOffset(), TorqueTimeOffset(), 1.0),
-)
-"""The effects of both domains that are one quantity, and the sign of the second over the first."""
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Shared:
-    """A quantity on which both domains depend, what each says of it, and the p-value of a difference as large.
-
-    A domain that does not show it says None. A finding of one at least concerns it.
-    """
-
-    quantity: Quantity
-    poses: EffectEstimate | None
-    torques: EffectEstimate | None
-    p_value: float | None
-
-    @property
-    def agree(self) -> bool | None:
-        """Whether both say the same within their uncertainty; None where one of them says nothing."""
-        return None if self.p_value is None else self.p_value >= DISAGREE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        said: dict[str, Any] = {"quantity": self.quantity, "p_value": self.p_value, "agree": self.agree}
-        return said | {"poses": side_entry(self.poses), "torques": side_entry(self.torques)}
+    reference: Source | None
+    geometry: Geometry
+    effects: Sequence[Effect]
+    factory: FactoryCalibration | None
+    options: Options | None
+    progress: Callable[[Stage], object] | None
 
 
-@final
-@dataclass(frozen=True, eq=False, repr=False)
-class CombinedDiagnosis(PublicResult):
-    """The diagnoses of the poses and of the torques of one recording.
-
-    Attributes:
-        poses: of the poses.
-        torques: of the torques; None where these cannot be diagnosed.
-        shared: quantities on which both depend and which a finding concerns.
-        refused: why the torques cannot be diagnosed, with the remedy; None where they are.
-    """
-
-    poses: Diagnosis
-    torques: TorqueDiagnosis | None
-    shared: tuple[Shared, ...] = ()
-    refused: str | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The document: that of the poses, with that of the torques as `torques`.
-
-        Everything that reads a diagnosis of poses reads it as one.
-        """
-        document = self.poses.to_dict()
-        if self.torques is None:
-            return document | {"torques_refused": self.refused}
-        shared = [each.to_dict() for each in self.shared]
-        return document | {"torques": self.torques.to_dict(), "shared": shared}
-
-
-def diagnose_combined(
-    recording: Recording | str | Path,
-    arm: Arm | str | Path | None = None,
+@overload
+def diagnose(
+    recording: Source, arm: Nominal = None, *, domain: Literal["poses"], **given: Unpack[_Given]
+) -> Diagnosis: ...
+@overload
+def diagnose(
+    recording: Source, arm: Nominal = None, *, domain: Literal["torques"], **given: Unpack[_Given]
+) -> TorqueDiagnosis: ...
+@overload
+def diagnose(
+    recording: Source, arm: Nominal = None, *, domain: Domain | None = None, **given: Unpack[_Given]
+) -> Diagnosis | TorqueDiagnosis: ...
+def diagnose(
+    recording: Source,
+    arm: Nominal = None,
     *,
-    reference: Recording | str | Path | None = None,
+    domain: Domain | None = None,
+    reference: Source | None = None,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
+    factory: FactoryCalibration | None = None,
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
-) -> CombinedDiagnosis:
-    """Diagnoses the poses and the torques of a recording that has both.
+) -> Diagnosis | TorqueDiagnosis:
+    """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
-    Torques that cannot be diagnosed (of an arm at rest, or without inertia) are left out with the reason.
+    Of poses and torques both are diagnosed, and what they say of quantities on which both depend is compared: the
+    result is that of the poses, with that of the torques as `torques`. Torques that cannot be diagnosed beside poses
+    (of an arm at rest, or without inertia) are left out with the reason.
 
     Args:
-        recording: with poses and with torques or currents; or the path of its file.
-        arm: the nominal arm, a bundled name or a file; from the sidecar, or recognised, where not given.
-        reference: another recording, or its file, relative to which both are diagnosed as far as it has poses and
-            torques.
-        geometry: of the poses, as in `diagnose`.
-        effects: a user's own, of either domain.
-        options: thresholds.
-        progress: called as each stage begins, of the poses and then of the torques.
+        recording: measured poses, or torques or currents with times, in SI units, or both; or the path of its file. Of
+            torques of static postures gravity alone is compared: offsets, scales, masses, centres of mass, payload and
+            tilt.
+        arm: the nominal arm, a bundled name or a file; from the sidecar, or of poses recognised, where not given. Of
+            torques its chain is that of the factory calibration, where the sidecar declares one.
+        domain: what of the recording is diagnosed: "poses" or "torques"; all that it has where not given.
+        reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
+            the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
+            another what either shows is compared. `against` of the result is the comparison.
+        geometry: what is known of it, as in `fit`; of poses only.
+        effects: a user's own candidates of either domain, tested like the catalogue's.
+        factory: the arm's calibration; from the sidecar where not given; of poses.
+        options: thresholds; the documented ones where not given.
+        progress: called as each stage begins: of all rows (part 0), and of those without each held-out block; of the
+            poses, and then of the torques.
+
+    Effects that raise the error on rows that were not used, or of poses leave several times as much there as in those
+    that they were fitted to, are not kept, unless they hold in shorter blocks without which they are fitted again: they
+    are in `withdrawn` of the result.
 
     Raises:
-        InputError: poses or torques only, or as `diagnose`.
+        InputError: nothing of the domain was recorded, or too little, or as `fit` and `compare`; of torques no arm is
+            declared, no times, gaps in most of them, an arm at rest, or another unit; or an argument that is of poses
+            where torques alone are diagnosed.
     """
     arm = load_nominal(arm)
     recording = load_recording(recording, arm)
-    if recording.position is None or not recording.has_torques:
-        has = "torques and no poses" if recording.position is None else "poses and no torques"
-        own = "diagnose_torques" if recording.position is None else "diagnose"
-        raise InputError(f"{recording.source}: has {has}; call lite6jax.{own}")
-    arm = arm or arm_of(recording)
-    other = None if reference is None else load_recording(reference, arm)
     require_effects(effects)
+    require_type("options", options, Options | None, "lite6jax.Options(…)")
+    if domain not in (None, "poses", "torques"):
+        raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
+    if recording.position is None and recording.has_torques:
+        if domain == "poses":
+            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
+        domain = "torques"
     kinematic, dynamic = by_domain(effects)
     given: dict[str, Any] = {"options": options, "progress": progress}
-    of_poses = other if other is not None and other.position is not None else None
+    if domain == "torques":
+        if geometry != "declared" or factory is not None:
+            named = "geometry" if geometry != "declared" else "factory"
+            raise InputError(f"{named}: is of poses, and {recording.source} is diagnosed by its torques; leave it out")
+        other = None if reference is None else load_recording(reference, arm)
+        return diagnose_torques(recording, arm, reference=other, effects=dynamic, **given)
+    both = domain is None and recording.has_torques
+    arm = arm or arm_of(recording) if both else arm
+    other = None if reference is None else load_recording(reference, arm)
+    of_poses = other if not both or other is None or other.position is not None else None
+    of_arm: dict[str, Any] = {"geometry": geometry, "factory": factory}
+    poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **given)
+    if not both:
+        return poses
     of_torques = other if other is not None and other.has_torques else None
-    poses = diagnose(recording, arm, reference=of_poses, geometry=geometry, effects=kinematic, **given)
     try:
         torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **given)
     except InputError as error:
-        return CombinedDiagnosis(poses, None, refused=str(error))
-    return CombinedDiagnosis(poses, torques, compare_domains(poses, torques))
-
-
-def compare_domains(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared, ...]:
-    """The quantities that a finding of either concerns, each as both see it."""
-    found = []
-    for quantity, kinematic, dynamic, sign in _PAIRS:
-        if poses.has(kinematic) or torques.has(dynamic):
-            one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
-            p = None if one is None or other is None else difference_p_value(one, other, sign)
-            found.append(Shared(quantity, one, other, p))
-    return tuple(found)
+        return replace(poses, torques_refused=str(error))
+    return replace(poses, torques=torques, shared=compare_domains(poses, torques))

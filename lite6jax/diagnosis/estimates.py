@@ -1,14 +1,17 @@
 """What a diagnosis of either domain says of one effect, and whether two agree."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.terms import Terms
 
@@ -84,3 +87,52 @@ def difference_p_value(one: EffectEstimate, other: EffectEstimate, sign: float =
     off = one.values - sign * other.values
     together = one.covariance + other.covariance
     return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
+
+
+# ------------------------------------------------------------------ poses and torques of one recording
+
+
+Quantity = Literal["payload_mass", "gravity_direction", "clock_offset"]
+
+_PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
+    ("payload_mass", PayloadError(), PayloadTorque(), 1.0),
+    # poses state by what gravity is turned, torques by what the base is: the opposite
+    ("gravity_direction", GravityDirection(), BaseTilt(), -1.0),
+    ("clock_offset", TimeOffset(), TorqueTimeOffset(), 1.0),
+)
+"""The effects of both domains that are one quantity, and the sign of the second over the first."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """A quantity on which both domains depend, what each says of it, and the p-value of a difference as large.
+
+    A domain that does not show it says None. A finding of one at least concerns it.
+    """
+
+    quantity: Quantity
+    poses: EffectEstimate | None
+    torques: EffectEstimate | None
+    p_value: float | None
+
+    @property
+    def agree(self) -> bool | None:
+        """Whether both say the same within their uncertainty; None where one of them says nothing."""
+        return None if self.p_value is None else self.p_value >= DISAGREE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        said: dict[str, Any] = {"quantity": self.quantity, "p_value": self.p_value, "agree": self.agree}
+        return said | {"poses": side_entry(self.poses), "torques": side_entry(self.torques)}
+
+
+def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Shared, ...]:
+    """The quantities that a finding of either concerns, each as both see it."""
+    found = []
+    for quantity, kinematic, dynamic, sign in _PAIRS:
+        if poses.has(kinematic) or torques.has(dynamic):
+            one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
+            p = None if one is None or other is None else difference_p_value(one, other, sign)
+            found.append(Shared(quantity, one, other, p))
+    return tuple(found)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.partial_residuals import added_torque
-from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
-from lite6jax.diagnosis.result import Diagnosis, DomainDiagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.columns import site_of
 from lite6jax.domains.pose.kinematics import Site

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
-from lite6jax.calibration.source import declared_arm_of, load_nominal, load_recording, with_calibration
+from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.document import effect_entry, torque_model_entry
 from lite6jax.diagnosis.estimates import (
     DISAGREE,
@@ -37,8 +37,6 @@ from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.catalogue import torque_catalogue
 from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate, slides
-from lite6jax.effects.user_effects import require_effects
-from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.progress import Stage, entered, followed, part
@@ -179,45 +177,27 @@ show it."""
 
 
 def diagnose_torques(
-    recording: Recording | str | Path,
-    arm: Arm | str | Path | None = None,
+    recording: Recording,
+    arm: Arm | None = None,
     *,
-    reference: Recording | str | Path | None = None,
+    reference: Recording | None = None,
     effects: Sequence[TorqueEffect] = (),
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
 ) -> TorqueDiagnosis:
     """Locates, names, models and verifies what makes motor torques depart from the inverse dynamics of the arm.
 
-    Args:
-        recording: a trajectory with times and torques, or currents with their torque constants, in SI units; or the
-            path of its file. Of static postures gravity alone is compared: offsets, scales, masses, centres of mass,
-            payload, tilt.
-        arm: the declared arm, a bundled name or a file; from the sidecar where not given. Its chain is that of the
-            factory calibration, where the sidecar declares one.
-        reference: torques of the same arm, or of a simulator, or the path of their file. Of the same motion the
-            difference is diagnosed; otherwise what either shows is compared, with the uncertainty of both. `against` of
-            the result is the comparison.
-        effects: a user's own candidates, tested like the catalogue's.
-        options: thresholds; the documented ones where not given.
-        progress: called as each stage begins.
-
-    Effects that raise the error on held-out rows are fitted again without shorter blocks. Where they raise it there
-    too, they are withdrawn, and stand in `withdrawn` of the result.
+    Arguments are as of `diagnose`. Effects that raise the error on held-out rows are fitted again without shorter
+    blocks. Where they raise it there too, they are withdrawn, and stand in `withdrawn` of the result.
 
     Raises:
         InputError: no arm is declared; no torques, no times, gaps in most of them, an arm at rest, or another unit;
             or as `compare_rows`.
     """
-    require_effects(effects)
-    require_type("options", options, Options | None, "lite6jax.Options(…)")
-    options = options or Options()
-    arm = load_nominal(arm)
-    recording = load_recording(recording, arm)
-    alone = partial(_diagnose_alone, effects=effects, options=options, progress=progress)
+    alone = partial(_diagnose_alone, effects=effects, options=options or Options(), progress=progress)
     if reference is None:
         return alone(recording, arm)
-    return _diagnose_against(recording, load_recording(reference, arm), arm or declared_arm_of(recording), alone)
+    return _diagnose_against(recording, reference, arm or declared_arm_of(recording), alone)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem

@@ -11,10 +11,9 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMetho
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
-from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
@@ -66,18 +65,12 @@ _LOWEST = 1e-4
 
 
 def drawings(
-    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, title: str, document: Mapping[str, Any] | None = None
+    found: Diagnosis | TorqueDiagnosis, title: str, document: Mapping[str, Any] | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
-    if isinstance(found, CombinedDiagnosis):
-        yield from drawings(found.poses, title, document)
-        if found.torques is not None:
-            own = None if document is None else document["torques"]
-            yield from ((PREFIX + name, figure) for name, figure in drawings(found.torques, title, own))
-        return
     order = None if document is None else ranking.order(document)
     if isinstance(found, TorqueDiagnosis):
         yield "error_by_joint", torque_error_by_joint(found, title)
@@ -91,6 +84,9 @@ def drawings(
         yield "orders", order_spectrum(found, title)
     if found.findings:
         yield "findings", finding_figure(found, title, order=order)
+    if isinstance(found, Diagnosis) and found.torques is not None:
+        own = None if document is None else document["torques"]
+        yield from ((PREFIX + name, figure) for name, figure in drawings(found.torques, title, own))
 
 
 # ------------------------------------------------------------------ of poses

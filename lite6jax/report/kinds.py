@@ -20,9 +20,8 @@ from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Solution, write_solution
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import document_text
-from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction, prediction_columns
@@ -33,7 +32,6 @@ from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures
 from lite6jax.report.compensation import compensation_columns
-from lite6jax.report.diagnosis_figures import PREFIX
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import diagnosis_page
@@ -142,12 +140,6 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
     return Figures(diagnosis_figures.drawings(found, title, found.to_dict()))
 
 
-@draw.register
-def _combined(found: CombinedDiagnosis, title: str) -> Figures:
-    torques = {} if found.torques is None else draw(found.torques, title)
-    return Figures({**draw(found.poses, title), **{PREFIX + name: figure for name, figure in torques.items()}})
-
-
 # ------------------------------------------------------------------ tables
 
 
@@ -213,10 +205,9 @@ _PARAMETER = ("of", "finding", "effect", "site", "driver", "parameter", "value",
 
 @tabulate.register(Diagnosis)
 @tabulate.register(TorqueDiagnosis)
-@tabulate.register(CombinedDiagnosis)
-def _diagnosis_table(found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis) -> Columns:
+def _diagnosis_table(found: Diagnosis | TorqueDiagnosis) -> Columns:
     """A row for each parameter of each finding; findings are numbered from 1."""
-    parts = (found.poses, found.torques) if isinstance(found, CombinedDiagnosis) else (found,)
+    parts = (found, found.torques if isinstance(found, Diagnosis) else None)
     rows = [
         (of, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
         for part in parts
@@ -261,7 +252,6 @@ def _saved_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
 
 @write.register(Diagnosis)
 @write.register(TorqueDiagnosis)
-@write.register(CombinedDiagnosis)
 def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
     """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
     suffix = path.suffix.lower()

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import is_of_torques
-from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
@@ -40,7 +39,7 @@ _DPI = 120
 
 
 def diagnosis_page(
-    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis,
+    found: Diagnosis | TorqueDiagnosis,
     document: Document,
     source: str | None = None,
     figures: Mapping[str, Figure] | None = None,
@@ -55,14 +54,13 @@ def diagnosis_page(
         figures: those of `diagnosis_figures.drawings`; drawn where not given.
         files: for commands to copy; without them there are none, and without a source the recording's where it is one.
     """
-    poses = found.poses if isinstance(found, CombinedDiagnosis) else found
-    recorded = poses.recording.source
+    recorded = found.recording.source
     if source is None and storage.exists(recorded):
         files = files or Files(Path(recorded))
     source = recorded if source is None else source
     figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
-    torques = found.torques if isinstance(found, CombinedDiagnosis) else None
-    parts = [("", sections_of(Report(document, files, pictures=_pictures(poses, document, figures))))]
+    torques = found.torques if isinstance(found, Diagnosis) else None
+    parts = [("", sections_of(Report(document, files, pictures=_pictures(found, document, figures))))]
     if torques is not None:
         own = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
         shown = _pictures(torques, document["torques"], own)

@@ -15,8 +15,7 @@ from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis
-from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
@@ -204,20 +203,15 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     sentences.append(f"The held-out {start} {left}{sizes[0]} RMS with the model of the arm alone.")
     if faults := [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]:
         sentences.append(f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}.")
-    notes = (*statements.assumptions(document), *statements.what_to_record(document))
-    title = f"Diagnosis of {'the torques of ' if torques else ''}a {document['model']['arm']}"
-    return Description(title, tuple(sentences), notes)
-
-
-@describe.register
-def _combined(found: CombinedDiagnosis) -> Description:
-    poses, document = describe(found.poses), found.to_dict()
-    title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
-    if found.torques is None:
-        return Description(title, (*poses.sentences, statements.refusal(document)), poses.notes)
-    torques = describe(found.torques)
-    both = tuple(map(statements.shared_statement, document["shared"]))
-    return Description(title, (*poses.sentences, *torques.sentences, *both), (*poses.notes, *torques.notes))
+    notes = [*statements.assumptions(document), *statements.what_to_record(document)]
+    what = "the torques of " if torques else ""
+    if "torques_refused" in document:
+        sentences.append(statements.refusal(document))
+    if isinstance(found, Diagnosis) and found.torques is not None:
+        what, beside = "the poses and torques of ", describe(found.torques)
+        sentences += [*beside.sentences, *map(statements.shared_statement, document["shared"])]
+        notes += beside.notes
+    return Description(f"Diagnosis of {what}a {document['model']['arm']}", tuple(sentences), tuple(notes))
 
 
 def _mm(metres: float) -> str:

@@ -14,8 +14,9 @@ from typed import flat, run
 
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
-from lite6jax.diagnosis.diagnose import CombinedDiagnosis, compare_domains, diagnose_combined
+from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
+from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, ViscousFriction
 from lite6jax.effects.kinematic import GravityDirection, JointCompliance, PayloadError
 from lite6jax.errors import InputError
@@ -75,7 +76,7 @@ def recording(made):
 def found(recording):
     """Both, the payload found by the torques alone: the poses have it beside their finding."""
     poses, torques = diagnosed.diagnosed(recording, (JointCompliance(2),)), torques_of(recording)
-    return CombinedDiagnosis(poses, torques, compare_domains(poses, torques))
+    return replace(poses, torques=torques, shared=compare_domains(poses, torques))
 
 
 def test_the_payload_is_compared(recording, found):
@@ -110,7 +111,7 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_combined", lambda *_, **__: found)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: found)
     named = ["error_by_joint", "where", "orders"]
     named += [f"torque_{name}" for name in ("error_by_joint", "over_time", "friction")]
     blank = {name: Figure((1, 1)) for name in named}
@@ -153,7 +154,7 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
 
 def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_path, capsys, monkeypatch):
     run_file, out = write_recording(recording, tmp_path / "run.csv"), tmp_path / "d.json"
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_combined", lambda *_, **__: found)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: found)
     _, printed, _ = run(capsys, "diagnose", run_file, "--out", out)
     code, said, err = run(capsys, "report", out)
     assert (code, err) == (0, "")
@@ -161,7 +162,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     assert [line for line in said.splitlines() if line != str(out)] == shown
     assert "joint 2 (Nm), RMS" in said
     assert "they agree" in flat(said)
-    refused = replace(found, torques=None, shared=(), refused="it holds static poses")
+    refused = replace(found, torques=None, shared=(), torques_refused="it holds static poses")
     write_document(with_statements(refused.to_dict()), out, overwrite=True)
     assert "not diagnosed: it holds static poses." in flat(run(capsys, "report", out)[1])
     document = found.to_dict()
@@ -173,10 +174,11 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
 
 
 def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: found.poses)
-    alone = diagnose_combined(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
+    poses = replace(found, torques=None, shared=())
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_poses", lambda *_, **__: poses)
+    alone = diagnose(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
     assert alone.torques is None
-    assert "has no masses" in alone.refused
+    assert "has no masses" in alone.torques_refused
     document = with_statements(alone.to_dict())
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
@@ -186,11 +188,35 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
     assert any("has no masses" in str(part) for part in diagnosis_report(document, "run.csv"))
 
 
-def test_what_is_not_both_is_refused(recording, tmp_path, capsys):
-    with pytest.raises(InputError, match=r"has poses and no torques; call lite6jax\.diagnose$"):
-        diagnose_combined(replace(recording, joint_torque=None))
-    with pytest.raises(InputError, match=r"has torques and no poses; call lite6jax\.diagnose_torques$"):
-        diagnose_combined(replace(recording, position=None, quaternion=None))
+@pytest.mark.parametrize(
+    ("domain", "without", "searched"),
+    [
+        (None, {}, ["poses", "torques"]),
+        ("poses", {}, ["poses"]),
+        ("torques", {}, ["torques"]),
+        (None, {"joint_torque": None}, ["poses"]),
+        (None, {"position": None, "quaternion": None}, ["torques"]),
+    ],
+)
+def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, monkeypatch, domain, without, searched):
+    """Each domain is given the effects of a user's own that are of it."""
+    given, own = {}, (JointCompliance(2), ViscousFriction(2))
+    for name, one in (("poses", replace(found, torques=None, shared=())), ("torques", found.torques)):
+        take = lambda *_, name=name, one=one, **more: given.update({name: more["effects"]}) or one  # noqa: E731
+        monkeypatch.setattr(f"lite6jax.diagnosis.diagnose.diagnose_{name}", take)
+    diagnosis = diagnose(replace(recording, **without), domain=domain, effects=own)
+    assert given == {name: own[name == "torques" :][:1] for name in searched}
+    assert isinstance(diagnosis, type(found) if "poses" in searched else type(found.torques))
+    if "poses" in searched:
+        assert (diagnosis.torques is found.torques) == ("torques" in searched)
+
+
+def test_what_a_domain_does_not_have_is_refused(recording, tmp_path, capsys):
+    of_torques = replace(recording, position=None, quaternion=None)
+    with pytest.raises(InputError, match=r"has torques and no poses; give domain='torques'$"):
+        diagnose(of_torques, domain="poses")
+    with pytest.raises(InputError, match=r"^geometry: is of poses, and .* is diagnosed by its torques; leave it out$"):
+        diagnose(of_torques, geometry="exact")
     run_file = write_recording(recording, tmp_path / "run.csv")
     code, _, err = run(capsys, "diagnose", run_file, "--out", tmp_path / "d.json", "--poses", "--torques")
     assert code == 2

@@ -18,7 +18,7 @@ from diagnosis.recorded import (
 from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.diagnose import diagnose as diagnose_with
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.explanation import Case
 from lite6jax.diagnosis.explanation import explain as explain_with
 from lite6jax.diagnosis.options import Options
@@ -58,7 +58,7 @@ def soft(arm, still, wild):
 
 
 def diagnose(recording, **given):
-    return diagnose_with(recording, options=TWO_FOLDS, **given)
+    return diagnose_poses(recording, options=TWO_FOLDS, **given)
 
 
 def explain(recording):

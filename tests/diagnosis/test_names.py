@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import Made, moving_motion, static_motion, with_effects
 from scipy.signal import lfilter
 
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
@@ -129,7 +129,7 @@ def test_a_compliance_of_the_wrong_sign_is_none(arm, still):
 def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, still):
     """A joint that sticks here and there for no reason in the recording: part of that resembles a wrong scale."""
     q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
-    diagnosis = diagnose(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
+    diagnosis = diagnose_poses(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
     assert not diagnosis.findings
     assert diagnosis.left.acts_at.site == "joint5"
     document = diagnosis.to_dict()
@@ -142,7 +142,7 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
 
 
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
-    diagnosis = diagnose(arm.recording(static_motion(6, 12)))
+    diagnosis = diagnose_poses(arm.recording(static_motion(6, 12)))
     assert diagnosis.verdict == "undetermined"
     assert diagnosis.to_dict()["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
 
@@ -152,7 +152,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
     """What is left is the noise either way: a small effect may have gone into the numbers of the finding."""
     scale = "joint_scale:joint=2,scale=2e-4"
     small = f"joint_compliance:joint=3,compliance_rad_per_Nm={compliance}"
-    diagnosis = diagnose(with_effects(arm, scale, small).recording(static_motion(21, 200)))
+    diagnosis = diagnose_poses(with_effects(arm, scale, small).recording(static_motion(21, 200)))
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_scale:joint2"]
     assert (diagnosis.left.over_noise or 0.0) <= OPTIONS.as_noise
     assert diagnosis.verdict == verdict
@@ -188,7 +188,7 @@ def judged(found, monkeypatch):
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: errors)
         if refitted:
             monkeypatch.setattr("lite6jax.diagnosis.diagnose.refitted_errors", lambda *given: errors)
-        return diagnose(recording)
+        return diagnose_poses(recording)
 
     return judge
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, Finding
+from lite6jax.diagnosis.result import Finding
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kernels import orders_of, spectrum_deviations

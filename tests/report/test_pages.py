@@ -111,10 +111,9 @@ def test_nothing_missing(clean, domain):
 @pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_both(tmp_path, recorded, motors, monkeypatch, capsys, domain):
     recording, effects = recorded(COMPLIANCE)
-    found, search, names = diagnosed(recording, effects), "lite6jax.diagnosis.diagnose.diagnose", NAMES["poses"]
+    found, search, names = diagnosed(recording, effects), "lite6jax.diagnosis.diagnose.diagnose", NAMES[domain]
     if domain == "torques":
-        recording, search = torques_recorded(), "lite6jax.diagnosis.torque_diagnosis.diagnose_torques"
-        found, names = motors, NAMES["torques"]
+        recording, found = torques_recorded(), motors
     run = write_recording(recording, tmp_path / "<b>run.csv")
     monkeypatch.setattr(search, lambda *_, **__: found)
     out, report, figures = (str(tmp_path / name) for name in ("d.json", "r.html", "figures"))

@@ -9,7 +9,7 @@ from diagnosis.recorded import NOISE, Made, static_motion
 import lite6jax
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.check import check_recording
 from lite6jax.recordings import RecordingSettings, write_recording
@@ -105,5 +105,5 @@ def test_a_row_that_is_off_by_less_than_rounding_is_no_outlier(tmp_path, size, r
     solution = lite6jax.fit(recording)
     assert solution.weight[6] < 0.1
     assert recording.row[solution.outlying].tolist() == rows
-    found = diagnose(recording, options=QUICK)
+    found = diagnose_poses(recording, options=QUICK)
     assert recording.row[found.outliers].tolist() == rows

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from diagnosis.recorded import OPTIONS, Made, drawn, estimates, fitted_to, found, moving_motion, static_motion
 
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import pose_problem
@@ -134,7 +134,7 @@ def test_compliances_of_a_payload_that_is_too_little_to_be_found_are_in_their_in
     recording = drawn(tmp_path, 2241, 261)
     truth = {"joint2": 2.266614952960005e-05, "joint3": 1.1278647413608272e-4}
     for options, inside in ((OPTIONS, True), (replace(OPTIONS, wrong_input=0.0), False)):
-        findings = diagnose(recording, options=Options(engine=options)).findings
+        findings = diagnose_poses(recording, options=Options(engine=options)).findings
         assert sorted(f.effect.site for f in findings) == sorted(truth)
         for finding in findings:
             value, std = finding.parameters["compliance_rad_per_Nm"]

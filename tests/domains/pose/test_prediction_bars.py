@@ -14,7 +14,7 @@ from domains.pose.documents import document, refused, stored
 from typed import flat, run
 
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import compensate
@@ -50,7 +50,7 @@ def arm(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(arm):
     """A diagnosis of a quarter of the arm's range, so that there is much outside."""
-    return diagnose(arm.recording(narrow(1)))
+    return diagnose_poses(arm.recording(narrow(1)))
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +160,7 @@ def test_the_covariance_is_that_of_the_fit(arm, found, model):
     prediction by least squares in closed form.
     """
     known, k = model.uncertainty, len(model.uncertainty.sites)
-    sure = diagnose(arm.recording(narrow(1)), options=Options(folds=2, engine=EngineOptions(wrong_input=0.0)))
+    sure = diagnose_poses(arm.recording(narrow(1)), options=Options(folds=2, engine=EngineOptions(wrong_input=0.0)))
     np.testing.assert_allclose(known.covariance[k:, k:], sure.fit.covariance, rtol=1e-3)
     assert np.all(found.fit.covariance > sure.fit.covariance)
     change = Derivatives(model, found.problem.motion, known.sites)

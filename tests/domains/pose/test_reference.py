@@ -90,7 +90,7 @@ def notes(compared):
 
 def diagnose_against(recording, other, *arguments):
     """With two folds: what is held out is tested elsewhere."""
-    found = diagnose.diagnose(recording, *arguments, reference=other, options=Options(folds=2))
+    found = diagnose.diagnose_poses(recording, *arguments, reference=other, options=Options(folds=2))
     return found, found.against
 
 

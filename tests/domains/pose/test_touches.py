@@ -10,7 +10,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.design.readings import READERS
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.fit import fit_recording
 from lite6jax.domains.pose.predict import predict
@@ -137,7 +137,7 @@ def test_a_plate_that_every_touch_found_at_one_point_is_refused(tmp_path):
     assert "three or more places" in refused(dataclasses.replace(recording, readings=readings, settings=settings))
 
 
-@pytest.mark.parametrize("task", [fit_recording, diagnose])
+@pytest.mark.parametrize("task", [fit_recording, diagnose_poses])
 def test_a_few_touches_and_touches_of_as_many_places_are_refused(tmp_path, task):
     recording = recording_of(tmp_path, "contact", samples=40)
     with pytest.raises(InputError, match="its 3 readings are too few; touch each socket at ten or more"):
@@ -165,7 +165,7 @@ def test_distances_between_contacts_that_are_not_there_are_refused(tmp_path):
 
 def test_heights_show_a_compliance_and_predict_it(tmp_path):
     effect = "joint_compliance:joint=2,compliance_rad_per_Nm=1.5e-4"
-    found = diagnose(recording_of(tmp_path, "axis", samples=90, effects=[effect]), options=QUICK)
+    found = diagnose_poses(recording_of(tmp_path, "axis", samples=90, effects=[effect]), options=QUICK)
     assert [finding.effect.label for finding in found.findings] == ["joint_compliance:joint2"]
     (estimate,) = found.findings[0].parameters.values()
     assert abs(estimate.value - 1.5e-4) < 4 * estimate.std
@@ -179,7 +179,7 @@ def test_heights_show_a_compliance_and_predict_it(tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("sensor", [*TOUCHES, "fixed_camera"])
 def test_clean_readings_have_no_finding(tmp_path, sensor):
-    found = diagnose(recording_of(tmp_path, sensor, samples=80, seed=6), options=QUICK)
+    found = diagnose_poses(recording_of(tmp_path, sensor, samples=80, seed=6), options=QUICK)
     assert not found.findings
     assert found.to_dict()["schema"]
 
@@ -188,7 +188,7 @@ def test_clean_readings_have_no_finding(tmp_path, sensor):
 def test_touches_of_an_arm_without_calibration_predict_other_places(tmp_path):
     recording = recording_of(tmp_path, "contact", samples=160, exact=False)
     left = np.isin(recording.readings.group, (0, 1))
-    found = diagnose(recording.select(left), options=QUICK)
+    found = diagnose_poses(recording.select(left), options=QUICK)
     nominal = fit_recording(recording.select(left)).nominal_errors.position_rms
     p = predict(found.model, recording.select(~left).joint_position)[:, :3, 3]
     group = recording.readings.group[~left]
