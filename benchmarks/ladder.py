@@ -22,8 +22,8 @@ from benchmarks.measure import DONE, run_command
 from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.calibration.source import declared_arm_of
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.filtering import sample_rate
-from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
@@ -147,7 +147,7 @@ def tables(recording: Recording, cutoff: float, ours: bool) -> Iterator[Table]:
         errors = dict(climb(model, halves[train], test, low))
         if ours:
             found, unseen = diagnose_torques(parts[train]).model, parts[1 - train]
-            errors["diagnosis"] = low((predict_torques(found, unseen) - unseen.torques()).T)
+            errors["diagnosis"] = low((predict(found, unseen) - unseen.torques()).T)
         for step, off in errors.items():
             table.add_row(step, *(f"{value:.3f}" for value in rms(off, test)))
         yield table

@@ -29,13 +29,9 @@ if TYPE_CHECKING:
     from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis as TorqueDiagnosis
     from lite6jax.domains.pose.compensate import compensate as compensate
     from lite6jax.domains.pose.fit import fit as fit
-    from lite6jax.diagnosis.document import read_model as read_model, read_torque_model as read_torque_model
-    from lite6jax.domains.pose.predict import predict as predict, predicted as predicted
+    from lite6jax.diagnosis.document import read_model as read_model
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
-    from lite6jax.domains.torque.predict import (
-        predict_torques as predict_torques,
-        predicted_torques as predicted_torques,
-    )
+    from lite6jax.domains.predict import predict as predict, predicted as predicted
     from lite6jax.effects.deflection import (
         Deflection as Deflection,
         place_at_joint as place_at_joint,
@@ -105,10 +101,9 @@ _NAMES = {
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis",),
     "lite6jax.domains.pose.compensate": ("compensate",),
-    "lite6jax.diagnosis.document": ("read_model", "read_torque_model"),
-    "lite6jax.domains.pose.predict": ("predict", "predicted"),
+    "lite6jax.diagnosis.document": ("read_model",),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
-    "lite6jax.domains.torque.predict": ("predict_torques", "predicted_torques"),
+    "lite6jax.domains.predict": ("predict", "predicted"),
     "lite6jax.effects.deflection": ("Deflection", "place_at_joint", "twist"),
     "lite6jax.effects.drivers": ("Driver",),
     "lite6jax.effects.dynamic": ("Dynamics", "JointTorque", "TorqueEffect"),

@@ -83,7 +83,6 @@ FRAME = pd.DataFrame({"q1_rad": [0.0]})
         (lambda _: lite6jax.diagnose(BARE, options=3), r"options: has the type int; give lite6jax\.Options"),
         (lambda _: lite6jax.diagnose(BARE, effects="mine.py"), r"effects: has the type str; .*lite6jax\.load_effects"),
         (lambda _: lite6jax.diagnose(BARE, effects=[3]), r"effects\[0\]: has the type int; give an effect"),
-        (lambda _: lite6jax.predict_torques(3, "m.csv"), r"model: has the type int; give lite6jax\.read_torque_model"),
     ],
 )
 def test_another_type_is_refused_in_one_line_that_says_what_is_accepted(model, call, said):

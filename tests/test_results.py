@@ -49,7 +49,7 @@ def found(tmp_path_factory):
         *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12)),
         plan_discrimination(experiment, rivals, q, 12),
         lite6jax.sensitivity("lite6", samples=200),
-        *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted_torques(torques.model, motion)),
+        *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted(torques.model, motion)),
         lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),
         lite6jax.register_model(poses.model, recording)[1],
     ]

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.cli.command import list_inputs
-from lite6jax.diagnosis.document import model_from_document, read_torque_model, write_document
-from lite6jax.domains.pose.predict import predict
+from lite6jax.diagnosis.document import model_from_document, read_model, write_document
+from lite6jax.domains.predict import predict
 from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report import statements
@@ -162,7 +162,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     assert (code, err) == (0, "")
     assert "Joint 2 rubs" in out
     assert "is no diagnosis of torques" in refused(capsys, "view", made[0], "--torques")
-    scene = torque_scene(document, read_torque_model(file), read_recording(path))
+    scene = torque_scene(document, read_model(file, domain="torques"), read_recording(path))
     with served(scene, HOST, 0) as shown:
         handle = shown.server.scene.get_handle_by_name
         sample = 100 + int(scene.torques[1].over_noise[100:-100, 1].argmax())

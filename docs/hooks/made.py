@@ -127,10 +127,7 @@ PYTHON = {
         "six_parameter_to_hayati", "hayati_to_six_parameter",
     ),
     "Diagnose": ("diagnose", "Diagnosis", "TorqueDiagnosis", "Options", "EngineOptions"),
-    "Use a diagnosis": (
-        "read_model", "predict", "predicted", "compensate", "register", "register_model", "read_torque_model",
-        "predict_torques",
-    ),
+    "Use a diagnosis": ("read_model", "predict", "predicted", "compensate", "register", "register_model"),
     "Recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
     "Arms": (
         "read_arm", "Arm", "HayatiForm", "read_factory", "write_factory", "hayati_fk", "six_parameter_fk",

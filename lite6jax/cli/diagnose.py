@@ -29,9 +29,9 @@ with import_lazily():
     from lite6jax.diagnosis import diagnose, fold_processes
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
+    from lite6jax.domains import predict
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
-    from lite6jax.domains.torque import predict as torque_predict
     from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
@@ -395,16 +395,14 @@ class View:
 
     def _scene(self) -> "tuple[viewer.Scene, Path]":
         document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
-        if self.torques or diagnosis_file.is_of_torques(document):
-            motors = diagnosis_file.read_torque_model(self.diagnosis, effects)
-            file = self.recording or command.require_recording(document, self.diagnosis)
-            with command.refuse_damage(self.diagnosis):
-                recording = recordings.read_recording(file, arm=motors.arm)
-                return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, motors, recording), file
-        arm = diagnosis_file.read_model(self.diagnosis, effects)
+        given = effects, str(self.diagnosis), "torques" if self.torques else None
+        model = diagnosis_file.model_from_document(document, *given)
         file = self.recording or command.require_recording(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
-            return viewer.pose_scene(document, arm, recordings.read_motion(file, arm)), file
+            if isinstance(model, pose_predict.DiagnosedArm):
+                return viewer.pose_scene(document, model, recordings.read_motion(file, model)), file
+            recording = recordings.read_recording(file, arm=model.arm)
+            return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, recording), file
 
 
 @dataclass(frozen=True)
@@ -438,45 +436,32 @@ class Predict:
     def run(self) -> int:
         """Reads, predicts, writes."""
         command.check_outputs([self.out], [self.diagnosis, self.motion, self.effects], self.force, [".csv"])
-        import numpy as np
         import pyarrow as pa
 
         document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
-        opening: list[Any] = []
+        model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
+        recording = recordings.read_motion(self.motion, model)
         said: list[str] = []
-        registered, poses = None, None
-        if diagnosis_file.is_of_torques(document):
-            if self.register:
+        registered, of_poses = None, isinstance(model, pose_predict.DiagnosedArm)
+        if self.register:
+            if not isinstance(model, pose_predict.DiagnosedArm):
                 raise InputError("--register: a diagnosis of torques has no sensor frame")
-            motors = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
-            recording = recordings.read_motion(self.motion, motors)
-            found = torque_predict.predicted_torques(motors, recording)
-            columns, first = torque_predict.torque_columns(found), found.torque[:, 0]
-            if motors.relative_to is not None:
-                opening.append(statements.model_statement(motors.relative_to, "rows"))
-        else:
-            model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-            recording = recordings.read_motion(self.motion, model)
-            if self.register:
-                model, registered = registration.register_model(model, recording)
-            found = poses = pose_predict.predicted(model, recording)
-            columns, first = pose_predict.prediction_columns(poses, model.orientation), poses.poses[:, 0, 0]
-            if diagnosis_file.find_torques(document) is not None:
-                columns, said = self._add_torques(document, columns, recording, effects)
-            if model.reference is not None:
-                opening.append(statements.model_statement(*model.reference))
-            if registered is not None:
-                opening += compensation.registration_report(registered)
+            model, registered = registration.register_model(model, recording)
+        found = predict.predicted(model, recording)
+        columns = found.columns()
+        if of_poses and diagnosis_file.find_torques(document) is not None:
+            columns, said = self._add_torques(document, columns, recording, effects)
         table = pa.table(columns)
         path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)
         if self.json:
-            rows = {"schema": "lite6jax/prediction/1", "rows": recording.samples}
-            document = rows if poses is None else documents.prediction_document(poses, registered)
-            return command.present(True, document, (), [path])
-        screen.show(opening)
+            return command.present(True, documents.prediction_document(found, registered), (), [path])
+        if model.reference is not None:
+            screen.show([statements.model_statement(*model.reference)])
+        if registered is not None:
+            screen.show(compensation.registration_report(registered))
         screen.show(screen.notes(recording.notes))
-        if empty := int(np.isnan(first).sum()):
-            why = "there is a gap of its times" if poses is None else "the clock offset reaches beyond the ends"
+        if empty := int(found.empty.sum()):
+            why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"
             print(f"{empty} rows are empty: there, {why} of the motion.")
         if found.outside is None:
             print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
@@ -494,12 +479,12 @@ class Predict:
 
         A row is outside where it is of poses or of torques. Torques of a motion that has none are left out.
         """
-        model = diagnosis_file.torque_model_from_document(document, effects, str(self.diagnosis))
+        model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis), "torques")
         try:
-            found = torque_predict.predicted_torques(model, recording)
+            found = predict.predicted(model, recording)
         except InputError as error:
             return poses, [f"Torques are not predicted: {error}."]
-        columns = poses | torque_predict.torque_columns(found)
+        columns = poses | found.columns()
         if found.outside is None:
             return columns, []
         columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)
@@ -554,7 +539,7 @@ class Compensate:
             )
         import pyarrow as pa
 
-        model = diagnosis_file.read_model(self.diagnosis, command.load_own_effects(self.effects))
+        model = diagnosis_file.read_model(self.diagnosis, command.load_own_effects(self.effects), domain="poses")
         approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
         if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
             raise InputError(

@@ -19,7 +19,7 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
 from lite6jax.diagnosis.discrimination import differ, separating_poses
-from lite6jax.diagnosis.document import effect_entry, pose_model_entry
+from lite6jax.diagnosis.document import Domain, effect_entry, pose_model_entry
 from lite6jax.diagnosis.estimates import Shared, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
@@ -57,7 +57,6 @@ from lite6jax.search.state import Alternative
 from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
-Domain = Literal["poses", "torques"]
 Source = Recording | str | Path
 Nominal = Arm | str | Path | None
 

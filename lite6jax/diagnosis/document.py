@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, overload
 
 import msgspec
 import numpy as np
@@ -45,6 +45,7 @@ FARTHEST = 1e4
 LARGEST_MISFIT = 10.0
 """Multiples of the range of a number of an effect, beyond which it is damaged; estimates scatter about the range."""
 
+Domain = Literal["poses", "torques"]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"]
 
 _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
@@ -342,87 +343,86 @@ def _recorded_entry(recorded: RecordedRange) -> dict[str, Any]:
 # ------------------------------------------------------------------ models from values of JSON
 
 
-def model_from_document(document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis") -> DiagnosedArm:
-    """The model in a diagnosis of poses, as JSON holds it.
+def model_from_document(
+    document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis", domain: Domain | None = None
+) -> DiagnosedArm | DiagnosedMotors:
+    """The model in a diagnosis, as JSON holds it.
 
     Args:
         document: all of it.
         effects: a user's own, where the model has them.
         source: what messages begin with.
+        domain: of which the model is, as of `read_model`.
 
     Raises:
-        InputError: not a diagnosis, or something in it is missing or not possible.
+        InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
     with _refuse_damage(source):
-        read = _poses_in(document)
-        model, rms = read.model, [stage.get("heldout_position_rms_m") for stage in (read.before, read.after)]
-        joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
-        found, numbers = _effects(model.effects, kinds_of(effects), joints, sliding)
-        physics, masses, limits, inertia = Physics(found), model.inertia, model.joint_limits, None
-        if masses is not None:
-            inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
-            if len(inertia.mass) != joints:
-                raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
-        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
-            raise ValueError("joint_limits are not the lower and the upper one of each joint")
-        return DiagnosedArm(
-            arm=model.arm,
-            model=ArmModel(
-                np.asarray(model.kinematics, float).ravel(),  # type: ignore[arg-type]
-                np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
-                np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
-            ),
-            physics=physics,
-            values=physics.join(numbers),
-            inertia=inertia,
-            joint_limits=None if limits is None else np.asarray(limits, float),
-            orientation=model.orientation,
-            reference_temperature=model.reference_temperature_degC,
-            motion=model.motion,
-            accelerated=model.accelerated,
-            heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
-            reference=None if read.against is None else ReferenceOrigin(read.against.file, read.against.rigid),
-            uncertainty=_pose_uncertainty(model.uncertainty, found, joints),
-            sliding=sliding,
-        )
+        if domain == "torques" or (domain is None and is_of_torques(document)):
+            return _torque_model(_torques_in(document), effects)
+        return _pose_model(_poses_in(document), effects)
 
 
-def torque_model_from_document(
-    document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis"
-) -> DiagnosedMotors:
-    """The model in a diagnosis of torques, or of poses and torques, as JSON holds it; arguments as above.
+def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
+    model, rms = read.model, [stage.get("heldout_position_rms_m") for stage in (read.before, read.after)]
+    joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
+    found, numbers = _effects(model.effects, kinds_of(effects), joints, sliding)
+    physics, masses, limits, inertia = Physics(found), model.inertia, model.joint_limits, None
+    if masses is not None:
+        inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
+        if len(inertia.mass) != joints:
+            raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
+    if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
+        raise ValueError("joint_limits are not the lower and the upper one of each joint")
+    return DiagnosedArm(
+        arm=model.arm,
+        model=ArmModel(
+            np.asarray(model.kinematics, float).ravel(),  # type: ignore[arg-type]
+            np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
+            np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
+        ),
+        physics=physics,
+        values=physics.join(numbers),
+        inertia=inertia,
+        joint_limits=None if limits is None else np.asarray(limits, float),
+        orientation=model.orientation,
+        reference_temperature=model.reference_temperature_degC,
+        motion=model.motion,
+        accelerated=model.accelerated,
+        heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
+        reference=None if read.against is None else ReferenceOrigin(read.against.file, read.against.rigid),
+        uncertainty=_pose_uncertainty(model.uncertainty, found, joints),
+        sliding=sliding,
+    )
 
-    Raises:
-        InputError: not a diagnosis of torques, or something in it is missing or not possible.
-    """
-    with _refuse_damage(source):
-        read = _torques_in(document)
-        model, against = read.model, read.against
-        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.drives.items()}
-        arm = Arm(
-            model.arm,
-            np.asarray(model.kinematics, float),
-            joint_limits=np.asarray(model.joint_limits, float),
-            T_joint_flange=np.asarray(model.T_joint_flange, float),
-            sliding=tuple(joint - 1 for joint in model.prismatic_joints),
-            **drives,
-        )
-        links = np.asarray(model.links, float)
-        if len(links) != arm.dof:
-            raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-        found, numbers = _effects(model.effects, kinds_of(effects, TORQUE_EFFECTS), arm.dof, arm.sliding)
-        terms, values = Terms(found), join(numbers)
-        return DiagnosedMotors(
-            arm=arm,
-            links=links,
-            payload_center=np.asarray(model.payload_center, float),
-            gravity=np.asarray(model.gravity, float),
-            terms=terms,
-            values=values,
-            reference_temperature=model.reference_temperature_degC,
-            relative_to=against.file if against is not None and against.by == "rows" else None,
-            uncertainty=_torque_uncertainty(model.uncertainty, terms, values, arm.dof),
-        )
+
+def _torque_model(read: TorqueDocument, effects: Sequence[Effect]) -> DiagnosedMotors:
+    model, against = read.model, read.against
+    drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.drives.items()}
+    arm = Arm(
+        model.arm,
+        np.asarray(model.kinematics, float),
+        joint_limits=np.asarray(model.joint_limits, float),
+        T_joint_flange=np.asarray(model.T_joint_flange, float),
+        sliding=tuple(joint - 1 for joint in model.prismatic_joints),
+        **drives,
+    )
+    links = np.asarray(model.links, float)
+    if len(links) != arm.dof:
+        raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
+    found, numbers = _effects(model.effects, kinds_of(effects, TORQUE_EFFECTS), arm.dof, arm.sliding)
+    terms, values = Terms(found), join(numbers)
+    return DiagnosedMotors(
+        arm=arm,
+        links=links,
+        payload_center=np.asarray(model.payload_center, float),
+        gravity=np.asarray(model.gravity, float),
+        terms=terms,
+        values=values,
+        reference_temperature=model.reference_temperature_degC,
+        reference=(against.file, "rows") if against is not None and against.by == "rows" else None,
+        uncertainty=_torque_uncertainty(model.uncertainty, terms, values, arm.dof),
+    )
 
 
 @contextmanager
@@ -525,27 +525,29 @@ def document_text(document: Any, line: str = "\n") -> str:
     return first + ",".join(f"{line} {entry}" for entry in entries) + line + last
 
 
-def read_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedArm:
-    """The model of the poses in a diagnosis file.
+@overload
+def read_model(
+    path: str | Path, effects: Sequence[Effect] = (), domain: None = None
+) -> DiagnosedArm | DiagnosedMotors: ...
+@overload
+def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["poses"]) -> DiagnosedArm: ...
+@overload
+def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["torques"]) -> DiagnosedMotors: ...
+def read_model(
+    path: str | Path, effects: Sequence[Effect] = (), domain: Domain | None = None
+) -> DiagnosedArm | DiagnosedMotors:
+    """The model in a diagnosis file: of the poses where they were diagnosed, else of the torques.
 
     Args:
         path: what `diagnose` wrote.
         effects: a user's own, where the model has them.
+        domain: "poses" or "torques", to have the model of that one of a diagnosis of both.
 
     Raises:
-        InputError: no such file, not a diagnosis, or something in it is missing or not possible.
+        InputError: no such file, not a diagnosis of the domain, or something in it is missing or not possible.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
-    return model_from_document(parse_document(path), effects, str(path))
-
-
-def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
-    """The model of the torques in a diagnosis file, of torques or of poses and torques; otherwise as `read_model`.
-
-    Raises:
-        InputError: as `read_model`; a diagnosis of poses alone.
-    """
-    return torque_model_from_document(parse_document(path), effects, str(path))
+    return model_from_document(parse_document(path), effects, str(path), domain)
 
 
 def parse_document(path: str | Path) -> Any:
@@ -601,6 +603,8 @@ def _has_model(document: Any) -> bool:
 def _poses_in(document: Any) -> PoseDocument:
     if not _has_model(document):
         raise _NoDiagnosisError(f"is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
+    if is_of_torques(document):
+        raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
     read = check(document, PoseDocument)
     check_pose_model(read.model)
     return read

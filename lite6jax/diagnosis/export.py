@@ -16,10 +16,8 @@ from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_link
 from lite6jax.diagnosis.document import (
     SCHEMA,
     find_torques,
-    is_of_torques,
     model_from_document,
     parse_document,
-    torque_model_from_document,
 )
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -83,17 +81,17 @@ def read_diagnosed_arm(
         the arm, and what was found and has no place in it, a phrase each.
 
     Raises:
-        InputError: as `read_model` and `read_torque_model`.
+        InputError: as `read_model`.
     """
     document = parse_document(path)
-    torques = find_torques(document)
-    motors = None if torques is None else torque_model_from_document(torques, effects, str(path))
-    if motors is not None and is_of_torques(document):
-        return diagnosed_arm(motors)
     model = model_from_document(document, effects, str(path))
+    if isinstance(model, DiagnosedMotors):
+        return diagnosed_arm(model)
     chain, left_out = diagnosed_chain(model, nominal, alone)
-    if motors is None:
+    if find_torques(document) is None:
         return chain, left_out
+    motors = model_from_document(document, effects, str(path), "torques")
+    assert isinstance(motors, DiagnosedMotors)
     arm, further = diagnosed_arm(motors)
     arm = replace(arm, kinematics=chain.kinematics, T_joint_flange=chain.T_joint_flange, dh=None)
     return arm, (*left_out, *further)

@@ -79,7 +79,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
 
     @cached_property
     def model(self) -> DiagnosedMotors:
-        """The arm with the effects found, as `read_torque_model` gives it from a file."""
+        """The arm with the effects found, as `read_model` gives it from a file."""
         problem, fit = self.problem, self.fit
         against = {} if self.against is None else self.against.to_dict()
         return DiagnosedMotors(
@@ -91,7 +91,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
             values=fit.values,
             reference_temperature=problem.data.recording.settings.reference_temperature_degC,
             uncertainty=uncertainty_of_torques(problem, fit, self.after, self.folds),
-            relative_to=against["file"] if against.get("by") == "rows" else None,
+            reference=(against["file"], "rows") if against.get("by") == "rows" else None,
         )
 
     @property

@@ -25,6 +25,7 @@ from lite6jax.domains.pose.check import RecordingCheck
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
+from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.fleet.folder import Row
 from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
@@ -184,7 +185,7 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
 
-def prediction_document(found: Prediction, registration: Registration | None) -> dict[str, Any]:
+def prediction_document(found: Prediction | TorquePrediction, registration: Registration | None) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:
@@ -192,8 +193,8 @@ def prediction_document(found: Prediction, registration: Registration | None) ->
         fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
     return {
         "schema": "lite6jax/prediction/1",
-        "rows": len(found.poses),
-        "empty_rows": int(np.isnan(found.poses[:, 0, 0]).sum()),
+        "rows": len(found.empty),
+        "empty_rows": int(found.empty.sum()),
         "outside": None if found.outside is None else int(found.outside.sum()),
         "registration": fitted,
     }

@@ -24,9 +24,9 @@ from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
-from lite6jax.domains.pose.predict import Prediction, prediction_columns
+from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
+from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
@@ -143,9 +143,9 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
 # ------------------------------------------------------------------ tables
 
 
-tabulate.register(Recording, lambda found: found.columns())
-tabulate.register(TorquePrediction, torque_columns)
 tabulate.register(Compensation, compensation_columns)
+for kind in (Recording, Prediction, TorquePrediction):
+    tabulate.register(kind, lambda found: found.columns())
 
 
 @tabulate.register(Solution)
@@ -185,11 +185,6 @@ def _design_table(found: Plan | DiscriminationPlan) -> Columns:
     columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
     accuracy = {"position_std_m": found.accuracy} if isinstance(found, Plan) else {"distance": found.distance}
     return columns | accuracy
-
-
-@tabulate.register
-def _prediction_table(found: Prediction) -> Columns:
-    return dict(prediction_columns(found, orientation=found.orientation_std is not None))
 
 
 @tabulate.register

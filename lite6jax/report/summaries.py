@@ -135,7 +135,7 @@ def _study(found: Identification | Plan | DiscriminationPlan) -> Description:
 
 @describe.register
 def _prediction(found: Prediction) -> Description:
-    rows, empty = len(found.poses), int(np.isnan(found.poses[:, 0, 0]).sum())
+    rows, empty = len(found.poses), int(found.empty.sum())
     sentences = [f"{counted(rows, 'pose')} {be(rows)} predicted."]
     if empty:
         sentences.append(f"{counted(empty, 'row')} {be(empty)} empty: the clock offset reaches beyond the motion.")

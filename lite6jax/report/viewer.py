@@ -23,8 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
-from lite6jax.domains.pose.predict import DiagnosedArm, predict
-from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
+from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.predict import predict
+from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
@@ -220,7 +221,7 @@ def torque_scene(document: Document, model: DiagnosedMotors, recording: Recordin
     """A diagnosis of torques, its own document, beside its recording or another of the same arm.
 
     Raises:
-        InputError: as `predict_torques`, or it has no torques.
+        InputError: as `predict`, or it has no torques.
     """
     measured, noise = recording.torques(), np.array(document["noise"]["estimated_torque_Nm"])
     models = [(WITH, model)]
@@ -231,7 +232,7 @@ def torque_scene(document: Document, model: DiagnosedMotors, recording: Recordin
     window = max(1, round(WINDOW_S / float(np.median(steps[steps > 0]))))
 
     def averaged(each: DiagnosedMotors) -> Array:
-        errors = (measured - predict_torques(each, recording)) / noise
+        errors = (measured - predict(each, recording)) / noise
         there = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
         sums = (
             uniform_filter1d(x, window, axis=0, mode="nearest") for x in (np.where(there, errors**2, 0.0), 1.0 * there)

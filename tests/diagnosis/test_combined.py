@@ -15,7 +15,7 @@ from typed import flat, run
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import read_model, read_torque_model, write_document
+from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, ViscousFriction
 from lite6jax.effects.kinematic import GravityDirection, JointCompliance, PayloadError
@@ -57,11 +57,6 @@ def both(made, held=HELD, seed=0):
     return replace(recording, joint_torque=tau, payload=np.full(800, DECLARED), settings=settings)
 
 
-def torques_of(recording):
-    """The diagnosis of its torques that finds just the truth; no search is run."""
-    return torque_diagnosed.diagnosed(recording, (ViscousFriction(2), PayloadTorque()))
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     return Made(tmp_path_factory.mktemp("arm"), (COMPLIANCE,), seed=1)
@@ -75,7 +70,8 @@ def recording(made):
 @pytest.fixture(scope="module")
 def found(recording):
     """Both, the payload found by the torques alone: the poses have it beside their finding."""
-    poses, torques = diagnosed.diagnosed(recording, (JointCompliance(2),)), torques_of(recording)
+    poses = diagnosed.diagnosed(recording, (JointCompliance(2),))
+    torques = torque_diagnosed.diagnosed(recording, (ViscousFriction(2), PayloadTorque()))
     return replace(poses, torques=torques, shared=compare_domains(poses, torques))
 
 
@@ -183,41 +179,26 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
     with pytest.raises(InputError, match="is no diagnosis of torques"):
-        read_torque_model(path)
+        read_model(path, domain="torques")
     assert "are not diagnosed: " in alone.summary()
     assert any("has no masses" in str(part) for part in diagnosis_report(document, "run.csv"))
 
 
-@pytest.mark.parametrize(
-    ("domain", "without", "searched"),
-    [
-        (None, {}, ["poses", "torques"]),
-        ("poses", {}, ["poses"]),
-        ("torques", {}, ["torques"]),
-        (None, {"joint_torque": None}, ["poses"]),
-        (None, {"position": None, "quaternion": None}, ["torques"]),
-    ],
-)
-def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, monkeypatch, domain, without, searched):
-    """Each domain is given the effects of a user's own that are of it."""
-    given, own = {}, (JointCompliance(2), ViscousFriction(2))
+def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, monkeypatch):
+    """Each domain is given the effects of a user's own that are of it; what it does not have is refused."""
+    given, own = {}, {"poses": JointCompliance(2), "torques": ViscousFriction(2)}
     for name, one in (("poses", replace(found, torques=None, shared=())), ("torques", found.torques)):
         take = lambda *_, name=name, one=one, **more: given.update({name: more["effects"]}) or one  # noqa: E731
         monkeypatch.setattr(f"lite6jax.diagnosis.diagnose.diagnose_{name}", take)
-    diagnosis = diagnose(replace(recording, **without), domain=domain, effects=own)
-    assert given == {name: own[name == "torques" :][:1] for name in searched}
-    assert isinstance(diagnosis, type(found) if "poses" in searched else type(found.torques))
-    if "poses" in searched:
-        assert (diagnosis.torques is found.torques) == ("torques" in searched)
-
-
-def test_what_a_domain_does_not_have_is_refused(recording, tmp_path, capsys):
-    of_torques = replace(recording, position=None, quaternion=None)
+    of_poses, of_torques = replace(recording, joint_torque=None), replace(recording, position=None, quaternion=None)
+    asked = ((recording, "poses"), (of_poses, None), (recording, "torques"), (of_torques, None))
+    for (one, domain), searched in zip(asked, ("poses", "poses", "torques", "torques"), strict=True):
+        given.clear()
+        assert getattr(diagnose(one, domain=domain, effects=[*own.values()]), "torques", None) is None
+        assert given == {searched: (own[searched],)}
+    assert diagnose(recording, effects=[*own.values()]).torques is found.torques
+    assert given == {name: (effect,) for name, effect in own.items()}
     with pytest.raises(InputError, match=r"has torques and no poses; give domain='torques'$"):
         diagnose(of_torques, domain="poses")
     with pytest.raises(InputError, match=r"^geometry: is of poses, and .* is diagnosed by its torques; leave it out$"):
         diagnose(of_torques, geometry="exact")
-    run_file = write_recording(recording, tmp_path / "run.csv")
-    code, _, err = run(capsys, "diagnose", run_file, "--out", tmp_path / "d.json", "--poses", "--torques")
-    assert code == 2
-    assert "give one of them, or none to diagnose both" in err

@@ -14,8 +14,8 @@ from lite6jax.arms.files import convert_file, read_arm, write_arm, write_urdf
 from lite6jax.cli.command import list_inputs
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_arm, diagnosed_chain
-from lite6jax.domains.pose.predict import predict
-from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
+from lite6jax.domains.predict import predict
+from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.dynamic import CoulombFriction, UnnamedTorque
 from lite6jax.effects.serialization import parse_effect
@@ -97,11 +97,11 @@ def test_the_arm_that_is_written_declares_what_was_found(tmp_path):
     motion = motion_of(setup_of(2)[0], 1, rate=50.0, seconds=5.0)
     recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
     nothing = replace(model, arm=arm, terms=Terms(), values=np.zeros(0))
-    declared = predict_torques(nothing, recording)
-    np.testing.assert_allclose(declared, predict_torques(model, recording), rtol=0, atol=1e-9)
-    assert np.abs(declared - predict_torques(replace(nothing, arm=model.arm), recording)).max() > 0.5
+    declared = predict(nothing, recording)
+    np.testing.assert_allclose(declared, predict(model, recording), rtol=0, atol=1e-9)
+    assert np.abs(declared - predict(replace(nothing, arm=model.arm), recording)).max() > 0.5
     convert_file(arm, tmp_path / "arm.yaml")
-    again = predict_torques(replace(nothing, arm=read_arm(str(tmp_path / "arm.yaml"))), recording)
+    again = predict(replace(nothing, arm=read_arm(str(tmp_path / "arm.yaml"))), recording)
     np.testing.assert_allclose(again, declared, rtol=0, atol=1e-9)
     twice, _ = diagnosed_arm(replace(model, arm=arm))
     assert twice.viscous_friction[1] == pytest.approx(1.6)

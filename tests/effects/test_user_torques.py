@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from domains.torque.moved import recorded
 
-from lite6jax.diagnosis.document import torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
-from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.domains.predict import predict
 from lite6jax.effects import user_effects
 from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
@@ -40,11 +40,9 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     assert abs(estimate.value - 0.5) < 4 * estimate.std < 0.2
     document = json.loads(json.dumps(found.to_dict()))
     with pytest.raises(InputError, match="effect 'air_drag': unknown"):
-        torque_model_from_document(document)
-    model = torque_model_from_document(document, effects)
-    np.testing.assert_allclose(
-        predict_torques(model, dragged), predict_torques(found.model, dragged), rtol=0, atol=1e-12
-    )
+        model_from_document(document)
+    model = model_from_document(document, effects)
+    np.testing.assert_allclose(predict(model, dragged), predict(found.model, dragged), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ Those are of the true pose from the predicted one. The sensor's noise is no part
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import jax
@@ -37,7 +36,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_radians
+from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
@@ -256,56 +255,36 @@ class Prediction(PublicResult):
         outside: `(sample,)` bool, rows that the recording does not support: a joint, or a quantity on which an effect
             depends, is beyond what was recorded, or the recorded rows near it are too few; None where the diagnosis
             does not say.
+        orientation: whether the sensor measures orientations.
     """
 
     poses: Array
     position_std: Array | None
     orientation_std: Array | None
     outside: NDArray[np.bool_] | None
+    orientation: bool = True
+
+    @property
+    def empty(self) -> Flags:
+        """`(sample,)`, rows of which nothing is predicted."""
+        return np.isnan(self.poses[:, 0, 0])
+
+    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+        """Column name to values, as in a file of a recording, and as `deviation_columns`; NaN in empty rows."""
+        columns: dict[str, Any] = dict(zip(("x_m", "y_m", "z_m"), self.poses[:, :3, 3].T, strict=True))
+        if self.orientation:
+            columns |= zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(self.poses[:, :3, :3])).T, strict=True)
+        return columns | deviation_columns(self)
 
 
-def predict(model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, **circumstances: ArrayLike) -> Array:
-    """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor shows in a motion.
-
-    Rows are NaN where a clock's offset reaches beyond the ends of a run.
-
-    Args:
-        model: the arm, from a diagnosis.
-        motion: a recording or the path of its file, whose settings say at which temperature the geometry holds and
-            whether the arm stands still at each row; or joint positions `(sample, joint)` in rad, for which the
-            diagnosed recording's hold.
-        circumstances: beside joint positions, arrays by the names of `Recording.from_arrays` in its shapes and units:
-            `payload`, `time`, `run`, `joint_velocity`, `joint_temperature`, `ambient_temperature`.
-
-    Raises:
-        InputError: another number of joints, degrees, or the motion lacks what an effect needs, by name.
-    """
-    return _poses(model, _sequence(model, motion, circumstances))
-
-
-def predicted(
-    model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, **circumstances: ArrayLike
-) -> Prediction:
-    """The poses that the sensor shows in a motion, with their standard deviations.
-
-    Rows outside what was recorded are marked. There what is left of the model is taken to grow: its variance by the
-    square of the distance in joint space to the nearest recorded rows, beyond their spacing, over `LENGTH` of
-    `lite6jax.domains.uncertainty`; and likewise with what an effect depends on.
-
-    Args:
-        model: the arm, from a diagnosis.
-        motion: as in `predict`.
-        circumstances: as in `predict`.
-
-    Raises:
-        InputError: as `predict`.
-    """
-    sequence = _sequence(model, motion, circumstances)
-    poses, bars = _poses(model, sequence), predict_deviations(model, sequence)
+def predicted_poses(model: DiagnosedArm, recording: Recording) -> Prediction:
+    """The poses that the sensor shows in a motion, with their standard deviations, as `predicted`."""
+    motion = model.motion_of(recording)
+    poses, bars = shown_poses(model, motion), predict_deviations(model, motion)
     for std in bars[:2]:
         if std is not None:
             std[np.isnan(poses[:, 0, 0])] = np.nan
-    return Prediction(poses, *bars)
+    return Prediction(poses, *bars, model.orientation)
 
 
 def require_model(model: object) -> None:
@@ -318,34 +297,11 @@ def require_model(model: object) -> None:
         raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a Diagnosis")
 
 
-def _sequence(model: DiagnosedArm, motion: Recording | str | Path | ArrayLike, circumstances: dict[str, Any]) -> Motion:
-    require_model(model)
-    motion = read_motion(motion, model) if isinstance(motion, str | Path) else motion
-    if isinstance(motion, Recording):
-        if circumstances:
-            raise InputError(f"predict: a recording has its own {', '.join(circumstances)}; give joint positions")
-        return model.motion_of(motion)
-    return model.motion_of(recording_of(model, motion, **circumstances))
-
-
-def _poses(model: DiagnosedArm, sequence: Motion) -> Array:
-    poses = np.array(predict_poses(sequence.chain, model.physics, model.model, model.values, sequence, model.inertia))
-    poses[np.asarray(_beyond(model.physics, model.values, sequence))] = np.nan
+def shown_poses(model: DiagnosedArm, motion: Motion) -> Array:
+    """`T_sensor_tool` `(sample, 4, 4)` in a motion; NaN where a clock's offset reaches beyond the ends of a run."""
+    poses = np.array(predict_poses(motion.chain, model.physics, model.model, model.values, motion, model.inertia))
+    poses[np.asarray(_beyond(model.physics, model.values, motion))] = np.nan
     return poses
-
-
-def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values, as in a file of a recording, and as `deviation_columns`; a pose of NaN gives NaN.
-
-    Args:
-        found: poses with their standard deviations.
-        orientation: whether to give quaternions as well.
-    """
-    columns: dict[str, Any] = dict(zip(("x_m", "y_m", "z_m"), found.poses[:, :3, 3].T, strict=True))
-    if orientation:
-        quaternions = np.asarray(_quaternions(found.poses[:, :3, :3]))
-        columns |= zip(("qw", "qx", "qy", "qz"), quaternions.T, strict=True)
-    return columns | deviation_columns(found)
 
 
 def deviation_columns(found: Any) -> dict[str, Array | NDArray[np.integer]]:
@@ -357,14 +313,16 @@ def deviation_columns(found: Any) -> dict[str, Array | NDArray[np.integer]]:
     return columns if found.outside is None else columns | {"outside": found.outside.astype(int)}
 
 
-def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) -> Recording:
+def recording_of(model: Any, joint_position: ArrayLike, **arrays: Any) -> Recording:
     """A recording of arrays, as `Recording.assembled`; temperature and kind of motion as in the diagnosed one.
+
+    The model is one of poses or of torques.
 
     Raises:
         InputError: degrees, another number of joints, or arrays that do not fit together.
     """
     settings = RecordingSettings(
-        motion=model.motion,  # type: ignore[arg-type]
+        motion=model.motion,
         reference_temperature_degC=model.reference_temperature,
     )
     recording = Recording.assembled(joint_position, settings=settings, source="motion", sliding=model.sliding, **arrays)

@@ -18,7 +18,7 @@ from lite6jax.domains.pose.kinematics import (
     small_displacement,
     whitened,
 )
-from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, predict, require_model
+from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm, require_model, shown_poses
 from lite6jax.domains.pose.rigid_arm import NuisanceProblem
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.effects.kinematic import BaseDrift, SensorDrift
@@ -145,7 +145,8 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
     by_a_metre = frames.transform_from_row([1, 0, 0, 0, 0, 0])
     bare = [ArmModel(model.model.geometry, T, np.eye(4)) for T in (np.eye(4), by_a_metre)]  # type: ignore[arg-type]
-    flange, shifted = (predict(replace(model, model=rigid), recording) for rigid in bare)
+    motion = model.motion_of(recording)
+    flange, shifted = (shown_poses(replace(model, model=rigid), motion) for rigid in bare)
     # an effect of the sensor's scale multiplies positions: by how much a frame shifted by a metre shows them moved
     growth = (shifted - flange)[:, 0, 3]
     flange[:, :3, 3] /= growth[:, None]

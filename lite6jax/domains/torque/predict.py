@@ -4,7 +4,6 @@ Those follow as of predicted poses, but are of what a sensor shows: its noise is
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -36,9 +35,9 @@ from lite6jax.domains.uncertainty import (
 )
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import Delaying, Dynamics, Scaling, UnnamedTorque
-from lite6jax.errors import InputError, wrong_type
+from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
-from lite6jax.recordings import Recording, read_motion
+from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
@@ -63,7 +62,8 @@ class DiagnosedMotors:
         values: `(terms.size,)`.
         reference_temperature: °C.
         uncertainty: from which standard deviations of predictions follow; None where the diagnosis does not say.
-        relative_to: the recording beyond which the effects were found; None where they are all that there is.
+        reference: the recording beyond which the effects were found, and that it was compared by `rows`; None where
+            they are all that there is.
     """
 
     arm: Arm
@@ -74,7 +74,7 @@ class DiagnosedMotors:
     values: Array
     reference_temperature: float
     uncertainty: Uncertainty | None = None
-    relative_to: str | None = None
+    reference: tuple[str, str] | None = None
 
     def __repr__(self) -> str:
         effects = ", ".join(str(getattr(term, "label", term)) for term in self.terms.terms) or "no effects"
@@ -89,6 +89,11 @@ class DiagnosedMotors:
     def sliding(self) -> tuple[int, ...]:
         """The prismatic joints, counted from 0."""
         return self.arm.sliding
+
+    @property
+    def joint_limits(self) -> Array:
+        """`(joint, 2)` rad, m of prismatic joints."""
+        return self.arm.joint_limits
 
     @property
     def motion(self) -> str:
@@ -115,30 +120,30 @@ class TorquePrediction(PublicResult):
     outside: NDArray[np.bool_] | None
     sliding: tuple[int, ...] = ()
 
+    @property
+    def empty(self) -> Flags:
+        """`(sample,)`, rows of which nothing is predicted."""
+        return np.isnan(self.torque[:, 0])
 
-def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> Array:
-    """The torques `(sample, joint)` Nm that the sensors of a diagnosed recording would show in a motion.
+    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+        """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
 
-    Args:
-        model: as diagnosed.
-        recording: joint positions with times, and with the drivers of its effects; or the path of their file.
+        Those of prismatic joints are `tau3_N` and `tau3_std_N`.
+        """
+        columns: dict[str, Array | NDArray[np.integer]] = {}
+        for name, values in (("tau{}", self.torque), ("tau{}_std", self.std)):
+            if values is not None:
+                for j, row in enumerate(values.T):
+                    columns[f"{name.format(j + 1)}_{joint_unit('Nm', j in self.sliding)}"] = row
+        return columns if self.outside is None else columns | {"outside": self.outside.astype(int)}
 
-    Raises:
-        InputError: no times, more gaps than motion, or a driver that the model needs and the motion lacks.
-    """
-    bare = replace(model, uncertainty=None) if isinstance(model, DiagnosedMotors) else model
-    return predicted_torques(bare, recording).torque
 
-
-def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
-    """The torques of a motion as `predict_torques`, with their standard deviations.
-
-    Rows outside what was recorded are marked, and their standard deviations grow as those of `predicted` do.
-
-    Raises:
-        InputError: as `predict_torques`.
-    """
-    motion, even = _motion_of(model, recording)
+def predicted_torques(model: DiagnosedMotors, motion: Recording) -> TorquePrediction:
+    """The torques that the sensors show in a motion, with their standard deviations, as `predicted`."""
+    if motion.dof != model.dof:
+        raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
+    # filters need even times
+    even = motion if motion.motion == "static" else evenly_timed(motion).recording
     bodies, runs = _along(model, even)
     dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
     torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
@@ -147,35 +152,6 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path)
     std, outside = _bars(model, model.uncertainty, bodies, dynamics, runs)
     flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
     return TorquePrediction(torque, _at_rows(std, even, motion), flags, model.sliding)
-
-
-def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
-
-    Those of prismatic joints are `tau3_N` and `tau3_std_N`.
-    """
-    units = [joint_unit("Nm", joint in found.sliding) for joint in range(found.torque.shape[1])]
-    columns: dict[str, Array | NDArray[np.integer]] = {
-        f"tau{joint}_{unit}": row for joint, (unit, row) in enumerate(zip(units, found.torque.T, strict=True), 1)
-    }
-    if found.std is not None and found.outside is not None:
-        pairs = zip(units, found.std.T, strict=True)
-        columns |= {f"tau{joint}_std_{unit}": row for joint, (unit, row) in enumerate(pairs, 1)}
-        columns["outside"] = found.outside.astype(int)
-    return columns
-
-
-def _motion_of(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[Recording, Recording]:
-    """A motion as it is given, and at even times, which filters need; the same where its times are even."""
-    if not isinstance(model, DiagnosedMotors):
-        raise wrong_type("model", model, "lite6jax.read_torque_model('d.json'), or the `model` of a TorqueDiagnosis")
-    if isinstance(recording, str | Path):
-        recording = read_motion(recording, model)
-    if not isinstance(recording, Recording):
-        raise wrong_type("recording", recording, "the path of a recording, or a Recording")
-    if recording.dof != model.dof:
-        raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
-    return recording, recording if recording.motion == "static" else evenly_timed(recording).recording
 
 
 def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:

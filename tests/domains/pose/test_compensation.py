@@ -18,7 +18,7 @@ from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import Reason, compensate, read_pose_targets
-from lite6jax.domains.pose.predict import predict
+from lite6jax.domains.predict import predict
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict

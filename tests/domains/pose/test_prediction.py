@@ -15,8 +15,9 @@ from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.predict import Prediction, predict, prediction_columns
+from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import register_model
+from lite6jax.domains.predict import predict
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.effects.user_effects import load_effects
@@ -91,7 +92,7 @@ def test_rows_where_the_clock_reaches_beyond_the_ends_are_nan(arm, tmp_path):
         poses = predicted(tmp_path, document(arm, [text], "trajectory"), motion)
         beyond = np.isnan(poses).any((1, 2))
         np.testing.assert_array_equal(np.flatnonzero(beyond), lost)
-        columns = prediction_columns(Prediction(poses, None, None, None), orientation=True)
+        columns = Prediction(poses, None, None, None).columns()
         assert list(columns) == ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
         for column in columns.values():
             np.testing.assert_array_equal(np.flatnonzero(np.isnan(column)), lost)

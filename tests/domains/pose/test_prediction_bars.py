@@ -22,10 +22,9 @@ from lite6jax.domains.pose.predict import (
     SPARSE,
     Derivatives,
     estimated_variance,
-    predict,
-    predicted,
 )
 from lite6jax.domains.pose.registration import register_model
+from lite6jax.domains.predict import predict, predicted
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic import FrameOffset, ToolOffset

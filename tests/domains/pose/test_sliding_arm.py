@@ -13,7 +13,7 @@ from lite6jax.cli import main
 from lite6jax.diagnosis.document import read_model
 from lite6jax.domains.pose.compensate import compensate
 from lite6jax.domains.pose.fit import fit
-from lite6jax.domains.pose.predict import predict
+from lite6jax.domains.predict import predict
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording, write_recording
 from lite6jax.simulation import simulate

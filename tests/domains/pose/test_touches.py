@@ -13,8 +13,8 @@ from lite6jax.design.readings import READERS
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.fit import fit_recording
-from lite6jax.domains.pose.predict import predict
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.domains.predict import predict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import read_recording, write_recording

@@ -17,11 +17,11 @@ from lite6jax.arms.description import write_arm
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.cli import main
-from lite6jax.diagnosis.document import torque_model_from_document
+from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.composition import composed
-from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.domains.torque.rows import RigidBodies
@@ -120,12 +120,12 @@ def test_the_screen_ranks_what_has_no_common_unit(run, diagnosed, capsys):
 
 
 def test_the_model_predicts_another_motion_in_the_columns_of_its_joints(run, diagnosed):
-    model = torque_model_from_document(diagnosed)
+    model = model_from_document(diagnosed)
     assert model.arm.sliding == (2,)
     unseen = slid.recorded(seed=5)
     _, q, dq, ddq = slid.moved(5)
     truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
-    away = (predict_torques(model, unseen) - truth)[20:-20]
+    away = (predict(model, unseen) - truth)[20:-20]
     # where the telescope turns back, smoothed velocities know the sign of friction some milliseconds late
     assert (np.sqrt(np.mean(away**2, 0)) < [0.02, 0.03, 0.5]).all()
     assert np.median(np.abs(away[:, 2])) < 0.1
@@ -285,12 +285,12 @@ def test_the_ripple_of_a_screw_stays_in_the_model_where_recordings_are_pooled(on
 def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
     found, ripple = on_a_screw
     document = json.loads(json.dumps(found.to_dict()))
-    model = torque_model_from_document(document)
+    model = model_from_document(document)
     unseen = slid.recorded(seed=6)
     _, q, dq, ddq = slid.moved(6)
     truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
     truth[:, 2] += ripple(q[:, 2])
-    away = predict_torques(model, unseen) - truth
+    away = predict(model, unseen) - truth
     assert np.median(np.abs(away[20:-20, 2])) < 0.15  # of a ripple of 3 N
 
 
@@ -425,10 +425,10 @@ def test_a_document_with_an_effect_of_the_other_kind_is_refused(diagnosed):
     document = json.loads(json.dumps(diagnosed))
     document["model"]["prismatic_joints"] = [2]
     with pytest.raises(InputError, match=r"is of a (revolute|prismatic) joint, and joint [23] is"):
-        torque_model_from_document(document)
+        model_from_document(document)
     document["model"]["prismatic_joints"] = [9]
     with pytest.raises(InputError, match=r"its model is damaged .*sliding is \(8,\); give prismatic joints in order"):
-        torque_model_from_document(document)
+        model_from_document(document)
 
 
 def test_effects_of_one_name_at_joints_of_two_kinds_are_two():

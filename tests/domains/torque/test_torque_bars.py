@@ -11,14 +11,13 @@ from typed import flat, run
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.diagnosis.document import torque_model_from_document, write_document
+from lite6jax.diagnosis.document import model_from_document, write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.predict import predict, predicted
 from lite6jax.domains.torque.predict import (
     DiagnosedMotors,
     link_sites,
-    predict_torques,
-    predicted_torques,
     with_free_numbers,
 )
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
@@ -48,7 +47,7 @@ def diagnosed():
 
 @pytest.fixture(scope="module")
 def model(diagnosed):
-    return torque_model_from_document(json.loads(json.dumps(diagnosed.to_dict())))
+    return model_from_document(json.loads(json.dumps(diagnosed.to_dict())))
 
 
 def unseen(seed, factor=1.0):
@@ -69,7 +68,7 @@ def test_bars_hold_the_share_of_rows_that_they_claim(diagnosed, model):
         setup, motion, recording = unseen(seed)
         shown = torques(setup, FRICTION, motion) + rng.normal(0, 1, motion.q.shape) * 0.5 * setup.arm.noise
         shown[:, 4] += 0.06 * wave[: len(shown)]
-        found = predicted_torques(model, recording)
+        found = predicted(model, recording)
         inside = ~found.outside
         inside[:15] = inside[-15:] = False  # accelerations at the ends of a run are not known as well
         within.append((np.abs(found.torque - shown) <= 1.96 * found.std)[inside])
@@ -82,14 +81,14 @@ def test_bars_hold_the_share_of_rows_that_they_claim(diagnosed, model):
 def test_without_what_is_left_the_bars_would_be_too_narrow(model):
     narrow = replace(model, uncertainty=replace(model.uncertainty, left=np.zeros(6), unseen=np.zeros(6)))
     _, _, recording = unseen(7)
-    ratio = predicted_torques(narrow, recording).std[:, 4] / predicted_torques(model, recording).std[:, 4]
+    ratio = predicted(narrow, recording).std[:, 4] / predicted(model, recording).std[:, 4]
     assert ratio.max() < 0.9
 
 
 def test_rows_outside_are_marked_and_their_bars_grow(model):
     _, _, usual = unseen(10)
     _, _, fast = unseen(10, factor=3.0)
-    inside, beyond = (predicted_torques(model, motion) for motion in (usual, fast))
+    inside, beyond = (predicted(model, motion) for motion in (usual, fast))
     assert beyond.outside.mean() > 0.5 > inside.outside.mean()
     assert np.median(beyond.std[beyond.outside]) > 1.5 * np.median(inside.std[~inside.outside])
 
@@ -134,14 +133,12 @@ def test_variances_are_those_of_the_prediction(texts, inertial):
         links = direction[:60].reshape(6, 10) if inertial else np.zeros((6, 10))
         numbers = direction[60:] if inertial else direction
         sides = [
-            predict_torques(
-                replace(model, links=model.links + s * links, terms=free, values=values + s * numbers), recording
-            )
+            predict(replace(model, links=model.links + s * links, terms=free, values=values + s * numbers), recording)
             for s in (1.0, -1.0)
         ]
         variance += ((sides[0] - sides[1]) / 2) ** 2
     inside = slice(20, -20)  # a delay goes on beyond the ends of a run in its own way
-    found = predicted_torques(model, recording).std
+    found = predicted(model, recording).std
     np.testing.assert_allclose(found[inside], np.sqrt(variance)[inside], rtol=2e-2, atol=1e-4 * found.max())
 
 
@@ -158,7 +155,7 @@ def test_damaged_bars_are_refused(diagnosed, damage, message):
     document = json.loads(json.dumps(diagnosed.to_dict()))
     damage(document["model"]["uncertainty"])
     with pytest.raises(InputError, match=message):
-        torque_model_from_document(document)
+        model_from_document(document)
 
 
 def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
@@ -189,7 +186,7 @@ def test_a_process_is_as_uncertain_beyond_its_range_as_its_prior():
     model = replace(model, terms=terms, values=np.zeros(size), uncertainty=known)
     motion = motion_of(setup, 7)
     recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
-    std = predicted_torques(model, recording).std
+    std = predicted(model, recording).std
     far = np.abs(motion.q[:, 1]) > 0.6
     # the constant that every process has is known, and the rest of it has the prior's variance
     np.testing.assert_allclose(std[far, 1], 0.3, atol=0.01)

@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 from benchmarks.torque_trials.effects import FAMILIES, Joint
 from benchmarks.torque_trials.physics import rigid, torques
 from benchmarks.torque_trials.trials import draw
-from lite6jax.diagnosis.document import read_torque_model, torque_model_from_document, write_document
+from lite6jax.diagnosis.document import model_from_document, read_model, write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
-from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
@@ -96,12 +96,12 @@ def test_the_joint_is_said_of_which_most_is_left(diagnosed, over_noise, said):
 
 def test_the_model_predicts_another_motion(diagnosed, tmp_path):
     path = write_document(with_statements(diagnosed.to_dict()), tmp_path / "d.json")
-    model = read_torque_model(path)
+    model = read_model(path, domain="torques")
     setup, _ = setup_of(1)
     motion = motion_of(setup, 999)
     unseen = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
-    predicted = predict_torques(model, unseen)
-    np.testing.assert_allclose(predicted, predict_torques(diagnosed.model, unseen), rtol=0, atol=1e-12)
+    predicted = predict(model, unseen)
+    np.testing.assert_allclose(predicted, predict(diagnosed.model, unseen), rtol=0, atol=1e-12)
     truth = torques(setup, (*FRICTION, DECLARED), motion)
     assert np.sqrt(np.mean((predicted - truth)[10:-10] ** 2)) < 0.02
     assert np.sqrt(np.mean((torques(setup, (), motion) - truth) ** 2)) > 0.1
@@ -127,7 +127,7 @@ def test_damaged_documents_are_refused(diagnosed, damage, message):
     document = json.loads(json.dumps(diagnosed.to_dict()))
     damage(document)
     with pytest.raises(InputError, match=message):
-        torque_model_from_document(document)
+        model_from_document(document, domain="torques")
 
 
 def test_a_function_outside_the_catalogue_has_no_name():
@@ -300,7 +300,7 @@ def test_a_motion_without_a_driver_of_the_model_is_refused():
     motion = motion_of(setup_of(9)[0], 3)
     cold = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
     with pytest.raises(InputError, match="has no temperature of joint 2; give the temperature of each joint"):
-        predict_torques(found.model, cold)
+        predict(found.model, cold)
 
 
 def test_a_payload_elsewhere_than_declared_is_one_finding():

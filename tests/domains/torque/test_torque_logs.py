@@ -13,8 +13,8 @@ from lite6jax.cli import main
 from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.predict import predicted
 from lite6jax.domains.torque.filtering import low_pass
-from lite6jax.domains.torque.predict import predicted_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.rows import bodies_of
 from lite6jax.domains.torque.screening import contacts, screen_torques
@@ -240,7 +240,7 @@ def test_torques_are_predicted_at_uneven_times(arm):
     uneven = np.sort(np.arange(600) / 50 + np.random.default_rng(5).uniform(-0.008, 0.008, 600))
     uneven = np.delete(uneven, np.arange(200, 300))  # two seconds are missing
     q, dq, ddq = swung(uneven)
-    found = predicted_torques(model, Recording.from_arrays(q[:, None], time=uneven, motion="trajectory"))
+    found = predicted(model, Recording.from_arrays(q[:, None], time=uneven, motion="trajectory"))
     assert found.std is not None
     assert found.outside is not None
     there = np.isfinite(found.torque[:, 0])
