@@ -138,7 +138,7 @@ def diagnose(long: int = 12_000, repeats: int = 3) -> Iterator[Record]:
         caches = [folder / f"cache{i}" for i in range(repeats)]
 
         def check(path: Path) -> str:
-            return wrong_findings(read_model(path).physics.effects)
+            return wrong_findings(read_model(path, domain="poses").physics.effects)
 
         for cache, used in (("cold", caches), ("warm", caches[:1] * repeats)):
             seconds, wrong = run_processes([*COMMAND, "diagnose", str(file)], used, check)

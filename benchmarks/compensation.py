@@ -124,7 +124,7 @@ def compensation(
                 payload=payload,
                 settings=replace(recording.settings, motion="static"),
             )
-            model = read_model(document)
+            model = read_model(document, domain="poses")
             asked_path = write_recording(asked, Path(folder) / "targets.csv")
             taken, solved = time_call(partial(compensate, model, read_pose_targets(asked_path, model)))
         before, after = (

@@ -149,7 +149,7 @@ def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcom
     yield own
     if other is not None:
         with tempfile.TemporaryDirectory() as folder:
-            model = read_model(write_document(found.to_dict(), Path(folder) / "d.json"))
+            model = read_model(write_document(found.to_dict(), Path(folder) / "d.json"), domain="poses")
         yield replace(own, errors=register_model(model, other)[1].distance)
 
 
