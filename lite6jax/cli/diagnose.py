@@ -85,7 +85,8 @@ class Diagnose:
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
-    """What is known of its geometry: as the sidecar declares; exactly the factory calibration; near it; nothing."""
+    """Of poses, what is known of its geometry: as the sidecar declares; exactly the factory calibration; near it;
+    nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
     torques: bool = False
