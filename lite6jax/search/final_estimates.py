@@ -46,8 +46,13 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
 
 
 def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
-    """The fit with the range of each number as its prior, where the data determine one less than that."""
-    if not np.any(np.sqrt(np.diagonal(fitted.covariance)) > fitted.terms.range):
+    """The fit with the range of each number as its prior, where the data determine one, or a sum of some, less."""
+    std = np.sqrt(np.diagonal(fitted.covariance))
+    seen = std > 0
+    # of a combination that no sample shows, a pseudo-inverse has no variance at all
+    correlation = fitted.covariance[np.ix_(seen, seen)] / np.outer(std[seen], std[seen])
+    determined = np.linalg.matrix_rank(correlation, options.rounding, hermitian=True) == seen.sum()
+    if determined and not np.any(std > fitted.terms.range):
         return fitted
     terms = replace(fitted.terms, bounded=True)
     return fit(problem, terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)

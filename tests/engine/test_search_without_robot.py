@@ -192,6 +192,20 @@ def test_what_the_data_leave_open_is_held_by_its_bounds():
     assert said.values[0] == pytest.approx(sure.values[0], abs=0.01 * np.sqrt(sure.covariance[0, 0]))
 
 
+def test_of_two_numbers_whose_sum_alone_is_seen_each_is_as_uncertain_as_its_bounds():
+    """The sum is known, and the difference by the prior N(0, 2 · 2²) alone."""
+    problem = linear_problem(np.random.default_rng(6), planted=lambda d: 0.8 * d["u2"])
+    problem.data["u4"] = problem.data["u2"]
+    model = tuple(Column(name, coordinates=(Number(lower=-1.0, upper=1.0),)) for name in ("u2", "u4"))
+    fitted = fit(problem, Terms(model), OPTIONS)
+    state = State(fit(problem, Terms(), OPTIONS), fitted, tuple(map(SelectedTerm, model)))
+    said = final_estimates(problem, state, OPTIONS).fit
+    np.testing.assert_allclose(np.sqrt(np.diagonal(said.covariance)), np.sqrt(8) / 2, rtol=0.1)
+    of_sum = np.sqrt(said.covariance.sum())
+    assert of_sum < 0.1
+    assert said.values.sum() == pytest.approx(0.8, abs=4 * of_sum)
+
+
 class _Bent(LinearProblem):
     """With a term u2 whose derivative at zero is another one than at its estimate, as that of a delay is."""
 
