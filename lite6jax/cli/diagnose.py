@@ -129,8 +129,6 @@ class Diagnose:
         command.check_processes(self.processes, None)
         read = [self.source, *self.more, self.reference, self.arm, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
-        names = (*diagnosis_figures.NAMES["both"], *diagnosis_figures.NAMES["torques"])
-        command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
         recording, found = self.search()
         document = self.document(found)
         written = self.write(found, document)
@@ -149,6 +147,9 @@ class Diagnose:
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
             recording, search = self._prepare()
+            poses, torques = recording.numbers_per_sample and not self.torques, recording.has_torques and not self.poses
+            names = diagnosis_figures.NAMES["torques" if not poses else "both" if torques else "poses"]
+            command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
             with screen.stages() as follow:
                 return recording, search(progress=follow)
 
@@ -166,7 +167,7 @@ class Diagnose:
         effects = command.load_own_effects(self.effects)
         if recording.numbers_per_sample and not self.torques:
             arm = arm or source.arm_of(recording)
-        poses = recording.position is not None and (self.poses or self.fleet)
+        poses = recording.numbers_per_sample and (self.poses or self.fleet)
         given: dict[str, Any] = {
             "domain": "torques" if self.torques else "poses" if poses else None,
             "reference": source.load_recording(self.reference, arm, **assumed) if self.reference else None,
@@ -188,7 +189,8 @@ class Diagnose:
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if not (self.report or self.figures):
             return written
-        drawn, most = {}, len(diagnosis_figures.NAMES["both"])
+        poses = isinstance(found, diagnose.Diagnosis)
+        drawn, most = {}, len(diagnosis_figures.NAMES["poses" if poses else "torques"])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -198,7 +200,11 @@ class Diagnose:
                 written += figures.save(named, self.figures, self.force)
             advance(most)
             if self.report:
-                sides = f"{self.source} against {self.reference.name}" if self.reference else str(self.source)
+                beside = found.torques if isinstance(found, diagnose.Diagnosis) else None
+                against = found.against or (beside and beside.against)
+                sides = (
+                    f"{self.source} against {self.reference.name}" if against and self.reference else str(self.source)
+                )
                 files = ranking.Files(self.source, self.out, self.effects)
                 html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))

@@ -492,9 +492,9 @@ def diagnose(
 ) -> Diagnosis | TorqueDiagnosis:
     """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
-    Of poses and torques both are diagnosed, and what they say of quantities on which both depend is compared: the
-    result is that of the poses, with that of the torques as `torques`. Torques that cannot be diagnosed beside poses
-    (of an arm at rest, or without inertia) are left out with the reason.
+    A recording of poses and torques is diagnosed by both, and what they say of quantities on which both depend is
+    compared: the result is that of the poses, with that of the torques as `torques`. Torques that cannot be diagnosed
+    beside poses (of an arm at rest, or without inertia) are left out with the reason.
 
     Args:
         recording: measured poses, or torques or currents with times, in SI units, or both; or the path of its file. Of
@@ -505,9 +505,10 @@ def diagnose(
         domain: what of the recording is diagnosed: "poses" or "torques"; all that it has where not given.
         reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
-            another what either shows is compared. `against` of the result is the comparison.
+            another what either shows is compared. `against` of the result, and of its `torques`, is the comparison.
         geometry: what is known of it, as in `fit`; of poses only.
-        effects: a user's own candidates of either domain, tested like the catalogue's.
+        effects: a user's own candidates of either domain, tested like the catalogue's; those of a domain that is not
+            diagnosed are not used.
         factory: the arm's calibration; from the sidecar where not given; of poses.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block; of the
@@ -528,7 +529,7 @@ def diagnose(
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     if domain not in (None, "poses", "torques"):
         raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
-    if recording.position is None and recording.has_torques:
+    if not recording.numbers_per_sample and recording.has_torques:
         if domain == "poses":
             raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
         domain = "torques"
@@ -543,7 +544,7 @@ def diagnose(
     both = domain is None and recording.has_torques
     arm = arm or arm_of(recording) if both else arm
     other = None if reference is None else load_recording(reference, arm)
-    of_poses = other if not both or other is None or other.position is not None else None
+    of_poses = other if not both or other is None or not other.has_torques or other.numbers_per_sample else None
     of_arm: dict[str, Any] = {"geometry": geometry, "factory": factory}
     poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **given)
     if not both:

@@ -167,6 +167,8 @@ class HeldOut(NamedTuple):
     Attributes:
         before: m, of positions, with the nuisance alone.
         after: m, of positions, with the effects that a search of the other rows selects, or that are fitted to them.
+        placed_before: of positions, over their noise, with the nuisance alone. A camera sees depth worse than the rest.
+        placed_after: likewise with the effects.
         turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
         turned_after: likewise with the effects.
         angle_before: rad, of orientations, with the nuisance alone; zero where none were measured.
@@ -176,6 +178,8 @@ class HeldOut(NamedTuple):
 
     before: Array
     after: Array
+    placed_before: Array
+    placed_after: Array
     turned_before: Array
     turned_after: Array
     angle_before: Array
@@ -184,7 +188,8 @@ class HeldOut(NamedTuple):
 
     def without_effects(self) -> "HeldOut":
         """The errors of the nuisance alone, before and after."""
-        return self._replace(after=self.before, turned_after=self.turned_before, angle_after=self.angle_before)
+        alone = {"after": self.before, "angle_after": self.angle_before}
+        return self._replace(placed_after=self.placed_before, turned_after=self.turned_before, **alone)
 
     def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
         """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
@@ -204,7 +209,7 @@ class HeldOut(NamedTuple):
         the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
         effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
         """
-        position = _ratio(self.before[kept], self.after[kept])
+        position = _ratio(self.placed_before[kept], self.placed_after[kept])
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])
         cost = 1 + 0.5 * numbers / (3 * kept.sum())
         return position * turned > 1 or position > max(options.heldout_rise, cost)
@@ -222,7 +227,7 @@ class HeldOut(NamedTuple):
             kept = tried
         held = [rows for fold in folds if (rows := fold & kept).any()]
         if held:
-            logs = [np.log(max(_ratio(self.before[rows], self.after[rows]), 1e-300)) for rows in held]
+            logs = [np.log(max(_ratio(self.placed_before[rows], self.placed_after[rows]), 1e-300)) for rows in held]
             if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
                 return False
 
@@ -230,12 +235,12 @@ class HeldOut(NamedTuple):
             """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
             assert isinstance(problem, PoseProblem)
             share = fit.freedom / (problem.rows * fit.training.sum())
-            fitted = np.sum(_distance(problem, fit)[kept] ** 2) / share
+            fitted = np.sum(_over_noise(problem, fit)[0][kept] ** 2) / share
             return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
 
         state = selection.state
-        after = times_fitted(self.after, selection.problem, state.fit)
-        return after > max(options.heldout_excess, times_fitted(self.before, selection.reference, state.baseline))
+        before = times_fitted(self.placed_before, selection.reference, state.baseline)
+        return times_fitted(self.placed_after, selection.problem, state.fit) > max(options.heldout_excess, before)
 
 
 def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> HeldOut:
@@ -282,26 +287,22 @@ def _errors(selection: Selection, held: Mask) -> HeldOut:
     problem, reference, state = selection.problem, selection.reference, selection.state
     assert isinstance(reference, PoseProblem)
     assert isinstance(problem, PoseProblem)
-    turned_before, angle_before = _turns(reference, state.baseline)
-    turned_after, angle_after = _turns(problem, state.fit)
-    before, after = _distance(reference, state.baseline), _distance(problem, state.fit)
-    with_effects = np.full(held.size, bool(state.tested))
-    errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, with_effects)
+    parts = zip(_sizes(reference, state.baseline), _sizes(problem, state.fit), strict=True)
+    errors = HeldOut(*(size for pair in parts for size in pair), with_effects=np.full(held.size, bool(state.tested)))
     return HeldOut._make(of_all[held] for of_all in errors)
 
 
-def _distance(problem: PoseProblem, fit: Fit) -> Array:
-    """`(sample,)` m between predicted and measured positions."""
-    return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
+def _sizes(problem: PoseProblem, fit: Fit) -> tuple[Array, Array, Array, Array]:
+    """`(sample,)` each, of the errors of a fit, in the order of `HeldOut`: m, over noise two, and rad."""
+    angles = unwhitened(problem.residual(fit.nuisance, fit.terms, fit.values), problem.measured.whitener)[3:]
+    distance = np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
+    return distance, *_over_noise(problem, fit), np.linalg.norm(angles, axis=0)
 
 
-def _turns(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:
-    """`(sample,)` between predicted and measured orientations, over their noise and in rad; zero where none were
-    measured.
-    """
+def _over_noise(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:
+    """`(sample,)` between predicted and measured positions and orientations, over their noise; zero of none."""
     rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    angles = unwhitened(rows, problem.measured.whitener)
-    return np.linalg.norm(rows[3:], axis=0), np.linalg.norm(angles[3:], axis=0)
+    return np.linalg.norm(rows[:3], axis=0), np.linalg.norm(rows[3:], axis=0)
 
 
 def _ratio(before: Array, after: Array) -> float:

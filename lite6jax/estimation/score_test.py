@@ -299,7 +299,7 @@ class ScoreTest:
         basis, residual = self._measured
         white = _white(self.fit, site, self.scale)
         with_site, with_basis, with_residual = (
-            np.stack([np.einsum("...rs,rs->...s", other, one) for one in white]) for other in (white, basis, residual)
+            np.stack([np.sum(one * other, -2) for one in white]) for other in (white, basis, residual)
         )
         return with_site, with_basis, with_residual
 

@@ -197,6 +197,7 @@ class Scan:
                     self._products.clear()
                     self._kept = found.size
                 self._products[key] = found
+                return found
             return self._products[key]
         return self._features[key]
 

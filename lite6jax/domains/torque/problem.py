@@ -101,11 +101,12 @@ class Known:
 
     def of_every(self, every: int) -> "Known":
         """Of one in `every` samples."""
-        return self.thinned.setdefault(every, Known())
+        return self.thinned.setdefault(every, Known(everywhere=self.everywhere))
 
     def at_other_links(self) -> "Known":
         """What does not depend on inertial numbers."""
-        return Known(waves=self.waves, thinned={n: known.at_other_links() for n, known in self.thinned.items()})
+        thinned = {n: known.at_other_links() for n, known in list(self.thinned.items())}
+        return Known(waves=self.waves, thinned=thinned)
 
     def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
         """Another process computes it anew, which is faster than to send it."""
@@ -489,7 +490,7 @@ class TorqueProblem:
         return units[key]
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
-        """The same of an effect that is not linear, at some of its numbers."""
+        """As `_units`, by each number of an effect that is not linear, at some of its `values`."""
         key, at = (effect, bool(values.any())), values.tobytes()
         known = self.known.slopes.get(key)  # a fold of another thread may keep its own any time
         if known is None or known[0] != at:
