@@ -11,6 +11,7 @@ from typed import flat, refused, run
 from lite6jax.arms.description import load_bundled
 from lite6jax.recordings import read_recording
 from tests.oracles.chains import six_parameter_poses
+from tests.oracles.sliding_arms import ARMS
 
 LITE6 = load_bundled("lite6").kinematics
 OFFSET, DRIFT = 1234.567, 80e-6
@@ -147,7 +148,12 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
         ((robot, tracker), None, f"name it, `lite6jax init {robot} {tracker} --arm NAME`"),
         ((robot, tracker, foreign), "lite6", "3 recordings: name one, or two"),
         ((robot, foreign), "lite6", "agree at no offset of the clocks"),
-        ((robot, unsaid), "lite6", "; assumed were timestamp in s, t in s: say other units as --column"),
+        (
+            (robot, unsaid),
+            "lite6",
+            "; timestamp of robot.csv was taken in s, t of unsaid.csv in s; if that is wrong, give "
+            "--column timestamp=time_ms or --column t=time_ms",
+        ),
         ((robot, still), "lite6", "hardly moves, so that nothing shows the offset of the clocks"),
         ((robot, timeless), "lite6", f"name the column of the times of {timeless}, such as --column NAME=time_s"),
         ((robot, robot), "lite6", "both have joint positions"),
@@ -158,6 +164,24 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
         assert message in said, said
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
         p.name for p in (robot, tracker, foreign, still, timeless, unsaid)
+    )
+
+
+def test_assumed_units_are_said_of_each_file_with_what_would_give_others(tmp_path, capsys):
+    rng, t = np.random.default_rng(8), np.arange(0, 24, 0.01)
+    (tmp_path / "scara.urdf").write_text(ARMS["scara"])
+    joints = {f"joint{k + 1}": column for k, column in enumerate(path(8)(t).T[:4])}
+    joints |= {"joint1": 90 * joints["joint1"], "joint3": 0.1 * joints["joint3"]}
+    point = dict(zip("xyz", path(9)(t).T[:3] + 1e-5 * rng.normal(size=(3, len(t))), strict=True))
+    files = [
+        write(tmp_path / f"{name}.csv", {"time": t} | found) for name, found in (("robot", joints), ("tracker", point))
+    ]
+    said = refused(capsys, "init", *files, "--arm", tmp_path / "scara.urdf", "--yes")
+    assert (
+        "; joint1 … of robot.csv was taken in deg, joint3 of robot.csv in m, time of robot.csv in s, time of " in said
+    )
+    assert said.rstrip().endswith(
+        "; if that is wrong, give --column joint1=q1_rad and so on or --column joint3=q3_mm or --column time=time_ms"
     )
 
 

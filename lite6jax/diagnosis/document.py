@@ -527,14 +527,14 @@ def document_text(document: Any, line: str = "\n") -> str:
 
 @overload
 def read_model(
-    path: str | Path, effects: Sequence[Effect] = (), domain: None = None
+    path: str | Path, effects: Sequence[Effect] = (), *, domain: None = None
 ) -> DiagnosedArm | DiagnosedMotors: ...
 @overload
 def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["poses"]) -> DiagnosedArm: ...
 @overload
 def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["torques"]) -> DiagnosedMotors: ...
 def read_model(
-    path: str | Path, effects: Sequence[Effect] = (), domain: Domain | None = None
+    path: str | Path, effects: Sequence[Effect] = (), *, domain: Domain | None = None
 ) -> DiagnosedArm | DiagnosedMotors:
     """The model in a diagnosis file: of the poses where they were diagnosed, else of the torques.
 
@@ -544,9 +544,12 @@ def read_model(
         domain: "poses" or "torques", to have the model of that one of a diagnosis of both.
 
     Raises:
-        InputError: no such file, not a diagnosis of the domain, or something in it is missing or not possible.
+        InputError: no such domain or file, not a diagnosis of the domain, or something in it is missing or not
+            possible.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
+    if domain not in (None, "poses", "torques"):
+        raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
     return model_from_document(parse_document(path), effects, str(path), domain)
 
 

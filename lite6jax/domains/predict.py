@@ -1,5 +1,6 @@
 """What the sensors of a diagnosed arm show in a motion: its poses, or the torques of its motors."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import overload
@@ -20,13 +21,15 @@ def predict(model: DiagnosedArm | DiagnosedMotors, motion: Motion, **circumstanc
     """The poses `T_sensor_tool` `(sample, 4, 4)`, or the torques `(sample, joint)` Nm, that the sensors of a diagnosed
     recording would show in a motion.
 
-    Rows are NaN where a clock's offset reaches beyond the ends of a run; of torques in long gaps of uneven times.
+    Rows are NaN where a clock's offset reaches beyond the ends of a run. Torques are also NaN in long gaps between
+    uneven times.
 
     Args:
         model: of poses or of torques, from a diagnosis.
-        motion: a recording or the path of its file, whose settings say at which temperature the geometry holds and
-            whether the arm stands still at each row; or joint positions `(sample, joint)` in rad, for which the
-            diagnosed recording's hold. Torques need its times.
+        motion: a recording, the path of its file, or joint positions `(sample, joint)` in rad. A recording's settings
+            say at which temperature the geometry holds, and whether the arm stands still at each row. For joint
+            positions the settings of the diagnosed recording are taken. Torques of joint positions are those of a
+            moving arm, and need `time`; those of static postures need a `Recording` with `motion="static"`.
         circumstances: beside joint positions, arrays by the names of `Recording.from_arrays` in its shapes and units:
             `payload`, `time`, `run`, `joint_velocity`, `joint_temperature`, `ambient_temperature`.
 
@@ -48,10 +51,11 @@ def predicted(
 ) -> Prediction | TorquePrediction:
     """The poses or the torques that the sensors show in a motion, with their standard deviations.
 
-    Those of poses are of the true pose, and those of torques contain the sensor's noise. Rows outside what was recorded
-    are marked. There what is left of the model is taken to grow: its variance by the square of the distance in joint
-    space to the nearest recorded rows, beyond their spacing, over `LENGTH` of `lite6jax.domains.uncertainty`; and
-    likewise with what an effect depends on.
+    Standard deviations of poses are those of the true pose. Those of torques contain the sensor's noise.
+
+    Rows outside what was recorded are marked. There the error that the model leaves is taken to grow with the distance
+    in joint space to the nearest recorded rows, beyond their spacing. Its variance grows by the square of the ratio of
+    that distance to `LENGTH` of `lite6jax.domains.uncertainty`. It grows likewise with what an effect depends on.
 
     Args:
         model: as in `predict`.
@@ -65,8 +69,17 @@ def predicted(
         raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a diagnosis")
     if isinstance(motion, str | Path):
         motion = read_motion(motion, model)
-    if not isinstance(motion, Recording):
-        motion = recording_of(model, motion, **circumstances)
-    elif circumstances:
-        raise InputError(f"predict: a recording has its own {', '.join(circumstances)}; give joint positions")
-    return predicted_poses(model, motion) if isinstance(model, DiagnosedArm) else predicted_torques(model, motion)
+    if isinstance(motion, Recording):
+        if circumstances:
+            given = ", ".join(circumstances)
+            raise InputError(f"motion: is a recording, and arrays go with joint positions only; leave out {given}")
+        remedy = "add time_s"
+    else:
+        if not (isinstance(motion, Sequence) or hasattr(motion, "__array__")):
+            raise wrong_type("motion", motion, "a Recording, the path of its file, or an array of joint positions")
+        motion, remedy = recording_of(model, motion, **circumstances), "give time=…"
+    if isinstance(model, DiagnosedArm):
+        return predicted_poses(model, motion)
+    if motion.time is None and motion.motion != "static":
+        raise InputError(f"{motion.source}: torques of a motion need times; {remedy}")
+    return predicted_torques(model, motion)

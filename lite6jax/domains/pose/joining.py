@@ -5,6 +5,7 @@ those of `report.inspection`.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -246,15 +247,21 @@ def _joint_columns(file: File, arm: Arm) -> Array:
 
 
 def _assumed(*files: File) -> str:
-    """What units of times and joints were taken that nothing says for certain, and how to say others."""
+    """In which units times and joints were taken where nothing says so for certain, and how to give others."""
     said, remedies = [], []
-    for meaning in (meaning for file in files for meaning in file.found.meanings if meaning.unit.sure != "certain"):
-        if (kind := meaning.block.kind) in ("q", "time"):
-            column, unit = meaning.block.columns[0], meaning.unit.choice
-            other = next(one for one in units_of(kind, meaning.block.slides) if one != unit)
-            said.append(f"{column} in {unit}")
-            remedies.append(f"--column {column}={'q1' if kind == 'q' else kind}_{other}")
-    return f"; assumed were {', '.join(said)}: say other units as {' or '.join(remedies)}" if said else ""
+    meanings = [(Path(file.source).name, meaning) for file in files for meaning in file.found.meanings]
+    for of_file, meaning in meanings:
+        block, unit = meaning.block, meaning.unit.choice
+        if block.kind not in ("q", "time") or meaning.unit.sure == "certain":
+            continue
+        other = next(one for one in units_of(block.kind, block.slides) if one != unit)
+        quantity = f"q{block.joints[0] if block.joints else 1}" if block.kind == "q" else block.kind
+        name, of_all = block.columns[0], " and so on" if len(block.columns) > 1 else ""
+        verb = "" if said else " was taken"
+        said.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
+        remedies.append(f"--column {name}={quantity}_{other}{of_all}")
+    # files that have the column alike need one remedy
+    return f"; {', '.join(said)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}" if said else ""
 
 
 def _times(file: File) -> Array:

@@ -288,13 +288,14 @@ def predicted_poses(model: DiagnosedArm, recording: Recording) -> Prediction:
 
 
 def require_model(model: object) -> None:
-    """Refuses what is no model of an arm.
+    """Refuses what is no model of poses.
 
     Raises:
         InputError: as said.
     """
     if not isinstance(model, DiagnosedArm):
-        raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a Diagnosis")
+        read = "lite6jax.read_model('diagnosis.json', domain='poses')"
+        raise wrong_type("model", model, f"{read}, or the `model` of a Diagnosis")
 
 
 def shown_poses(model: DiagnosedArm, motion: Motion) -> Array:

@@ -150,6 +150,12 @@ def test_an_effect_of_ones_own(arm, tmp_path):
     assert "effect 'cable_drag': unknown" in refused(read_model, stored(tmp_path, content))
 
 
+def test_a_model_of_no_domain_is_refused(arm, tmp_path):
+    path = stored(tmp_path, document(arm, []))
+    said = refused(lambda: read_model(path, domain="pose"))
+    assert said == 'domain=\'pose\': is none; give "poses" or "torques", or leave it out'
+
+
 # ------------------------------------------------------------------ plain arrays
 
 
@@ -167,7 +173,8 @@ def test_arrays_that_are_no_motion_of_the_arm(arm):
     assert refused(predict, model, q[:, :5]) == "motion: has 5 joints, and the arm 6; give that arm's motion"
     assert "are these degrees? give radians: np.deg2rad(joint_position)" in refused(predict, model, np.rad2deg(q))
     said = refused(lambda: predict(model, Recording.from_arrays(q), payload=np.zeros(SAMPLES)))
-    assert said == "predict: a recording has its own payload; give joint positions"
+    assert said == "motion: is a recording, and arrays go with joint positions only; leave out payload"
+    assert refused(predict, model, None).startswith("motion: has the type NoneType; give a Recording, the path of its")
     assert "motion: payload has the shape (3,); give (30,)" in refused(lambda: predict(model, q, payload=np.zeros(3)))
 
 
