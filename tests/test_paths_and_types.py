@@ -72,7 +72,7 @@ FRAME = pd.DataFrame({"q1_rad": [0.0]})
         (lambda _: lite6jax.fit([["a", "b"]]), "source: holds .*, not numbers"),
         (lambda _: lite6jax.predict("d.json", "m.csv"), r"model: has the type str; give lite6jax\.read_model"),
         (lambda _: lite6jax.compensate(None, [[0, 0, 0]]), r"model: has the type NoneType; give lite6jax\.read_model"),
-        (lambda m: lite6jax.predict(m, object()), "motion: has the type object; give a Recording, the path of its file"),
+        (lambda m: lite6jax.predict(m, object()), "motion: has the type object; give a Recording"),
         (lambda m: lite6jax.register_model(m, 3), "recording: has the type int; give the path"),
         (lambda _: lite6jax.simulate(3), "arm: has the type int; give an Arm, the name of a bundled one"),
         (lambda _: lite6jax.sensitivity(3), "arm: has the type int; give an Arm or the name"),
