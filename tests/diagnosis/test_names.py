@@ -183,7 +183,9 @@ def judged(found, monkeypatch):
     recording, explanation = found
 
     def judge(before, after, some=FORTY > 0, refitted=True):
-        errors = HeldOut(before * FORTY, after * FORTY, *np.zeros((4, 40)), some)
+        noise = explanation.problem.noise[0]
+        sizes = (before, after, before / noise, after / noise)
+        errors = HeldOut(*(size * FORTY for size in sizes), *np.zeros((4, 40)), some)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.explain", lambda *given, **options: explanation)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: errors)
         if refitted:
@@ -262,5 +264,7 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, some, ke
 )
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
-    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows, rows, rows, rows > 0)
+    errors = HeldOut(
+        1e-4 * rows, position * 1e-4 * rows, rows, position * rows, rows, orientation * rows, rows, rows, rows > 0
+    )
     assert errors.raised(rows > 0, 0, OPTIONS) == raised
