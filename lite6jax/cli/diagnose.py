@@ -189,8 +189,10 @@ class Diagnose:
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if not (self.report or self.figures):
             return written
-        poses = isinstance(found, diagnose.Diagnosis)
-        drawn, most = {}, len(diagnosis_figures.NAMES["poses" if poses else "torques"])
+        domain, beside = "torques", None
+        if isinstance(found, diagnose.Diagnosis):
+            domain, beside = "both" if found.torques else "poses", found.torques
+        drawn, most = {}, len(diagnosis_figures.NAMES[domain])
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -200,7 +202,6 @@ class Diagnose:
                 written += figures.save(named, self.figures, self.force)
             advance(most)
             if self.report:
-                beside = found.torques if isinstance(found, diagnose.Diagnosis) else None
                 against = found.against or (beside and beside.against)
                 sides = (
                     f"{self.source} against {self.reference.name}" if against and self.reference else str(self.source)

@@ -19,7 +19,7 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
 from lite6jax.diagnosis.discrimination import differ, separating_poses
-from lite6jax.diagnosis.document import Domain, effect_entry, pose_model_entry
+from lite6jax.diagnosis.document import Domain, effect_entry, pose_model_entry, require_domain
 from lite6jax.diagnosis.estimates import Shared, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
@@ -527,8 +527,7 @@ def diagnose(
     recording = load_recording(recording, arm)
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
-    if domain not in (None, "poses", "torques"):
-        raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
+    require_domain(domain)
     if not recording.numbers_per_sample and recording.has_torques:
         if domain == "poses":
             raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")

@@ -548,9 +548,18 @@ def read_model(
             possible.
     """
     require_type("path", path, str | Path, "the path of a diagnosis (.json)")
+    require_domain(domain)
+    return model_from_document(parse_document(path), effects, str(path), domain)
+
+
+def require_domain(domain: object) -> None:
+    """Refuses what names no domain.
+
+    Raises:
+        InputError: as said.
+    """
     if domain not in (None, "poses", "torques"):
         raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
-    return model_from_document(parse_document(path), effects, str(path), domain)
 
 
 def parse_document(path: str | Path) -> Any:

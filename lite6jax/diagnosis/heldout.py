@@ -188,8 +188,12 @@ class HeldOut(NamedTuple):
 
     def without_effects(self) -> "HeldOut":
         """The errors of the nuisance alone, before and after."""
-        alone = {"after": self.before, "angle_after": self.angle_before}
-        return self._replace(placed_after=self.placed_before, turned_after=self.turned_before, **alone)
+        return self._replace(
+            after=self.before,
+            placed_after=self.placed_before,
+            turned_after=self.turned_before,
+            angle_after=self.angle_before,
+        )
 
     def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
         """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
@@ -235,7 +239,7 @@ class HeldOut(NamedTuple):
             """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
             assert isinstance(problem, PoseProblem)
             share = fit.freedom / (problem.rows * fit.training.sum())
-            fitted = np.sum(_over_noise(problem, fit)[0][kept] ** 2) / share
+            fitted = np.sum(_sizes(problem, fit)[1][kept] ** 2) / share
             return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
 
         state = selection.state
@@ -292,17 +296,13 @@ def _errors(selection: Selection, held: Mask) -> HeldOut:
     return HeldOut._make(of_all[held] for of_all in errors)
 
 
-def _sizes(problem: PoseProblem, fit: Fit) -> tuple[Array, Array, Array, Array]:
-    """`(sample,)` each, of the errors of a fit, in the order of `HeldOut`: m, over noise two, and rad."""
-    angles = unwhitened(problem.residual(fit.nuisance, fit.terms, fit.values), problem.measured.whitener)[3:]
-    distance = np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
-    return distance, *_over_noise(problem, fit), np.linalg.norm(angles, axis=0)
-
-
-def _over_noise(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:
-    """`(sample,)` between predicted and measured positions and orientations, over their noise; zero of none."""
+def _sizes(problem: PoseProblem, fit: Fit) -> tuple[Array, ...]:
+    """`(sample,)` each, of the errors of a fit, in the order of `HeldOut`: positions in m and over their noise,
+    orientations over their noise and in rad; zero of what was not measured.
+    """
     rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    return np.linalg.norm(rows[:3], axis=0), np.linalg.norm(rows[3:], axis=0)
+    errors = unwhitened(rows, problem.measured.whitener)
+    return tuple(np.linalg.norm(part, axis=0) for part in (errors[:3], rows[:3], rows[3:], errors[3:]))
 
 
 def _ratio(before: Array, after: Array) -> float:
