@@ -110,7 +110,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
 
     def _own_parts(self) -> dict[str, Any]:
         problem, data = self.problem, self.problem.data
-        chosen = data.filter
+        chosen = data.recorded
         raw = problem.noise * np.sqrt(chosen.every)
         return {
             "domain": "torque",

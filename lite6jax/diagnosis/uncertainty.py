@@ -160,12 +160,12 @@ def _left_of_torques(
     kept, data = problem.valid, problem.data
     dynamics = data.bodies.dynamics(problem.links_at(fit.nuisance))
     time = np.asarray(dynamics.motion.time)
-    rough = shown_torques(fit.terms, fit.values, dynamics, time, data.filter.runs) - data.torque
+    rough = shown_torques(fit.terms, fit.values, dynamics, time, data.filter.runs) - data.torque[:, data.rows]
     fine = (rough - data.filter.whole(rough))[:, data.filter.kept[problem.chosen]]
     squares = (after + fine)[:, kept] ** 2 / _SQUARES[1]
     noise = 1.4826 * np.median(np.abs(rough), axis=1)
     if problem.declared:
-        noise = np.minimum(noise, problem.noise * np.sqrt(data.filter.every))
+        noise = np.minimum(noise, problem.noise * np.sqrt(data.recorded.every))
     left, unseen = np.zeros((2, problem.rows))
     moving = problem.sigma[:, kept] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
     for j in range(problem.rows):

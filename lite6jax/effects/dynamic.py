@@ -27,6 +27,8 @@ Array = NDArray[np.floating]
 DIRECTION_SPEED = 0.002
 """rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v); of a prismatic joint it is
 0.2 mm/s (`arms.arm`)."""
+_STEADY = 1e-4
+"""Of a change of velocity over v, below which the direction of motion is that at the middle."""
 
 # ------------------------------------------------------------------ what effects act on
 
@@ -45,6 +47,8 @@ class Dynamics(NamedTuple):
         gravity: `(3,)` m/s², as declared.
         drives: `(joint, sample)` Nm that motors exert beside `torque` for the friction, rotors and springs that the
             arm's description declares; 0 where it declares none.
+        period: s from one sample to the next where each stands for all that were recorded in this time: directions of
+            motion are means over it. 0 where each stands for an instant.
     """
 
     motion: Motion
@@ -55,6 +59,7 @@ class Dynamics(NamedTuple):
     of_gravity: Callable[[Array], Array]
     gravity: Array
     drives: Array | float = 0.0
+    period: float = 0.0
 
     @property
     def declared(self) -> Array:
@@ -70,7 +75,8 @@ class Dynamics(NamedTuple):
 
     def direction(self, joint: int, transition: float = 0.0) -> Array:
         """`(sample,)`, from -1 to 1, of a joint counted from 1; `transition` as of the function `direction`."""
-        return direction(self.velocity(joint), joint - 1 in self.motion.sliding.joints, transition)
+        slides = joint - 1 in self.motion.sliding.joints
+        return direction(self.velocity(joint), slides, transition, self.change(joint))
 
     def position(self, joint: int) -> Array:
         """`(sample,)` rad, or m, of a joint counted from 1."""
@@ -81,16 +87,43 @@ class Dynamics(NamedTuple):
         assert self.motion.joint_velocity is not None
         return np.asarray(self.motion.joint_velocity)[joint - 1]
 
+    def change(self, joint: int) -> Array | float:
+        """`(sample,)` rad/s, or m/s, by which the velocity of a joint changes within the time of a sample."""
+        return self.period * np.asarray(self.motion.joint_acceleration)[joint - 1] if self.period else 0.0
 
-def direction(velocity: Array, slides: bool | NDArray[np.bool_] = False, transition: float = 0.0) -> Array:
+
+def direction(
+    velocity: Array,
+    slides: bool | NDArray[np.bool_] = False,
+    transition: float = 0.0,
+    change: Array | float = 0.0,
+) -> Array:
     """The direction of motion, -1 to 1, tanh(q̇ / v): encoders have no exact zero.
+
+    Where the velocity changes by Δ within the time of a sample, it is the mean over this time,
+    v/Δ·(log cosh((q̇ + Δ/2)/v) - log cosh((q̇ - Δ/2)/v)).
 
     Args:
         velocity: `(sample,)` or `(joint, sample)` rad/s, m/s of prismatic joints.
         slides: whether the joint is prismatic, or `(joint,)`, which joints are.
         transition: v in the unit of the velocity; `DIRECTION_SPEED` if 0.
+        change: Δ in the unit of the velocity, of its shape.
     """
-    return np.tanh(velocity / transition if transition else as_revolute(velocity, "rad/s", slides) / DIRECTION_SPEED)
+
+    def scaled(speed: Array) -> Array:
+        return speed / transition if transition else as_revolute(speed, "rad/s", slides) / DIRECTION_SPEED
+
+    x = scaled(velocity)
+    if not np.any(change):
+        return np.tanh(x)
+    half = 0.5 * scaled(np.asarray(change, float))
+    known = np.where(np.abs(half) < _STEADY, 1.0, half)
+    return np.where(known == half, (_log_cosh(x + known) - _log_cosh(x - known)) / (2 * known), np.tanh(x))
+
+
+def _log_cosh(x: Array) -> Array:
+    """But for a constant; it does not overflow."""
+    return np.abs(x) + np.log1p(np.exp(-2 * np.abs(x)))
 
 
 def point_mass(mass: float, center: Array) -> Array:
@@ -330,9 +363,10 @@ class CoupledFriction(OfJoint, TorqueEffect):
         return (self.own_driver("velocity"), joint_driver("velocity", self.source_joint, self.of_slide))
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        speed = dynamics.velocity(self.joint) + dynamics.velocity(self.source_joint)
+        joints = self.joint, self.source_joint
+        speed, change = sum(map(dynamics.velocity, joints)), sum(map(dynamics.change, joints))
         total = np.zeros_like(dynamics.torque)
-        friction = values[0] * speed + values[1] * direction(speed, self.of_slide)
+        friction = values[0] * speed + values[1] * direction(speed, self.of_slide, change=change)
         total[[self.joint - 1, self.source_joint - 1]] = friction
         return total
 
@@ -740,12 +774,13 @@ def declared(arm: Arm, effect: object) -> float:
     return 0.0 if values is None else float(values[effect.joint - 1])  # type: ignore[attr-defined]
 
 
-def declared_torque(arm: Arm, motion: Motion) -> Array:
+def declared_torque(arm: Arm, motion: Motion, period: float = 0.0) -> Array:
     """`(joint, sample)` Nm, N of prismatic joints, that motors exert beside those of rigid bodies, by the description.
 
     Args:
         arm: with `viscous_friction`, `coulomb_friction`, `rotor_inertia` and springs, as far as they are declared.
         motion: with velocities and accelerations; NumPy arrays.
+        period: s, the time of a sample, as of `Dynamics`.
     """
     q, dq, ddq = (
         np.asarray(part, float) for part in (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
@@ -753,7 +788,7 @@ def declared_torque(arm: Arm, motion: Motion) -> Array:
     rest = np.zeros(arm.dof) if arm.spring_rest is None else arm.spring_rest
     parts = [
         (arm.viscous_friction, dq),
-        (arm.coulomb_friction, direction(dq, arm.slides)),
+        (arm.coulomb_friction, direction(dq, arm.slides, change=period * ddq)),
         (arm.rotor_inertia, ddq),
         (arm.spring_stiffness, q - rest[:, None]),
     ]

@@ -270,8 +270,8 @@ def spectra(found: TorqueDiagnosis, title: str) -> Figure:
     data = found.problem.data
     slides = bool(data.arm.sliding)
     of_velocity, of_torque = ("(rad/s or m/s)²/Hz", "Nm²/Hz or N²/Hz") if slides else ("(rad/s)²/Hz", "Nm²/Hz")
-    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.filter)
-    torque = filtering.spectra(data.torque, data.filter)[1]
+    frequency, velocity = filtering.spectra(data.recording.velocities().T, data.recorded)
+    torque = filtering.spectra(data.torque, data.recorded)[1]
     parts = (
         ("velocity", of_velocity, velocity, data.motion_cutoff),
         ("torque", of_torque, torque, data.filter.cutoff),

@@ -38,6 +38,8 @@ _NARROWEST = 4.0
 _LEAST_CUTOFF = 10.0
 """Hz; motors' ripple in slow motions."""
 _MOST_ROWS = 1500
+_MODELLED = 5
+"""Samples at which torques are modelled for each one that is kept, at least."""
 _FEWEST = 32
 """Samples of a run; shorter ones have no spectrum."""
 _DISTINCT = 0.5
@@ -327,8 +329,29 @@ def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass
     wanted = max(_WIDEST * band, _LEAST_CUTOFF)
     few = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
     every = max(int(rate / (2 * wanted)), few, 1)
+    every -= every % _stride(every)
     cutoff = rate / (2 * every)
     return LowPass(rate, cutoff, every, runs, _kept(runs, every, 0 if every == 1 else int(np.ceil(rate / cutoff))))
+
+
+def _stride(every: int) -> int:
+    return max(every // _MODELLED, 1)
+
+
+def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
+    """The filter of modelled torques, and the recorded rows `(sample,)` at which they are modelled.
+
+    Of fast recordings these are one in several, of which the filter still keeps no more than one in `_MODELLED`. Both
+    filters keep the same moments.
+
+    Args:
+        recorded: the filter of measured torques, which are of every row.
+    """
+    stride = _stride(recorded.every)
+    at = np.concatenate([np.arange(r.start, r.stop, stride) for r in _each(recorded.runs)])
+    kept = np.searchsorted(at, recorded.kept)
+    every, rate = recorded.every // stride, recorded.rate / stride
+    return replace(recorded, rate=rate, every=every, runs=recorded.runs[at], kept=kept), at
 
 
 def each_posture(samples: int) -> LowPass:
@@ -344,7 +367,10 @@ def without_ends(chosen: LowPass, motion_cutoff: float) -> LowPass:
 
 
 def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.integer]:
-    parts = [np.arange(r.start + margin, r.stop - margin, every) for r in _each(runs) if r.stop - r.start >= _FEWEST]
+    stride = _stride(every)
+    margin = -(-margin // stride) * stride  # so that what is kept is among the rows of the model
+    enough = (rows for rows in _each(runs) if rows.stop - rows.start >= _FEWEST * stride)
+    parts = [np.arange(rows.start + margin, rows.stop - margin, every) for rows in enough]
     return np.concatenate([np.zeros(0, int), *parts])
 
 

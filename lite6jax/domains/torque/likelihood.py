@@ -81,11 +81,11 @@ class Samples:
         self.size = np.std(self.measured, axis=1)
         self.floor = _FLOOR * self.size + 1e-9
         if data.recording.settings.torque_noise_Nm is not None:
-            noise = np.asarray(data.recording.settings.torque_noise_Nm) / np.sqrt(data.filter.every)
+            noise = np.asarray(data.recording.settings.torque_noise_Nm) / np.sqrt(data.recorded.every)
             self.floor = np.hypot(self.floor, 0.5 * noise)
         still = data.recording.motion == "static"  # postures are not neighbours
         slope = np.stack([np.zeros_like(row) if still else np.gradient(row) for row in data.measured])
-        self.slope = slope[:, kept] * data.filter.rate / data.filter.every
+        self.slope = slope[:, kept] * data.recorded.rate / data.recorded.every
 
     def about(self, likeliest: Hypothesis) -> "Samples":
         """The same with a hypothesis that leaves less: what one leaves that is wrong is no noise."""

@@ -348,7 +348,7 @@ class TorqueProblem:
     @property
     def _time(self) -> Array:
         """`(every sample,)` s."""
-        return np.asarray(self.data.recording.time)
+        return np.asarray(self.data.motion.time)
 
     def _shown_everywhere(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """As `torque`, `(joint, every sample)`, without delays."""
@@ -564,7 +564,7 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
         directions=directions,
         precision=deviations**-2.0,
         offset=np.zeros(len(directions)),
-        noise=noise / np.sqrt(data.filter.every),  # white noise, of which the filter leaves one part in so many
+        noise=noise / np.sqrt(data.recorded.every),  # white noise, of which the filter leaves one part in so many
         declared=declared,
         candidates=tuple(effect for effect in candidates if effect not in lacking),
         untestable=missing,

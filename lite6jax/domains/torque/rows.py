@@ -1,6 +1,6 @@
 """The rows of a torque recording: its motion, its rigid-body dynamics and its torques, filtered alike."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import final
 
@@ -15,6 +15,7 @@ from lite6jax.domains.torque.filtering import (
     Smoothed,
     each_posture,
     low_pass,
+    modelled,
     runs_of,
     sample_rate,
     smoothed,
@@ -44,6 +45,7 @@ class RigidBodies:
         gravity: `(3,)` m/s² in the base frame.
         kinematics: `(joint, 6)`.
         drives: `(joint, sample)` Nm of the friction, rotors and springs that the arm's description declares.
+        period: s, the time of a sample, as of `Dynamics`.
     """
 
     motion: Motion
@@ -52,6 +54,7 @@ class RigidBodies:
     gravity: Array
     kinematics: Array
     drives: Array | float = 0.0
+    period: float = 0.0
 
     @property
     def moved(self) -> Array:
@@ -98,6 +101,7 @@ class RigidBodies:
             of_gravity=partial(self.of_gravity, links),
             gravity=self.gravity,
             drives=self.drives,
+            period=self.period,
         )
 
 
@@ -109,9 +113,11 @@ class TorqueRows:
     Attributes:
         recording: its rows in the order of time.
         arm: the declared arm.
-        bodies: its dynamics along the smoothed motion.
-        torque: `(joint, sample)` Nm, measured, without spikes.
-        filter: which torques, measured and modelled, pass.
+        bodies: its dynamics along the smoothed motion, at the samples of the model.
+        torque: `(joint, row)` Nm, measured, without spikes.
+        recorded: the filter of measured torques, which are of every row.
+        filter: that of modelled torques, which are of every sample; it keeps the same moments.
+        rows: `(sample,)`, the row of each sample: of fast recordings one in several.
         motion_cutoff: Hz, of the low pass of the motion.
         slack: `(joint, sample)` Nm, one sigma of what friction holds at rest and of what was interpolated across a
             bend; None where there is neither.
@@ -122,7 +128,9 @@ class TorqueRows:
     arm: Arm
     bodies: RigidBodies
     torque: Array
+    recorded: LowPass
     filter: LowPass
+    rows: NDArray[np.integer]
     motion_cutoff: float
     slack: Array | None = None
     repeated: NDArray[np.bool_] | None = None
@@ -136,7 +144,7 @@ class TorqueRows:
     def time(self) -> Array:
         """`(kept,)` s, of the samples that are kept."""
         assert self.recording.time is not None
-        return self.recording.time[self.filter.kept]
+        return self.recording.time[self.recorded.kept]
 
     @cached_property
     def runs(self) -> NDArray[np.integer]:
@@ -151,7 +159,7 @@ class TorqueRows:
     @cached_property
     def measured(self) -> Array:
         """`(joint, kept)` Nm, filtered."""
-        return self.filter(self.torque)
+        return self.recorded(self.torque)
 
 
 def require_joints(recording: Recording, arm: Arm) -> None:
@@ -206,7 +214,7 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
     Args:
         recording: in the order of time.
         arm: the declared arm.
-        torque: `(joint, sample)` Nm, without spikes.
+        torque: `(joint, row)` Nm, without spikes.
 
     Raises:
         InputError: as `bodies_of`.
@@ -214,4 +222,17 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
     bodies, chosen, cutoff = bodies_of(recording, arm)
     if not len(chosen.kept):
         raise InputError(f"{recording.source}: every run is shorter than its filter; record runs of some seconds")
-    return TorqueRows(recording, arm, bodies, torque, chosen, cutoff)
+    samples, rows = modelled(chosen)
+    if len(rows) < recording.samples:
+        bodies = _thinned(bodies, arm, samples, rows)
+    return TorqueRows(recording, arm, bodies, torque, chosen, samples, rows, cutoff)
+
+
+def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: NDArray[np.integer]) -> RigidBodies:
+    """The dynamics at some rows, each of which stands for those around it."""
+    ends = [np.searchsorted(samples.runs, samples.runs, side) for side in ("left", "right")]
+    motion = jax.tree.map(lambda leaf: leaf[..., rows], bodies.motion)._replace(run=np.stack([ends[0], ends[1] - 1]))
+    period = 1 / samples.rate
+    dq, ddq = motion.joint_velocity, motion.joint_acceleration
+    motion = motion._replace(direction=direction(dq, arm.slides, change=period * ddq))
+    return replace(bodies, motion=motion, drives=declared_torque(arm, motion, period), period=period)

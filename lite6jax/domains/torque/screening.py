@@ -129,7 +129,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         found += turns
     held = held_by_friction(data)
     if held.found or np.any(doubt):
-        spread = np.sqrt(np.abs(data.filter.whole(np.square(doubt)))) if np.any(doubt) else 0.0
+        spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows]) if np.any(doubt) else 0.0
         data = replace(data, slack=np.hypot(held.slack, spread), repeated=held.repeated)
     found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
@@ -313,11 +313,11 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     if len(events) > _MOST_EVENTS or inside.mean() > _LONGEST:
         return none, []
     faults = []
-    chosen = problem.data.filter
+    chosen = problem.data.recorded
     spread = 1 / chosen.cutoff + (_WRONG_IN_A_ROW - 1) / chosen.rate  # s, of a few wrong torques behind the low pass
     recorded = problem.data.recording
     assert recorded.time is not None
-    velocity = np.asarray(problem.data.motion.joint_velocity)[:, chosen.kept[problem.chosen]]
+    velocity = np.asarray(problem.data.motion.joint_velocity)[:, problem.data.filter.kept[problem.chosen]]
     for event in events:
         if time[event.stop - 1] - time[event.start] <= spread:
             inside[event] = False
@@ -331,7 +331,7 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
             continue
         step = 0.5 * float(np.median(np.diff(time)))
         rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
-        rows &= problem.data.filter.runs == runs[event.start]
+        rows &= chosen.runs == runs[event.start]
         numbers = {"joints": joints, "from_s": float(time[event.start]), "to_s": float(time[event.stop - 1])}
         off = np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max(1)
         worst = by_kind("largest_Nm", off, problem.data.arm.slides, np.max)
@@ -414,7 +414,7 @@ def held_by_friction(data: TorqueRows) -> Held:
             slack[j - 1, span] = band * np.sqrt(max(len(own), 1))
             slack[j - 1, single] = band * np.sqrt(max(len(single), 1))
     recording = data.recording
-    rows = row_numbers(recording.row[still[np.array(joints) - 1].any(0)])
+    rows = row_numbers(recording.row[data.rows[still[np.array(joints) - 1].any(0)]])
     numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
     if data.arm.sliding:
         numbers["prismatic_joints"] = [joint for joint in joints if data.arm.slides[joint - 1]]

@@ -23,7 +23,9 @@ def motion_of(setup, seed=0, rate=50.0, seconds=12.0, **options):
     return draw_motion(np.random.default_rng(seed), setup.arm, rate, seconds, speed=1.5, **options)
 
 
-def recorded(hidden=(), seed=0, noise=0.5, velocity_noise=1e-4, change=None, warming=False, declare=True, **declared):
+def recorded(
+    hidden=(), seed=0, noise=0.5, velocity_noise=1e-4, change=None, warming=False, declare=True, rate=50.0, **declared
+):
     """A recording with these effects, and the declared arm.
 
     Args:
@@ -33,10 +35,11 @@ def recorded(hidden=(), seed=0, noise=0.5, velocity_noise=1e-4, change=None, war
         change: alters the torques `(sample, joint)`.
         warming: whether joints grow warmer.
         declare: whether the noise is declared.
+        rate: rows per second.
         declared: keys of the sidecar.
     """
     setup, arm = setup_of(seed)
-    motion = motion_of(setup, seed + 100, warming=warming)
+    motion = motion_of(setup, seed + 100, rate, warming=warming)
     rng = np.random.default_rng(seed + 200)
     sigma = noise * setup.arm.noise
     tau = torques(setup, hidden, motion) + rng.normal(0, 1, motion.q.shape) * sigma

@@ -99,6 +99,16 @@ def test_what_an_effect_adds_agrees(scene, text, values, site):
     assert effect.site == site
 
 
+@pytest.mark.parametrize("transition", [0.0, 0.02, 0.5])
+@pytest.mark.parametrize("change", [1e-9, 1e-3, 0.05, -2.0])
+def test_the_direction_of_motion_is_the_mean_over_the_time_of_a_sample(transition, change):
+    velocity, parts = np.array([-3.0, -0.3, -0.02, 0.0, 1e-3, 0.4]), 20000
+    within = velocity[:, None] + change * ((np.arange(parts) + 0.5) / parts - 0.5)
+    wanted = np.tanh(within / (transition or 0.002)).mean(1)
+    found = direction(velocity, False, transition, np.full(len(velocity), change))
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+
+
 def test_the_scale_multiplies_what_others_add(scene):
     setup, motion, dynamics = scene
     effects = [parse_effect(f"{name}:joint=2,{key}=0.3", TORQUE_EFFECTS) for name, key in
