@@ -363,8 +363,8 @@ class CoupledFriction(OfJoint, TorqueEffect):
         return (self.own_driver("velocity"), joint_driver("velocity", self.source_joint, self.of_slide))
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        joints = self.joint, self.source_joint
-        speed, change = sum(map(dynamics.velocity, joints)), sum(map(dynamics.change, joints))
+        speed = dynamics.velocity(self.joint) + dynamics.velocity(self.source_joint)
+        change = dynamics.change(self.joint) + dynamics.change(self.source_joint)
         total = np.zeros_like(dynamics.torque)
         friction = values[0] * speed + values[1] * direction(speed, self.of_slide, change=change)
         total[[self.joint - 1, self.source_joint - 1]] = friction
