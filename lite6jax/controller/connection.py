@@ -13,6 +13,8 @@ from lite6jax.errors import InputError
 SILENCE_S = 2.0
 """The time without a report, ten periods of the slowest port, after which the connection counts as lost."""
 CONNECT_S = 3.0
+ANSWER_S = 4.0
+"""The time limit of a reply."""
 RETRY_S = 0.25
 
 
@@ -69,6 +71,56 @@ def connect(host: str, port: int, seconds: float) -> socket.socket:
             reason += " (a minute)"
         raise InputError(f"{host}: port {port}: {reason}") from error
     return connection
+
+
+class ControlPort:
+    """A connection to the control port. What is asked here only reads: it neither moves nor sets anything."""
+
+    def __init__(self, address: Address) -> None:
+        self._address, self._received, self._transaction = address, bytearray(), 0
+
+    def __enter__(self) -> "ControlPort":
+        """Connects.
+
+        Raises:
+            InputError: as `connect`.
+        """
+        self._connection = connect(self._address.host, self._address.port, CONNECT_S)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._connection.close()
+
+    def ask(self, register: protocol.Register, parameters: bytes = b"") -> protocol.Frame:
+        """The reply to a request.
+
+        Raises:
+            InputError: the connection is lost, no reply within `ANSWER_S`, or a reply to something else.
+        """
+        self._transaction = self._transaction % 0xFFFF + 1
+        request, end = protocol.Frame(register, parameters, self._transaction), time.monotonic() + ANSWER_S
+        try:
+            self._connection.sendall(request.encode())
+            while not (replies := list(protocol.take_frames(self._received))):
+                self._connection.settimeout(max(end - time.monotonic(), 1e-3))
+                if not (chunk := self._connection.recv(1 << 12)):
+                    raise self._failure("the connection is lost")
+                self._received += chunk
+        except TimeoutError as error:
+            raise self._failure(f"no answer within {ANSWER_S:g} s") from error
+        except OSError as error:
+            raise self._failure("the connection is lost") from error
+        except protocol.MalformedError as error:
+            raise self._failure(f"an answer in another protocol ({error})") from error
+        reply = replies[0]
+        if len(replies) > 1 or not reply.body or reply._replace(body=parameters) != request:
+            raise self._failure("an answer to another request")
+        return reply
+
+    def _failure(self, what: str) -> InputError:
+        return InputError(
+            f"{self._address}: {what}; end other programs connected to the arm, check the network, and try again"
+        )
 
 
 @dataclass(frozen=True)
