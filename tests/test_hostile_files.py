@@ -40,14 +40,6 @@ def test_a_pipe_is_refused_at_once(capsys, tmp_path, command, name):
     assert "has no calibration or recording" in message if command == "fleet" else "is a pipe; write its" in message
 
 
-def test_devices_are_neither_read_nor_replaced(capsys, recorded, tmp_path):
-    assert refused(capsys, "fit", "/dev/zero").startswith("/dev/zero: is a device; write its content to a file first")
-    target = tmp_path / "model.json"
-    target.symlink_to("/dev/null")
-    assert "is a device, which a file would replace" in refused(capsys, "fit", recorded, "--out", target, "--force")
-    assert target.is_symlink()
-
-
 def test_names_that_are_not_utf8_or_too_long(capsys, recorded, tmp_path):
     name = tmp_path / os.fsdecode(b"\xff\xfe.csv")
     shutil.copy(recorded, name)

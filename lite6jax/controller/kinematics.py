@@ -53,10 +53,12 @@ def compute_poses(
         tries += 1
         try:
             with ControlPort(address) as port:
-                version = port.ask(Register.VERSION).body[1:].rstrip(b"\0").decode("ascii", "replace")
+                version = (
+                    port.ask(Register.VERSION, protocol.TEXT_PAYLOAD).body[1:].rstrip(b"\0").decode("ascii", "replace")
+                )
                 while len(poses) < len(joints) and not stop.is_set():
                     request = protocol.encode_floats(protocol.pad_joints(joints[len(poses)]))
-                    poses.append(_read_pose(port.ask(Register.FORWARD_KINEMATICS, request)))
+                    poses.append(_read_pose(port.ask(Register.FORWARD_KINEMATICS, 4 * 6, request)))
                     tries, failure = 0, ""
                     advance(len(poses) - 1)
         except InputError as error:
@@ -70,10 +72,7 @@ def compute_poses(
 def _read_pose(reply: protocol.Frame) -> Pose:
     if reply.body[0] & Status.INVALID:
         return "the controller calls it invalid"
-    try:
-        pose = protocol.read_floats(reply.body[1:], 6)
-    except protocol.MalformedError:
-        return "an answer of the wrong length"
+    pose = protocol.read_floats(reply.body[1:], 6)
     return pose if np.isfinite(pose).all() else "a pose that is not finite"
 
 

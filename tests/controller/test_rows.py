@@ -97,7 +97,7 @@ def test_a_connection_lost_for_long_is_no_jump():
     table = took(rows, reports(STEP * np.arange(5000, 5003)), connection=1, heard=20.98)
     np.testing.assert_allclose(table["time_s"], 0.004 * np.arange(5000, 5003))
     assert table["gap"][0] == "new connection"
-    assert rows.gaps.between == 4995
+    assert rows.missing_between == 4995
 
 
 def test_a_rotation_vector_is_recognised_by_the_chain():
