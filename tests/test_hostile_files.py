@@ -1,15 +1,18 @@
-"""Commands on files that once hung or crashed them, or that they would have lost: one line, exit code 2, all kept."""
+"""Commands on files that once hung or crashed them, or that they would have lost: one line, exit code 2, all
+kept; and every reader on damaged ones."""
 
 import os
 import shutil
 import signal
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from typed import refused
 
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.recordings import Recording, write_recording
-from tests.damaged import CSV, FACTORY, LITE6, recording
+from tests.damaged import CSV, FACTORY, LITE6, READERS, Trial, damage, recording
 
 
 @pytest.fixture(autouse=True)
@@ -98,3 +101,32 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
     path = write_recording(Recording.from_arrays([[0.0] * 6], factory_calibration="own.json"), tmp_path / "run7.csv")
     assert refused(capsys, "fit", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
     assert refused(capsys, "diagnose", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
+
+
+# ------------------------------------------------------------------ what is damaged
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    made = {}
+
+    def trial(reader):
+        if reader.name == "mcap":
+            pytest.importorskip("rosbags", reason="the package of the extra `rosbag` is not installed")
+        if reader.name not in made:
+            made[reader.name] = Trial(reader, tmp_path_factory.mktemp("fuzzed"))
+        return made[reader.name]
+
+    return trial
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_a_damaged_file_is_read_or_refused(trials, reader):
+    trial = trials(reader)
+
+    @settings(max_examples=25, suppress_health_check=list(HealthCheck))
+    @given(st.randoms(use_true_random=False))
+    def judge(rng):
+        assert trial.judged(damage(trial.content, rng)) in (("read", ""), ("refused", ""))
+
+    judge()
