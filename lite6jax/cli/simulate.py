@@ -140,15 +140,11 @@ class Simulate:
             tool_known=self.tool == "known",
             seed=self.seed,
         )
-        existed = calibration.exists()
+        recordings.write_recording(
+            measured.recording, self.out, self.force
+        )  # the large file first, where a disk is full
         if self.tolerance:
             factories.write_factory(declared, calibration, overwrite=self.force)
-        try:
-            recordings.write_recording(measured.recording, self.out, self.force)
-        except InputError:
-            if self.tolerance and not existed:  # all files or none
-                calibration.unlink(missing_ok=True)
-            raise
         screen.show(self._page(arm, physics, values, measured))
         screen.written(written)
         return command.DONE
