@@ -18,7 +18,7 @@ with import_lazily():
     from lite6jax.calibration import fit, solution
     from lite6jax.calibration import fleet as comparing
     from lite6jax.calibration import source as sources
-    from lite6jax.controller import connection, kinematics, station
+    from lite6jax.controller import connection, sdk, station
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
     from lite6jax.fleet import folder
@@ -83,7 +83,7 @@ class Fit:
     own forward kinematics. The arm does not move."""
     save_calibration: command.OutFile = None
     """With --ip: write the calibration that was read here (YAML of the vendor's form, which `fit` reads again)."""
-    no_verification: bool = False
+    no_sdk: bool = False
     """With --ip: read and fit only."""
     fk_samples: int = 1000
     """With --ip: joint positions at which to ask the controller."""
@@ -113,7 +113,7 @@ class Fit:
         if (self.source is None) == (self.ip is None):
             raise InputError("fit needs a FILE, or an arm with --ip ADDRESS; give one of the two")
         if self.fk_samples < 1:
-            raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-verification to ask for none")
+            raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
         if self.save_calibration and self.ip is None:
             raise InputError("--save-calibration: is of what an arm's controller says; add --ip ADDRESS")
         outputs = [self.out, self.save_calibration]
@@ -125,7 +125,7 @@ class Fit:
         if self.save_calibration and isinstance(source, factory.FactoryCalibration):
             # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
-        verified, verification, refusal = self.ip is not None and not self.no_verification, None, None
+        verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
         names = [f"{stem}_{kind}" for kind in ("error_by_joint", *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
         if isinstance(source, recordings.Recording):
@@ -138,7 +138,7 @@ class Fit:
                 try:
                     with screen.progress(self.fk_samples, "asking the controller") as advance:
                         address = connection.parse_address(title)
-                        verification = kinematics.verify(source, address, self.fk_samples, self.seed, advance)
+                        verification = sdk.verify(source, address, self.fk_samples, self.seed, advance)
                 except InputError as error:  # the fit is good all the same: it is shown and written first
                     refusal = error
         report.append(fits.solution_report(found, found.recording))

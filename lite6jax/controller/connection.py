@@ -8,13 +8,11 @@ import time
 from dataclasses import dataclass
 
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import HEADER
 from lite6jax.errors import InputError
 
 SILENCE_S = 2.0
 """The time without a report, ten periods of the slowest port, after which the connection counts as lost."""
 CONNECT_S = 3.0
-ANSWER_S = 4.0
 RETRY_S = 0.25
 
 
@@ -71,93 +69,6 @@ def connect(host: str, port: int, seconds: float) -> socket.socket:
             reason += " (a minute)"
         raise InputError(f"{host}: port {port}: {reason}") from error
     return connection
-
-
-class SilentError(InputError):
-    """The controller accepts a request and does not reply, as with some firmware."""
-
-
-class ControlPort:
-    """A connection to the control port. What is asked here only reads: it neither moves nor sets anything."""
-
-    def __init__(self, address: Address, seconds: float = ANSWER_S) -> None:
-        """`seconds` limit the connecting, and each reply to its last byte; a controller replies within milliseconds."""
-        self._address, self._seconds, self._transaction = address, seconds, 0
-
-    def __enter__(self) -> "ControlPort":
-        """Connects.
-
-        Raises:
-            InputError: as `connect`.
-        """
-        self._connection = connect(self._address.host, self._address.port, self._seconds)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._connection.close()
-
-    def ask(self, register: protocol.Register, size: int, parameters: bytes = b"") -> protocol.Frame:
-        """The reply to a request, with a payload of `size` bytes unless its status is invalid.
-
-        Raises:
-            InputError: no reply (`SilentError`), an incomplete one, or one to something else.
-        """
-        self._transaction = self._transaction % 0xFFFF + 1
-        request = protocol.Frame(register, parameters, self._transaction)
-        received, end, whole = bytearray(), time.monotonic() + self._seconds, HEADER.size + 2 + size
-        try:
-            self._connection.sendall(request.encode())
-            while len(received) < whole:
-                if (left := end - time.monotonic()) <= 0:
-                    raise TimeoutError
-                self._connection.settimeout(left)
-                piece = self._connection.recv(whole - len(received))
-                if not piece:
-                    raise ConnectionError
-                received += piece
-                whole = HEADER.size + self._check(request, received, 2 + size)
-        except OSError as error:
-            so_far = f"{len(received)} of {whole} bytes"
-            if not isinstance(error, TimeoutError):
-                raise InputError(
-                    f"{self._address}: closed the connection after {so_far}; end other programs connected to the arm, "
-                    "and if it persists restart the control box"
-                ) from error
-            if received:
-                raise InputError(
-                    f"{self._address}: stopped replying after {so_far}; check the cable and the network, and read again"
-                ) from error
-            raise SilentError(
-                f"{self._address}: accepts the request and does not reply, as firmware 1.12.1 does; update the "
-                "firmware, or check that the address is the arm's control box"
-            ) from error
-        return request._replace(body=bytes(received[HEADER.size + 1 :]))
-
-    def _check(self, request: protocol.Frame, received: bytearray, wanted: int) -> int:
-        """The length of a reply from its register on, after a check of the beginning as far as it is received."""
-        if len(received) < HEADER.size:
-            return wanted
-        transaction, proto, length = HEADER.unpack_from(received)
-        what = ""
-        if (transaction, proto) != (request.transaction, request.protocol):
-            expected = f"transaction {request.transaction}, protocol {request.protocol}"
-            what = f"transaction {transaction}, protocol {proto} to {expected}"
-        elif length < 2:
-            what = f"a reply of {length} bytes"
-        elif len(received) > HEADER.size + 1:
-            register, status = received[HEADER.size : HEADER.size + 2]
-            if register != request.register:
-                what = f"register {register} to {int(request.register)}"
-            elif status & protocol.Status.INVALID:
-                return length
-            elif length != wanted:
-                what = f"a reply of {length} bytes, not {wanted}"
-        if what:
-            raise InputError(
-                f"{self._address}: replies with {what} (it begins {received[:8].hex(' ')}), which is no reply to the "
-                "request; check that the address is the arm's control box, and read again"
-            )
-        return wanted
 
 
 @dataclass(frozen=True)

@@ -160,13 +160,10 @@ class Identity(NamedTuple):
 
 
 def encode_text(text: str) -> bytes:
-    """The payload of registers 1 and 2, padded with NUL. The SDK misreads a text that is not shorter."""
-    if len(text) >= TEXT_PAYLOAD:
-        raise ValueError(f"{text!r} is not shorter than {TEXT_PAYLOAD} bytes")
-    return text.encode("ascii").ljust(TEXT_PAYLOAD, b"\0")
-
-
-TEXT_PAYLOAD = 40
+    """The payload of registers 1 and 2: 40 bytes padded with NUL. The SDK misreads a text that is not shorter."""
+    if len(text) >= 40:
+        raise ValueError(f"{text!r} is not shorter than 40 bytes")
+    return text.encode("ascii").ljust(40, b"\0")
 
 
 class Calibration(NamedTuple):

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address, ReportPort, Reports
-from lite6jax.controller.kinematics import compute_poses
 from lite6jax.controller.rows import SOURCES, Rows
+from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording, write_settings

@@ -2,6 +2,7 @@
 
 import os
 import queue
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,18 +15,24 @@ from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration
 from lite6jax.controller import protocol
-from lite6jax.controller.connection import Address, ControlPort, ReportPort, Reports, SilentError
-from lite6jax.controller.protocol import CALIBRATION_PAYLOAD, JOINTS, Calibration, Register, Status
+from lite6jax.controller.connection import Address, ReportPort, Reports, connect
+from lite6jax.controller.protocol import CALIBRATION_REPLY, HEADER, JOINTS, Calibration, Register, Status
 from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.settings import LONGEST_OFFSET_M
 
+REQUEST = protocol.Frame(Register.CALIBRATION)
+"""`00 01 00 02 00 01 08`, the only bytes sent."""
 _MODELS = {(6, 9): "lite6", (6, 12): "uf850"}
 """By the number of joints and the vendor's number of the model; all other pairs are xArms."""
 
 
 class UncalibratedError(InputError):
     """The controller replies that it has no calibration."""
+
+
+class SilentError(InputError):
+    """The controller accepts the request and does not reply, as with some firmware."""
 
 
 class CalibrationRead(NamedTuple):
@@ -38,26 +45,72 @@ class CalibrationRead(NamedTuple):
 def read_calibration(address: Address, arm: Arm | None = None, seconds: float = 5.0) -> CalibrationRead:
     """Reads the calibrated six-parameter chain of an arm from its controller, over a separate connection.
 
-    The only bytes sent are `00 01 00 02 00 01 08`. The request is possible while the SDK is connected.
+    The request is passive: it neither moves nor sets anything, and is possible while the SDK is connected.
 
     Args:
         address: of the controller.
         arm: the expected nominal arm; None for a Lite 6.
-        seconds: as of `ControlPort`.
+        seconds: the time limit from the call to the last byte; a controller replies within milliseconds.
 
     Raises:
         InputError: no connection, no reply (`SilentError`), an incomplete reply, no calibration
             (`UncalibratedError`), another arm, or an invalid reply. The message names the address and the remedy.
     """
-    where = str(address)
-    with ControlPort(address, seconds) as port:
-        status, *payload = port.ask(Register.CALIBRATION, CALIBRATION_PAYLOAD).body
-    if status & Status.INVALID:
-        raise _uncalibrated(where)
+    where, received, end = str(address), bytearray(), time.monotonic() + seconds
+    with connect(address.host, address.port, seconds) as connection:
+        try:
+            connection.sendall(REQUEST.encode())
+            while len(received) < CALIBRATION_REPLY:
+                if (left := end - time.monotonic()) <= 0:
+                    raise TimeoutError
+                connection.settimeout(left)
+                piece = connection.recv(CALIBRATION_REPLY - len(received))
+                if not piece:
+                    raise ConnectionError
+                received += piece
+                _check_reply(received, where)
+        except OSError as error:
+            so_far = f"{len(received)} of {CALIBRATION_REPLY} bytes"
+            if not isinstance(error, TimeoutError):
+                raise InputError(
+                    f"{where}: closed the connection after {so_far}; end other programs connected to the arm, and if "
+                    "it persists restart the control box"
+                ) from error
+            if received:
+                raise InputError(
+                    f"{where}: stopped replying after {so_far}; check the cable and the network, and read again"
+                ) from error
+            raise SilentError(
+                f"{where}: accepts the request and does not reply, as firmware 1.12.1 does; update the firmware, or "
+                "check that the address is the arm's control box"
+            ) from error
     nominal = load_bundled("lite6") if arm is None else arm
-    rows = _read_rows(Calibration.decode(bytes(payload)), where, nominal)
+    rows = _read_rows(Calibration.decode(bytes(received[8:])), where, nominal)
     calibration = FactoryCalibration(rows, nominal, nominal.T_joint_flange, where)
-    return CalibrationRead(calibration, bool(status & (Status.ERROR | Status.WARNING)))
+    return CalibrationRead(calibration, bool(received[7] & (Status.ERROR | Status.WARNING)))
+
+
+def _check_reply(received: bytearray, where: str) -> None:
+    """Checks the beginning of the reply, as far as it is received: header, register, status and length."""
+    if len(received) < HEADER.size:
+        return
+    transaction, proto, length = HEADER.unpack_from(received)
+    what = ""
+    if (transaction, proto) != (REQUEST.transaction, REQUEST.protocol):
+        expected = f"transaction {REQUEST.transaction}, protocol {REQUEST.protocol}"
+        what = f"transaction {transaction}, protocol {proto} to {expected}"
+    elif length < 2:
+        what = f"a reply of {length} bytes"
+    elif len(received) > 7:
+        register, status = received[6:8]
+        if register != Register.CALIBRATION:
+            what = f"register {register} to {int(Register.CALIBRATION)}"
+        elif status & Status.INVALID:
+            raise _uncalibrated(where)
+        elif length != CALIBRATION_REPLY - HEADER.size:
+            what = f"a reply of {length} bytes, not {CALIBRATION_REPLY - HEADER.size}"
+    if what:
+        raise _invalid(where, what, bytes(received))
 
 
 def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.floating]:
@@ -66,10 +119,7 @@ def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.flo
         raise _uncalibrated(where)
     model = _MODELS.get((content.dof, content.type), f"xarm{content.dof}")
     if not 5 <= content.dof <= JOINTS:
-        raise InputError(
-            f"{where}: replies with {content.dof} joints of type {content.type}, which no calibration has; check that "
-            "the address is the arm's control box, and read again"
-        )
+        raise _invalid(where, f"{content.dof} joints of type {content.type}", content.encode())
     expected = nominal.name if nominal.name in ("lite6", "uf850", "xarm5", "xarm6", "xarm7") else None
     if content.dof != nominal.dof or (expected and model != expected):
         raise InputError(
@@ -105,6 +155,13 @@ def _uncalibrated(where: str) -> UncalibratedError:
     return UncalibratedError(
         f"{where}: the controller reports no valid calibration, as arms made before August 2023 and "
         "firmware older than 2.3.0 do; update the firmware, or fit a recording of measured poses"
+    )
+
+
+def _invalid(where: str, what: str, received: bytes) -> InputError:
+    return InputError(
+        f"{where}: replies with {what} (it begins {received[:8].hex(' ')}), which is not a calibration; check that the "
+        "address is the arm's control box, and read again"
     )
 
 

@@ -12,9 +12,9 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.start import calibration_poses, check_positions
-from lite6jax.controller.kinematics import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.rows import Rows
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
 from lite6jax.report.texts import fill, read_texts

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
-from lite6jax.controller.kinematics import GATE_M, Verification
+from lite6jax.controller.sdk import GATE_M, Verification
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report.words import SCREEN, joint_units
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live import ARM, KINEMATICS, reply
 
-from lite6jax.controller import connection, protocol
-from lite6jax.controller.connection import Address, SilentError, parse_address
-from lite6jax.controller.station import UncalibratedError, read_calibration
+from lite6jax.controller import protocol, station
+from lite6jax.controller.connection import Address, parse_address
+from lite6jax.controller.station import SilentError, UncalibratedError, read_calibration
 from lite6jax.errors import InputError
 
 READ = bytes.fromhex("00010002000108")
@@ -38,7 +38,7 @@ def asked(answer, at_a_time=1 << 16, closes=True, seconds=5.0, arm=None):
         if closes:
             theirs.shutdown(socket.SHUT_WR)
         try:
-            with patch.object(connection, "connect", lambda *_: near):
+            with patch.object(station, "connect", lambda *_: near):
                 return read_calibration(Address("10.0.0.7"), arm, seconds)
         finally:
             theirs.setblocking(False)
@@ -134,6 +134,15 @@ def test_what_is_no_address(text):
 
 # ------------------------------------------------------------------ fuzz
 
+HEADS = st.builds(struct.Struct(">HHH").pack, *[st.integers(0, 3) | st.integers(0, 65535)] * 3)
+PAYLOADS = st.builds(
+    lambda valid, dof, kind, numbers: bytes([valid, dof, kind]) + np.array(numbers, "<f4").tobytes(),
+    st.integers(0, 255),
+    st.sampled_from([6, 5, 7]) | st.integers(0, 255),
+    st.sampled_from([9, 12]) | st.integers(0, 255),
+    st.lists(st.floats(width=32), min_size=0, max_size=44),
+)
+
 
 @st.composite
 def damaged(draw):
@@ -153,8 +162,18 @@ def damaged(draw):
     return bytes(message)
 
 
+ANSWERS = st.one_of(
+    damaged(),
+    st.binary(max_size=400),
+    st.builds(lambda head, rest: head + rest, HEADS, st.binary(max_size=300)),
+    st.builds(
+        lambda payload, status: reply(payload=payload, status=status), PAYLOADS, st.sampled_from([0, 0x40, 0x08])
+    ),
+)
+
+
 @settings(max_examples=500)
-@given(damaged() | st.binary(max_size=400), st.sampled_from([1, 3, 1 << 16]))
+@given(ANSWERS, st.sampled_from([1, 3, 1 << 16]))
 def test_no_reply_hangs_the_reader_or_escapes_it(answer, at_a_time):
     started = time.monotonic()
     try:
