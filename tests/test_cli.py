@@ -1,5 +1,6 @@
 """The commands as a person meets them: what is printed, what is written, what is refused and how."""
 
+import ast
 import json
 import re
 import signal
@@ -19,6 +20,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.calibration import compiled
 from lite6jax.calibration.quality import Result
+from lite6jax.cli import command as commands
 from lite6jax.cli import program
 from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.errors import InputError
@@ -142,6 +144,26 @@ def test_the_cache_stands_in_the_users_folder(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
     assert compiled.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
+
+
+def test_the_documented_table_is_that_of_the_code():
+    rows = re.findall(r"^\| (\d+) \| (.+) \|$", (ROOT / "docs/reference/exit_codes.md").read_text(), re.MULTILINE)
+    assert {int(code): meaning for code, meaning in rows} == dict(commands.MEANINGS)
+    named = [value for name, value in vars(commands).items() if name.isupper() and type(value) is int]
+    assert len(rows) == len(named)
+    assert sorted(named) == sorted(commands.MEANINGS)
+
+
+def test_commands_return_named_codes_only():
+    for path in (ROOT / "lite6jax/cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and node.name in ("run", "main"):
+                returned = [child.value for child in ast.walk(node) if isinstance(child, ast.Return)]
+                for value in filter(None, returned):
+                    numbers = [
+                        leaf for leaf in ast.walk(value) if isinstance(leaf, ast.Constant) and type(leaf.value) is int
+                    ]
+                    assert not numbers, ast.unparse(value)
 
 
 # ------------------------------------------------------------------ fit: a calibration

@@ -1,15 +1,18 @@
-"""Commands on files that once hung or crashed them, or that they would have lost: one line, exit code 2, all kept."""
+"""Commands on files that once hung or crashed them, or that they would have lost: one line, exit code 2, all
+kept; and every reader on damaged ones."""
 
 import os
 import shutil
 import signal
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from typed import refused
 
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.recordings import Recording, write_recording
-from tests.damaged import CSV, FACTORY, LITE6, recording
+from tests.damaged import CSV, FACTORY, LITE6, READERS, Trial, damage, recording
 
 
 @pytest.fixture(autouse=True)
@@ -38,14 +41,6 @@ def test_a_pipe_is_refused_at_once(capsys, tmp_path, command, name):
     options = ["--out", out] if command in ("fleet", "diagnose") else []
     message = refused(capsys, command, source, *options)
     assert "has no calibration or recording" in message if command == "fleet" else "is a pipe; write its" in message
-
-
-def test_devices_are_neither_read_nor_replaced(capsys, recorded, tmp_path):
-    assert refused(capsys, "fit", "/dev/zero").startswith("/dev/zero: is a device; write its content to a file first")
-    target = tmp_path / "model.json"
-    target.symlink_to("/dev/null")
-    assert "is a device, which a file would replace" in refused(capsys, "fit", recorded, "--out", target, "--force")
-    assert target.is_symlink()
 
 
 def test_names_that_are_not_utf8_or_too_long(capsys, recorded, tmp_path):
@@ -106,3 +101,32 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
     path = write_recording(Recording.from_arrays([[0.0] * 6], factory_calibration="own.json"), tmp_path / "run7.csv")
     assert refused(capsys, "fit", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
     assert refused(capsys, "diagnose", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
+
+
+# ------------------------------------------------------------------ what is damaged
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    made = {}
+
+    def trial(reader):
+        if reader.name == "mcap":
+            pytest.importorskip("rosbags", reason="the package of the extra `rosbag` is not installed")
+        if reader.name not in made:
+            made[reader.name] = Trial(reader, tmp_path_factory.mktemp("fuzzed"))
+        return made[reader.name]
+
+    return trial
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_a_damaged_file_is_read_or_refused(trials, reader):
+    trial = trials(reader)
+
+    @settings(max_examples=25, suppress_health_check=list(HealthCheck))
+    @given(st.randoms(use_true_random=False))
+    def judge(rng):
+        assert trial.judged(damage(trial.content, rng)) in (("read", ""), ("refused", ""))
+
+    judge()

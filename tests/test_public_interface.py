@@ -1,4 +1,4 @@
-"""What every public name promises: shapes and units in words, degrees refused, a summary that a person can read."""
+"""What every public name promises: shapes and units in words, degrees refused, files read, other types refused."""
 
 import ast
 import inspect
@@ -6,11 +6,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from report import diagnosed
 
 import lite6jax
 from lite6jax import InputError, Recording
-from lite6jax.results import PublicResult
 
 PACKAGE = Path(lite6jax.__file__).parent
 LITE6 = lite6jax.read_arm("lite6")
@@ -25,29 +26,6 @@ what the library has checked."""
 NAMED_TUPLE = {"_fields", "_replace", "_asdict"}
 """Public in spite of their underscore."""
 FUNCTIONS = [name for name in lite6jax.__all__ if inspect.isfunction(getattr(lite6jax, name))]
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return lite6jax.simulate("lite6", samples=60, sensor="tracker_6d", T_sensor_base=np.eye(4))
-
-
-@pytest.fixture(scope="module")
-def results(recording):
-    """One of each kind of result."""
-    rng = np.random.default_rng(0)
-    experiment = lite6jax.plan_experiment("lite6", frame=False)
-    kinematics = np.stack([LITE6.kinematics + 1e-3 * rng.standard_normal((6, 6)) for _ in range(3)])
-    kinematics[2, 0, 0] = np.nan
-    q = rng.uniform(*LITE6.joint_limits.T, (60, 6))
-    return {
-        "Recording": recording,
-        "Solution": lite6jax.fit(recording),
-        "a calibration's Solution": lite6jax.fit(kinematics[0], "lite6"),
-        "FleetSolution": lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6"),
-        "Identification": lite6jax.identify(experiment, q[:20]),
-        "Plan": lite6jax.plan_poses(experiment, q, 12),
-    }
 
 
 # ------------------------------------------------------------------ docstrings
@@ -153,47 +131,83 @@ def test_degrees_given_for_radians_are_refused_with_the_remedy(call):
     )
 
 
-# ------------------------------------------------------------------ summaries
-
-KINDS = ("Recording", "Solution", "a calibration's Solution", "FleetSolution", "Identification", "Plan")
-HOUSEHOLD = re.compile(r"\b(told|tells|felt|feels|asks|lived|plain|remembers|sure|hidden|they stand)\b", re.IGNORECASE)
+# ------------------------------------------------------------------ paths and types
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_summary_is_a_few_whole_sentences_with_units(results, kind):
-    text = results[kind].summary()
-    assert isinstance(results[kind], PublicResult)
-    assert text.endswith(".")
-    assert "\n" not in text
-    assert 2 <= len(re.findall(r"\.(?: |$)", text)) <= 12
-    assert re.search(r"\d (mm|m|samples|poses)\b", text)
-    assert not HOUSEHOLD.search(text)
-    assert "nan" not in text
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A recording, a motion, targets, two calibrations and a diagnosis."""
+    folder = tmp_path_factory.mktemp("files")
+    recording, effects = diagnosed.recording_maker(folder)(diagnosed.COMPLIANCE)
+    recording.save(folder / "run.csv")
+    lite6jax.simulate("lite6", samples=60, seed=2).save(folder / "other.csv")
+    diagnosed.diagnosed(recording, effects).save(folder / "diagnosis.json")
+    table = recording.to_frame()
+    table[[f"q{j}_rad" for j in range(1, 7)]].head(20).to_csv(folder / "motion.csv", index=False)
+    table[["x_m", "y_m", "z_m"]].head(4).to_csv(folder / "targets.csv", index=False)
+    for k in range(2):
+        lite6jax.write_factory(lite6jax.draw_calibration(LITE6, k), folder / f"arm{k}.yaml")
+    return folder
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_a_notebook_shows_is_well_formed_and_needs_nothing_else(results, kind):
-    from xml.etree import ElementTree as ET
-
-    text = results[kind]._repr_html_()
-    tree = ET.fromstring(f"<div>{text}</div>")
-    said = [entry.text for entry in tree.findall(".//li")]
-    assert " ".join(said).startswith(results[kind].summary())
-    assert not re.search(r"https?:|src=|href=|style|script", text)
-    assert len(text) < 4000
+@pytest.fixture(scope="module")
+def model(folder):
+    return lite6jax.read_model(folder / "diagnosis.json")
 
 
-def test_the_numbers_of_a_summary_are_those_of_plain_numpy(results):
-    solution, fleet, plan = results["Solution"], results["FleetSolution"], results["Plan"]
-    rms = 1e3 * np.sqrt(np.mean(solution.checked.position**2))
-    assert f"The error on held-out blocks is {rms:.4f} mm RMS" in solution.summary()
-    turned = np.rad2deg(np.sqrt(np.mean(solution.checked.orientation**2)))
-    assert f" and {turned:.3f} deg RMS; that of the nominal geometry" in solution.summary()
-    assert fleet.summary().startswith("2 of 3 fits converged, each of 28 parameters.")
-    assert "For 1 arm the fit met a number that is not finite; check the input." in fleet.summary()
-    assert f"predict positions to ±{1e3 * plan.accuracy[11]:.4f} mm" in plan.summary()
-    q = np.rad2deg(np.ptp(results["Recording"].joint_position, axis=0))
-    assert f"over ranges of {q.min():.0f} deg to {q.max():.0f} deg" in results["Recording"].summary()
-    assert "60 samples of 6 joints in 1 run (static), with positions and orientations" in results["Recording"].summary()
-    found = results["Identification"]
-    assert f"These poses determine {found.determination.rank} of 28 unknown parameters." in found.summary()
+def test_a_list_of_files_is_fitted_one_by_one(folder):
+    files = [folder / "run.csv", str(folder / "other.csv"), folder / "arm0.yaml"]
+    fits = lite6jax.fit(files)
+    assert [fit.arm.name for fit in fits] == ["lite6"] * 3
+    for file, fit in zip(files, fits, strict=True):
+        np.testing.assert_array_equal(fit.parameters, lite6jax.fit(file).parameters)
+
+
+def test_motions_and_targets_are_read_from_files(folder, model):
+    q = lite6jax.read_recording(folder / "motion.csv").joint_position
+    np.testing.assert_array_equal(lite6jax.predict(model, folder / "motion.csv"), lite6jax.predict(model, q))
+    predicted = lite6jax.predicted(model, str(folder / "motion.csv"))
+    np.testing.assert_array_equal(predicted.position_std, lite6jax.predicted(model, q).position_std)
+    targets = pd.read_csv(folder / "targets.csv").to_numpy()
+    compensated = lite6jax.compensate(model, folder / "targets.csv")
+    np.testing.assert_array_equal(compensated.joint_position, lite6jax.compensate(model, targets).joint_position)
+    assert lite6jax.register_model(model, folder / "run.csv")[1].rms < 1e-4
+
+
+BARE = lite6jax.Recording.from_arrays(np.zeros((3, 6)), np.full((3, 3), 0.1))
+FRAME = pd.DataFrame({"q1_rad": [0.0]})
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda _: lite6jax.diagnose(42), "recording: has the type int; give the path of a recording, or a Recording"),
+        (lambda _: lite6jax.diagnose(FRAME), r"has the type DataFrame; .* Recording\.from_dataframe"),
+        (lambda _: lite6jax.diagnose(None), "recording: has the type NoneType; give the path"),
+        (lambda _: lite6jax.diagnose(BARE, domain="both"), "domain='both': is none; give \"poses\" or"),
+        (lambda _: lite6jax.identify_recording({}), "recording: has the type dict; give the path"),
+        (lambda _: lite6jax.diagnose("run.csv", 6), "arm: has the type int; give an Arm, the name of a bundled one"),
+        (lambda _: lite6jax.fit(42), r"source: has the type int; give a file or a list of files, a Recording"),
+        (lambda _: lite6jax.fit({"a": 1}), "source: has the type dict; give a file"),
+        (lambda _: lite6jax.fit(["a.csv", 3]), r"a\.csv: .*not found|a\.csv"),
+        (lambda _: lite6jax.fit([["a", "b"]]), "source: holds .*, not numbers"),
+        (lambda _: lite6jax.predict("d.json", "m.csv"), r"model: has the type str; give lite6jax\.read_model"),
+        (lambda _: lite6jax.compensate(None, [[0, 0, 0]]), r"model: has the type NoneType; give lite6jax\.read_model"),
+        (lambda m: lite6jax.predict(m, object()), "motion: has the type object; give a Recording"),
+        (lambda m: lite6jax.register_model(m, 3), "recording: has the type int; give the path"),
+        (lambda _: lite6jax.simulate(3), "arm: has the type int; give an Arm, the name of a bundled one"),
+        (lambda _: lite6jax.sensitivity(3), "arm: has the type int; give an Arm or the name"),
+        (lambda _: lite6jax.identify("lite6"), r"experiment: has the type str; give an Experiment, as lite6jax\.plan"),
+        (lambda _: lite6jax.read_model(3), "path: has the type int; give the path of a diagnosis"),
+        (lambda _: lite6jax.write_recording(3, "a.csv"), "recording: has the type int; give a Recording"),
+        (lambda _: lite6jax.fit_fleet_calibrations([3], nominal=6), "nominal: has the type int; give an Arm or"),
+        (lambda _: lite6jax.diagnose(BARE, options=3), r"options: has the type int; give lite6jax\.Options"),
+        (lambda _: lite6jax.diagnose(BARE, effects="mine.py"), r"effects: has the type str; .*lite6jax\.load_effects"),
+        (lambda _: lite6jax.diagnose(BARE, effects=[3]), r"effects\[0\]: has the type int; give an effect"),
+    ],
+)
+def test_another_type_is_refused_in_one_line_that_says_what_is_accepted(model, call, said):
+    with pytest.raises(InputError) as caught:
+        call(model)
+    assert re.search(said, str(caught.value))
+    assert "\n" not in str(caught.value)

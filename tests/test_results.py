@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,7 @@ LITE6 = lite6jax.read_arm("lite6")
 GENERIC = {name: getattr(results, name) for name in ("describe", "draw", "tabulate", "write")}
 LONGEST = 2500
 """Characters of a printed result: less than a screen."""
+HOUSEHOLD = re.compile(r"\b(told|tells|felt|feels|asks|lived|plain|remembers|sure|hidden|they stand)\b", re.IGNORECASE)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +76,31 @@ def test_printing_a_result_shows_its_summary_and_nothing_else(found, kind):
     assert 20 < len(text) < LONGEST
     assert re.match(r"[^\n]*\.$", text)
     assert not re.search(r"\bnan\b|array\(|  ", text)
+    assert not HOUSEHOLD.search(text)
+
+
+@each
+def test_what_a_notebook_shows_is_well_formed_and_needs_nothing_else(found, kind):
+    text = found[kind]._repr_html_()
+    said = [entry.text for entry in ET.fromstring(f"<div>{text}</div>").findall(".//li")]
+    assert " ".join(said).startswith(found[kind].summary())
+    assert not re.search(r"https?:|src=|href=|style|script", text)
+
+
+def test_the_numbers_of_a_summary_are_those_of_plain_numpy(found):
+    solution, fleet, plan = (of(found, name) for name in ("Solution", "FleetSolution", "Plan"))
+    rms = 1e3 * np.sqrt(np.mean(solution.checked.position**2))
+    assert f"The error on held-out blocks is {rms:.4f} mm RMS" in solution.summary()
+    assert fleet.summary().startswith("2 of 3 fits converged, each of 28 parameters.")
+    assert "For 1 arm the fit met a number that is not finite; check the input." in fleet.summary()
+    assert f"predict positions to ±{1e3 * plan.accuracy[11]:.4f} mm" in plan.summary()
+    recording = of(found, "Recording")
+    q = np.rad2deg(np.ptp(recording.joint_position, axis=0))
+    assert f"over ranges of {q.min():.0f} deg to {q.max():.0f} deg" in recording.summary()
+    assert f"{recording.samples} samples of 6 joints in 1 run (static), with positions" in recording.summary()
+    identified = of(found, "Identification")
+    rank = identified.determination.rank
+    assert f"These poses determine {rank} of 28 unknown parameters." in identified.summary()
 
 
 @each

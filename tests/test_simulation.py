@@ -1,6 +1,5 @@
 """Simulated recordings against an independent generator, their noise against its statistics, and the command."""
 
-import os
 import re
 import subprocess
 import sys
@@ -9,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typed
 import yaml
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from typed import refusal
 
-from lite6jax import cli
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
@@ -44,13 +44,6 @@ LITE6 = load_bundled("lite6")
 NO_NOISE = UndeclaredNoise(factor=0.0)
 PROBABLE = (1e-5, 1 - 1e-5)
 """Of statistics of fixed seeds: outside, the generator is wrong."""
-
-
-def refused(function, *arguments, **options):
-    with pytest.raises(InputError) as caught:
-        function(*arguments, **options)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def physics_of(*texts):
@@ -213,7 +206,7 @@ def test_rows_beyond_the_motion_are_dropped_and_counted():
     assert measured.recording.samples == 200 - 2 * 24
     assert len(measured.poses) == len(measured.rigid) == len(measured.outlier) == 152
     assert measured.recording.notes == ("dropped 48 rows whose instant lies beyond the motion, by a clock's offset",)
-    assert refused(measure, motion, LITE6, physics, values * 100) == (
+    assert refusal(measure, motion, LITE6, physics, values * 100) == (
         "simulation: at every row the clock offset requires the motion beyond its ends; give a smaller offset or a "
         "longer motion"
     )
@@ -282,7 +275,7 @@ def test_noise_that_is_given_is_declared_and_true():
     ],
 )
 def test_what_a_call_refuses(given, message):
-    assert message in refused(simulate, **{"arm": "lite6"} | given)
+    assert message in refusal(simulate, **{"arm": "lite6"} | given)
 
 
 # ------------------------------------------------------------------ noise
@@ -425,7 +418,7 @@ def test_a_fit_without_physics_attains_the_cramer_rao_bound():
     ],
 )
 def test_motions_that_cannot_be(options, message):
-    assert message in refused(draw_motion, LITE6, **options)
+    assert message in refusal(draw_motion, LITE6, **options)
 
 
 @pytest.mark.parametrize(
@@ -438,33 +431,33 @@ def test_motions_that_cannot_be(options, message):
     ],
 )
 def test_noise_that_cannot_be(options, message):
-    assert refused(UndeclaredNoise, **options) == message
+    assert refusal(UndeclaredNoise, **options) == message
 
 
 def test_measurements_that_cannot_be():
     motion = draw_motion(LITE6, samples=10)
     compliance, value, _ = physics_of("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
-    assert refused(measure, motion, LITE6, sensor="laser") == (
+    assert refusal(measure, motion, LITE6, sensor="laser") == (
         "simulation: sensor 'laser': is none of tracker, tracker_6d, motion_capture, camera, controller_fk, "
         "contact, plane, distance, axis, fixed_camera, flange_camera"
     )
     gauge = Instrument(Sensor("axis", 1e-6), "unknown")
-    assert "a sensor of axis has no place in a recording; give one of positions" in refused(
+    assert "a sensor of axis has no place in a recording; give one of positions" in refusal(
         measure, motion, LITE6, sensor=gauge
     )
     assert (
-        refused(measure, motion, LITE6, compliance)
+        refusal(measure, motion, LITE6, compliance)
         == "simulation: values []; give 1 finite numbers, one per coordinate"
     )
-    assert "give 1 finite numbers" in refused(measure, motion, LITE6, compliance, value * np.nan)
-    assert refused(measure, motion, load_bundled("xarm7")) == (
+    assert "give 1 finite numbers" in refusal(measure, motion, LITE6, compliance, value * np.nan)
+    assert refusal(measure, motion, load_bundled("xarm7")) == (
         "simulation: has 6 joints, but xarm7 has 7; give a motion of it"
     )
-    assert "kinematics has the shape (5, 6); give (6, 6)" in refused(
+    assert "kinematics has the shape (5, 6); give (6, 6)" in refusal(
         measure, motion, LITE6, kinematics=LITE6.kinematics[1:]
     )
     massless = Arm("lite6", LITE6.kinematics)
-    assert refused(measure, motion, massless, compliance, value) == (
+    assert refusal(measure, motion, massless, compliance, value) == (
         "joint_compliance:joint2: needs the gravity torque of joint 2: give the masses of the links; add `inertial` to "
         "the arm's description"
     )
@@ -476,23 +469,11 @@ COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 
 
 def run(capsys, *arguments):
-    os.environ["COLUMNS"] = "80"
-    code = cli.main(["simulate", *map(str, arguments)])
-    said = capsys.readouterr()
-    return code, said.out, said.err
+    return typed.run(capsys, "simulate", *arguments)
 
 
 def command_refused(capsys, *arguments):
-    code, out, err = run(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err.removeprefix("error: ").rstrip("\n")
-
-
-@pytest.fixture(autouse=True)
-def _terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
+    return typed.refused(capsys, "simulate", *arguments)
 
 
 def test_the_command_writes_what_the_library_simulates(capsys, tmp_path):
@@ -665,6 +646,8 @@ def test_nothing_is_left_where_writing_fails(capsys, tmp_path, monkeypatch):
             ["--tolerance", "--factory-uncertainty", "0", "0.1"],
             r"factory_uncertainty: .* is not accepted \(expected float >= 1e-12, at \.position_m\); give .*",
         ),
+        (["--out", "run.mcap"], r"run\.mcap: a recording ends in \.csv or \.parquet; choose such a name"),
+        (["--out", "no/run.csv"], r"no/run\.csv: the folder no does not exist; create it first"),
         (["--tool-at", "9000", "0", "0"], r"tool: .* is not accepted \(expected float <= 5\.0, at \[0\]\); give .*"),
     ],
 )
@@ -673,14 +656,6 @@ def test_what_the_command_refuses(capsys, tmp_path, monkeypatch, arguments, mess
     said = command_refused(capsys, "lite6", "--out", "run.csv", *arguments)
     assert re.fullmatch(message, said), said
     assert list(Path().iterdir()) == []
-
-
-def test_what_the_command_cannot_write(capsys, tmp_path):
-    assert command_refused(capsys, "lite6", "--out", tmp_path / "run.mcap") == (
-        f"{tmp_path / 'run.mcap'}: a recording ends in .csv or .parquet; choose such a name"
-    )
-    assert "does not exist; create it first" in command_refused(capsys, "lite6", "--out", tmp_path / "no" / "run.csv")
-    assert "neither a bundled arm nor a file" in command_refused(capsys, "lite7", "--out", tmp_path / "run.csv")
 
 
 def test_help_does_not_load_the_simulation():

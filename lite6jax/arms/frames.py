@@ -98,20 +98,6 @@ def is_rotation(matrix: ArrayLike) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0)
 
 
-def joint_motions(position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
-    """`Rz(q)`, or `Tz(q)` for the prismatic joints in `sliding`, as transforms: (..., joint) rad, m to (..., 4, 4)."""
-    position = np.asarray(position, float)
-    slides = np.isin(np.arange(position.shape[-1]), sliding)
-    angle = np.where(slides, 0.0, position)
-    T = np.zeros((*angle.shape, 4, 4))
-    T[..., 0, 0] = T[..., 1, 1] = np.cos(angle)
-    T[..., 1, 0] = np.sin(angle)
-    T[..., 0, 1] = -T[..., 1, 0]
-    T[..., 2, 2] = T[..., 3, 3] = 1.0
-    T[..., 2, 3] = np.where(slides, position, 0.0)
-    return T
-
-
 def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
     """`T_base_flange` of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
 

@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -157,43 +158,32 @@ def _only_end(
     if same_chain and np.allclose(tails, tails[0], rtol=0, atol=1e-12):
         return candidates[0]
     chains = {leaf: _movable(chains[leaf]) for leaf in candidates}
-    raise InputError(f"{path}: {_ends(Path(path).name, base, chains, above, beside)}")
+    raise InputError(f"{path}: {_ends(Path(path).name, chains, beside)}")
 
 
-def _ends(
-    file: str, base: str, chains: Mapping[str, list[Joint]], above: Mapping[str, Joint], beside: tuple[str, ...]
-) -> str:
+def _ends(file: str, chains: Mapping[str, list[Joint]], beside: tuple[str, ...]) -> str:
     """Where the chain could end, and what to write for the likeliest: an arm before its gripper, or the longest.
 
-    Of each link that could be the end `chains` has the joints that move, and of each link `above` the joint that moves
-    it.
+    Of each link that could be the end `chains` has the joints that move.
     """
-    # for each joint, "" for the base, the joints that move next, and how many move from each of them on
-    onwards: dict[str, dict[str, int]] = {}
-    for joints in chains.values():
-        for i, joint in enumerate(joints):
-            following = onwards.setdefault(joints[i - 1].name if i else "", {})
-            following[joint.name] = max(following.get(joint.name, 0), len(joints) - i)
-    hands: dict[str, int] = {}
-    for joints in chains.values():
-        for i, joint in enumerate(joints[1:], 1):
-            fingers = onwards[joints[i - 1].name].values()
-            if len(fingers) > 1 and max(fingers) <= min(_LONGEST_FINGER, i - 1):
-                hands.setdefault(joint.parent, i)
-    ends = {leaf: len(joints) for leaf, joints in chains.items()}
-    last = max(ends, key=lambda leaf: ends[leaf])
-    best = next((joint.parent for joint in _path(base, last, above) or [] if joint.parent in hands), last)
-    order = {best: (hands | ends)[best]} | hands | ends
-    listed = [f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN]]
+    names = {leaf: [joint.name for joint in joints] for leaf, joints in chains.items()}
+    best = last = max(names, key=lambda leaf: len(names[leaf]))
+    own, count = names[last], len(names[last])
+    pairs = (enumerate(zip_longest(own, each)) for each in names.values() if each != own)
+    common = (next(number for number, (mine, other) in pair if mine != other) for pair in pairs)
+    shared = min((number for number in common if number >= count - _LONGEST_FINGER), default=0)
+    if count - shared <= min(_LONGEST_FINGER, shared - 1):  # fingers of one hand
+        best, count = chains[last][shared].parent, shared
+    order = {best: count} | {leaf: len(joints) for leaf, joints in names.items()}
+    listed = [f"{end} ({number} joint{'s' * (number != 1)})" for end, number in list(order.items())[:_SHOWN]]
     text = (
         f"the chain could end at {', '.join([*listed, *beside])}; say which as {file}#{best}, or in convert with "
         f"--tip {best}"
     )
-    chain = _movable(_path(base, best, above) or [])
-    starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
+    starts = [i for i in range(1, count) if any(n[:i] == own[:i] and n[i] != own[i] for n in names.values() if n[i:])]
     if not starts:
         return text
-    without, start = ", ".join(joint.name for joint in chain[: starts[-1]]), chain[starts[-1]].parent
+    without, start = ", ".join(own[: starts[-1]]), chains[last][starts[-1]].parent
     return f"{text}; without {without}: {file}#{start}:{best}, or --base {start} --tip {best}"
 
 

@@ -17,7 +17,6 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory as factories
     from lite6jax.arms import files
-    from lite6jax.design import readings
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.report import fits, screen, words
 
@@ -126,40 +125,29 @@ class Simulate:
             settings=self._settings(calibration),
             seed=self.seed,
         )
-        position_noise = None if self.position_noise is None else self.position_noise / 1e3
         measured = simulation.measure(
             motion,
             arm,
             physics,
             values,
             kinematics=kinematics,
-            sensor=self.sensor if self.sensor in readings.READERS else self._instrument(position_noise),
-            position_noise=position_noise,
+            sensor=self.sensor,
+            position_noise=None if self.position_noise is None else self.position_noise / 1e3,
+            orientation_noise=None if self.orientation_noise is None else math.radians(self.orientation_noise),
             joint_noise=math.radians(self.joint_noise),
             T_sensor_base=simulation.draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
             tool=[*command.metres(self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
             tool_known=self.tool == "known",
             seed=self.seed,
         )
-        existed = calibration.exists()
+        recordings.write_recording(
+            measured.recording, self.out, self.force
+        )  # the large file first, where a disk is full
         if self.tolerance:
             factories.write_factory(declared, calibration, overwrite=self.force)
-        try:
-            recordings.write_recording(measured.recording, self.out, self.force)
-        except InputError:
-            if self.tolerance and not existed:  # all files or none
-                calibration.unlink(missing_ok=True)
-            raise
         screen.show(self._page(arm, physics, values, measured))
         screen.written(written)
         return command.DONE
-
-    def _instrument(self, position_noise: float | None) -> "simulation.Instrument":
-        """The sensor with the noise given."""
-        orientation = None if self.orientation_noise is None else math.radians(self.orientation_noise)
-        chosen = simulation.INSTRUMENTS[self.sensor]
-        noisy = chosen.sensor.with_noise(position_noise, orientation, math.radians(self.joint_noise))
-        return chosen._replace(sensor=noisy)
 
     def _physics(self, sliding: tuple[int, ...]) -> "tuple[composition.Physics, np.ndarray]":
         kinds = catalogue.kinds_of(command.load_own_effects(self.effects))

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address, ReportPort, Reports
-from lite6jax.controller.rows import SOURCES, Gaps, Rows
+from lite6jax.controller.rows import SOURCES, Rows
 from lite6jax.controller.sdk import compute_poses
 from lite6jax.controller.station import Station, factory_path, parse_condition
 from lite6jax.errors import InputError
@@ -163,29 +163,6 @@ FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 SLOW_S = 0.25
 """The time without a report after which the connection, not the controller's clock, is late."""
-MOST_IN_SIDECAR = 100
-"""Gaps listed in a sidecar, the longest; the columns `missing` and `gap` of the table have all."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """The progress of a recording.
-
-    Attributes:
-        rows: how many.
-        time: s, of the last row.
-        rate: Hz, of rows within runs, by the controller's clock.
-        run: of the last row.
-        missing: how many reports, by the same clock.
-        trouble: the present problem; empty without one.
-    """
-
-    rows: int
-    time: float
-    rate: float
-    run: int
-    missing: int
-    trouble: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +175,9 @@ class LiveRecording:
         sources: the source of each column, as a phrase.
         settings: the content of the sidecar.
         notes: remarks, one sentence each.
-        gaps: the missing reports, or joint positions, with row, length and reason.
+        gaps: their number; the columns `missing` and `gap` say where and why.
+        missing_within, missing_between: the number of missing reports within and between runs, or of missing joint
+            positions.
         duration: s, by the controller's clock; by this computer's for computed poses.
         asked: the number of rows asked for, or None.
         short: whether there are fewer.
@@ -214,10 +193,12 @@ class LiveRecording:
     sources: Mapping[str, str]
     settings: RecordingSettings
     notes: tuple[str, ...]
-    gaps: Gaps
+    gaps: int
+    missing_within: int
     duration: float
     asked: int | None
     short: bool
+    missing_between: int = 0
     unwritten: int = 0
     refusal: str = ""
     rate: float = 0.0
@@ -226,8 +207,8 @@ class LiveRecording:
 
     @property
     def missing(self) -> int:
-        """The number of missing reports within and between runs, or of missing joint positions."""
-        return self.gaps.within + self.gaps.between
+        """The number of missing reports or joint positions."""
+        return self.missing_within + self.missing_between
 
     def account(self) -> dict[str, Any]:
         """What the sidecar says about the recording itself, in plain numbers and phrases."""
@@ -238,10 +219,9 @@ class LiveRecording:
             "rows_not_written": self.unwritten,
             "runs": self.runs,
             "duplicates_removed": self.repeated,
-            "reports_missing_within_runs": self.gaps.within,
-            "reports_missing_between_runs": self.gaps.between,
-            "gaps": self.gaps.count,
-            "longest_gaps": [asdict(gap) for gap in self.gaps.longest(MOST_IN_SIDECAR)],
+            "reports_missing_within_runs": self.missing_within,
+            "reports_missing_between_runs": self.missing_between,
+            "gaps": self.gaps,
             "notes": list(self.notes),
         }
 
@@ -272,7 +252,7 @@ def record(
     seconds: float | None = None,
     overwrite: bool = False,
     stop: threading.Event | None = None,
-    show: Callable[[Progress], object] = lambda progress: None,
+    show: Callable[[Rows, str], object] = lambda rows, trouble: None,
 ) -> LiveRecording:
     """Records an arm in motion or at standstill. Nothing is sent to it.
 
@@ -287,7 +267,7 @@ def record(
         seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.
         stop: ends the recording when set, from any thread.
-        show: called with the progress a few times a second.
+        show: called a few times a second with the rows so far, and the present problem, empty without one.
 
     Raises:
         InputError: the files cannot be written, no reports are received, or they contain no joints.
@@ -327,6 +307,8 @@ def record(
         settings=replace(settings, torque_source="estimated" if rows.torques_computed else "unknown"),
         notes=notes,
         gaps=rows.gaps,
+        missing_within=rows.missing_within,
+        missing_between=rows.missing_between,
         duration=rows.time,
         asked=None if seconds is None else math.ceil(seconds * protocol.RATES[protocol.REALTIME] - 1e-6),
         short=seconds is not None and bool(rows.missing or not rows.complete),
@@ -348,7 +330,7 @@ def _take_rows(
     table: TableWriter,
     declare: Callable[[], None],
     stop: threading.Event,
-    show: Callable[[Progress], object],
+    show: Callable[[Rows, str], object],
 ) -> str:
     """Records until an end, and returns the reason of it as a phrase."""
     with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
@@ -384,7 +366,7 @@ def _take_rows(
                 return "the disk took no more rows"
             if now - shown > 0.2:
                 shown = now
-                show(Progress(rows.count, rows.time, rows.rate, rows.run, rows.missing, trouble))
+                show(rows, trouble)
         return ""
 
 
@@ -447,7 +429,8 @@ def record_poses(
         sources=sources,
         settings=settings,
         notes=tuple(notes),
-        gaps=Gaps(count=bool(missing), within=missing),
+        gaps=int(missing > 0),
+        missing_within=missing,
         duration=time.monotonic() - started,
         asked=len(joints),
         short=len(rows) < len(joints),

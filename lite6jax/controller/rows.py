@@ -1,7 +1,6 @@
 """Reports of 250 Hz as rows of a recording: units, clock, duplicates, gaps and the convention of orientations."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 
@@ -18,8 +17,6 @@ from lite6jax.recordings.checks import WINDOW, TorqueNoise
 Array = NDArray[np.floating]
 
 PERIOD_US = round(1e6 / protocol.RATES[protocol.REALTIME])
-MOST_LISTED = 1000
-"""Gaps kept one by one, the longest; the recording itself has all."""
 _STOPPED_CLOCK = 100
 """The number of consecutive reports with the same time after which the clock counts as stopped."""
 _DISTINCT_RAD = 0.02
@@ -48,54 +45,6 @@ SOURCES: Mapping[str, str] = {
 """The source of each column."""
 
 
-@dataclass(frozen=True)
-class Gap:
-    """Reports that are missing before a row, or a new run without any.
-
-    Attributes:
-        row: the data row after it, from 1.
-        run: of that row.
-        missing: the number of reports, by the controller's clock, or by this computer's where that one jumps.
-        seconds: s, from the row before.
-        reason: as a phrase.
-        starts_run: whether the run starts with that row.
-    """
-
-    row: int
-    run: int
-    missing: int
-    seconds: float
-    reason: str
-    starts_run: bool
-
-
-@dataclass
-class Gaps:
-    """The number of gaps of a recording, and of missing reports within and between runs.
-
-    `listed` are at least the `MOST_LISTED` gaps with the most missing reports.
-    """
-
-    count: int = 0
-    within: int = 0
-    between: int = 0
-    listed: list[Gap] = field(default_factory=list)
-
-    def add(self, gap: Gap) -> None:
-        """Counts a gap."""
-        self.count += 1
-        self.between += gap.missing * gap.starts_run
-        self.within += gap.missing * (not gap.starts_run)
-        self.listed.append(gap)
-        if len(self.listed) >= 2 * MOST_LISTED:
-            self.listed = self.longest(MOST_LISTED)
-
-    def longest(self, most: int) -> list[Gap]:
-        """The gaps with the most missing reports, in the order of their rows."""
-        first = sorted(self.listed, key=lambda gap: (gap.missing, gap.seconds), reverse=True)[:most]
-        return sorted(first, key=lambda gap: gap.row)
-
-
 class Rows:
     """Converts reports to columns, in order and without duplicates.
 
@@ -109,7 +58,8 @@ class Rows:
         complete: whether the duration is reached.
         stopped: why no further rows can come; empty while they can.
         count, run, time: the number of rows, and the run and the time in s of the last one.
-        gaps: the missing reports.
+        gaps: the number of gaps: missing reports between two rows, or the start of a run.
+        missing_within, missing_between: the number of missing reports within and between runs.
         repeated: the number of duplicate reports.
         names: the columns, after the first row.
     """
@@ -120,7 +70,7 @@ class Rows:
         self.seconds, self.complete, self.stopped = seconds, False, ""
         self.count = self.repeated = self.run = 0
         self.time = 0.0
-        self.gaps = Gaps()
+        self.gaps = self.missing_within = self.missing_between = 0
         self.names: tuple[str, ...] = ()
         self._dof = station.arm.dof
         self._has_condition = station.condition is not None  # whether there are columns of the 5 Hz report
@@ -140,7 +90,7 @@ class Rows:
     @property
     def missing(self) -> int:
         """The number of missing reports within and between runs."""
-        return self.gaps.within + self.gaps.between
+        return self.missing_within + self.missing_between
 
     @property
     def torques_computed(self) -> bool:
@@ -215,10 +165,10 @@ class Rows:
             gap[0] = "; ".join(reasons)
             self.run += 1
             self._window = self._window[:0]
-        for i in map(int, np.flatnonzero(gap.astype(bool))):
-            starts = i == 0 and bool(reasons)
-            found = Gap(self.count + i + 1, self.run, int(missing[i]), float(steps[i]) / 1e6, gap[i], starts)
-            self.gaps.add(found)
+        between = int(missing[0]) if reasons else 0
+        self.gaps += int(gap.astype(bool).sum())
+        self.missing_between += between
+        self.missing_within += int(missing.sum()) - between
         within = steps[1:] if reasons or not self.count else steps
         self._steps, self._elapsed_us = self._steps + len(within), self._elapsed_us + int(within.sum())
         if self.run == 0:

@@ -120,8 +120,8 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))
     before = _displaced(base)
     for i, row in enumerate(rows):
-        moved = frames.joint_motions(joint, model.sliding)[i]
-        T = before @ frames.transform_from_row(row) @ moved
+        moved = [0, 0, joint[i], 0, 0, 0] if i in model.sliding else [0, 0, 0, 0, 0, joint[i]]
+        T = before @ frames.transform_from_row(row) @ frames.transform_from_row(moved)
         exact = np.array_equal(before, np.eye(4)) and not joint[i]
         rows[i] = row if exact else frames.row_from_transform(T)
         before = _displaced(link[i])

@@ -2,9 +2,8 @@
 
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.core import Faults, describe_faults, parse_faults
-from lite6jax.emulator.paths import interpolate, read_path, visit
 from lite6jax.emulator.server import Controller
-from lite6jax.simulation.motions import draw_sines
+from lite6jax.simulation.motions import draw_sines, interpolate, read_path, visit
 
 __all__ = [
     "Body",

@@ -1,8 +1,4 @@
-"""The emulated arm: its kinematics, its true poses, and the torques of its motors.
-
-The dynamics are those of Newton and Euler in the base frame, in NumPy. They share no code with the inverse dynamics by
-which a recording is diagnosed, and take no time to compile.
-"""
+"""The emulated arm: its kinematics, its true poses, and the torques of its motors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,15 +14,14 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.arms.factory import recognise
 from lite6jax.controller import protocol
+from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic import (
     Delaying,
-    Dynamics,
     PayloadTorque,
     Scaling,
     TorqueEffect,
     TorqueTimeOffset,
-    point_mass,
 )
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
@@ -198,14 +193,13 @@ class Body:
         """The samples, padded with the last one to `size`."""
         count = len(sample.time)
         extra = max(size - count, 0)
-        position, velocity, direction, rise = (
-            np.pad(values, ((0, extra), (0, 0)), "edge").T
-            for values in (*sample[1:], self.temperature(sample.time) - 25.0)
-        )
+        joints = [*sample[1:], self.temperature(sample.time) - 25.0, np.zeros_like(sample.position)]
+        joints[-1] = joints[-1] if acceleration is None else acceleration
+        position, velocity, direction, rise, ddq = (np.pad(values, ((0, extra), (0, 0)), "edge").T for values in joints)
         # the times of the padding increase, because times must be in order
         time = np.concatenate([sample.time, sample.time[-1] + SPACING_S * np.arange(1, extra + 1)])
         run = np.stack([np.zeros(len(time), int), np.full(len(time), count - 1)])
-        ddq = None if acceleration is None else acceleration.T
+        ddq = None if acceleration is None else ddq
         arrays: Any = (position, velocity, direction, time, run, rise.mean(0), np.full(len(time), payload), ddq, rise)
         return Motion(*arrays)
 
@@ -233,30 +227,19 @@ class Body:
 
         The acceleration is `(sample, joint)` rad/s².
         """
-        if self.arm.mass is None:
-            return np.zeros_like(sample.position)
-        q, dq, ddq = sample.position.T, sample.velocity.T, acceleration.T
-        links = _LinkMotion.compute(self.links, q, dq, ddq, _GRAVITY)
-        numbers = self._inertial_numbers.copy()
-        numbers[-1] += point_mass(load.payload, load.center)
-        total = links.torque(numbers)
-        if self._motor_effects:
-            still = np.zeros_like(q)
-            dynamics = Dynamics(
-                motion=self._motion(sample, load.payload, acceleration=acceleration),
-                torque=total,
-                links=self._inertial_numbers,
-                payload_center=load.center,
-                of_inertia=links.torque,
-                of_gravity=lambda g: _LinkMotion.compute(self.links, q, still, still, g).torque(numbers),
-                gravity=_GRAVITY,
-            )
+        torque = np.zeros_like(sample.position)
+        for first in range(0, len(torque) if self.arm.mass is not None else 0, BLOCK):
+            rows = slice(first, first + BLOCK)
+            motion = self._motion(Sample(*(part[rows] for part in sample)), load.payload, BLOCK, acceleration[rows])
+            links = self._inertial_numbers
+            dynamics = RigidBodies(motion, links, load.center, _GRAVITY, self.kinematics).dynamics(links)
             added = [e.torque(values, dynamics) for e, values in self._motor_effects if not isinstance(e, Scaling)]
-            total = total + sum(added)
+            total = dynamics.torque + sum(added)
             for effect, values in self._motor_effects:
                 if isinstance(effect, Scaling):
                     total = total + effect.torque(values, dynamics._replace(torque=total))
-        return total.T
+            torque[rows] = total.T[: len(torque[rows])]
+        return torque
 
     def draw_torque_noise(self, time: Array) -> Array:
         """`(sample, joint)` Nm at `(sample,)` s: the same at an instant, whoever reads it and how often."""
@@ -264,48 +247,3 @@ class Body:
             return np.zeros((len(time), self.arm.dof))
         streams = (np.random.Philox(key=int(instant)) for instant in np.round(time * 1e6))
         return self.torque_noise * np.stack([np.random.Generator(it).standard_normal(self.arm.dof) for it in streams])
-
-
-class _LinkMotion(NamedTuple):
-    """Each link's frame and how it moves, in the base frame.
-
-    Rotations are `(joint, 3, 3, sample)`. `(joint, 3, sample)` are the origins in m, the angular velocities in rad/s,
-    their rates in rad/s², and the accelerations of the origins less gravity in m/s².
-    """
-
-    R: Array
-    origin: Array
-    spin: Array
-    spin_rate: Array
-    acceleration: Array
-
-    @classmethod
-    def compute(cls, links: Array, q: Array, dq: Array, ddq: Array, gravity: Array) -> "_LinkMotion":
-        """From fixed transforms `(joint, 4, 4)` and joints `(joint, sample)`."""
-        T = np.ascontiguousarray(np.moveaxis(np.stack([*frames.walk(links, q.T)][1:]), 1, -1))
-        origin, axis = T[:, :3, 3], T[:, :3, 2]
-        turn = dq[:, None] * axis
-        spin = np.cumsum(turn, axis=0)
-        rate = np.cumsum(ddq[:, None] * axis + _cross(spin - turn, turn), axis=0)
-        w, dw, arm = spin[:-1], rate[:-1], np.diff(origin, axis=0)
-        steps = np.empty_like(origin)  # the first link's frame does not move
-        steps[0], steps[1:] = -gravity[:, None], _cross(dw, arm) + _cross(w, _cross(w, arm))
-        return cls(T[:, :3, :3], origin, spin, rate, np.cumsum(steps, axis=0))
-
-    def torque(self, numbers: Array) -> Array:
-        """`(joint, sample)` Nm of the motors by inertial numbers `(joint, 10)`."""
-        w, dw, a = (np.einsum("jabs,jas->jbs", self.R, v) for v in (self.spin, self.spin_rate, self.acceleration))
-        h, (xx, yy, zz, xy, xz, yz) = numbers[:, 1:4, None], numbers[:, 4:].T
-        I = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
-        force = numbers[:, :1, None] * a + _cross(dw, h) + _cross(w, _cross(w, h))
-        moment = I @ dw + _cross(w, I @ w) + _cross(h, a)
-        F, M = (np.einsum("jabs,jbs->jas", self.R, v) for v in (force, moment))
-        outboard_F, outboard_M = (np.cumsum(v[::-1], axis=0)[::-1] for v in (F, M + _cross(self.origin, F)))
-        return np.sum(self.R[:, :, 2] * (outboard_M - _cross(self.origin, outboard_F)), 1)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Of vectors `(..., 3, sample)`; `np.cross` takes ten times as long."""
-    ax, ay, az = (a[..., i, :] for i in range(3))
-    bx, by, bz = (b[..., i, :] for i in range(3))
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -2)

@@ -30,8 +30,8 @@ from lite6jax.arms.entries import suggestion
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Frame, Register, Status
 from lite6jax.emulator.body import SPACING_S, Body, Load, Sample
-from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Path, rest
 from lite6jax.errors import InputError
+from lite6jax.simulation.motions import MAX_ACCELERATION, MAX_SPEED, Path, rest
 
 ALL = -1
 """Stands for every register in `Faults.silent`."""

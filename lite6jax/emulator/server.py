@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.core import Core, Faults, answer, report
-from lite6jax.emulator.paths import Path
 from lite6jax.errors import InputError
+from lite6jax.simulation.motions import Path
 
 Array = NDArray[np.floating]
 _T = TypeVar("_T")

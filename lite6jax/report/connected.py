@@ -12,7 +12,8 @@ from rich.text import Text
 from lite6jax.arms import entries, frames
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.start import calibration_poses, check_positions
-from lite6jax.controller.recorder import LiveRecording, Progress
+from lite6jax.controller.recorder import LiveRecording
+from lite6jax.controller.rows import Rows
 from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
@@ -22,8 +23,6 @@ from lite6jax.report.words import SCREEN, STATISTICS, fixed, listing, number
 Array = NDArray[np.floating]
 
 _TEXTS = read_texts("screens.yaml")
-_MOST_GAPS = 10
-"""The most gaps that are listed, the longest."""
 
 
 def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
@@ -103,18 +102,18 @@ def _offset(offset: Array) -> str:
 
 
 @contextmanager
-def recording_progress() -> Iterator[Callable[[Progress], None]]:
+def recording_progress() -> Iterator[Callable[[Rows, str], None]]:
     """The progress of a recording on stderr, from what the yielded function is called with."""
-    reached = list[Progress]()
-    with screen.repeated(lambda: _progress_line(reached[-1]) if reached else "no row yet"):
-        yield lambda progress: reached.__setitem__(slice(None), [progress])
+    reached = ["no row yet"]
 
+    def show(rows: Rows, trouble: str) -> None:
+        line = f"{rows.time:8.1f} s  {rows.count} rows  {rows.rate:.1f} Hz"
+        line += f"  run {rows.run}" if rows.run else ""
+        line += f"  {rows.missing} missing" if rows.missing else ""
+        reached[0] = f"{line}  {trouble or '(stop with Ctrl-C)'}"
 
-def _progress_line(progress: Progress) -> str:
-    line = f"{progress.time:8.1f} s  {progress.rows} rows  {progress.rate:.1f} Hz"
-    line += f"  run {progress.run}" if progress.run else ""
-    line += f"  {progress.missing} missing" if progress.missing else ""
-    return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (stop with Ctrl-C)"
+    with screen.repeated(lambda: reached[0]):
+        yield show
 
 
 def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
@@ -131,21 +130,13 @@ def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
         if recorded.short:
             yield Text(f"{recorded.asked} rows were asked for.")
         repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
-        gaps = recorded.gaps
-        missing = f"{gaps.within} reports missing" if gaps.within else "No report missing"
+        within, between = recorded.missing_within, recorded.missing_between
+        missing = f"{within} reports missing" if within else "No report missing"
         if recorded.runs > 1:
-            missing = f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
-            missing = missing if gaps.within + gaps.between else "No report missing within or between runs"
-        yield Text(f"{missing}{repeated}.")
-        if gaps.count:
-            longest = gaps.longest(_MOST_GAPS)
-            title = "Gaps" if len(longest) == gaps.count else f"The {len(longest)} longest of {gaps.count} gaps"
-            rows = (
-                (str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
-                for gap in longest
-            )
-            headers = (f"{title}: before row", "run", "missing", "s", "reason")
-            yield listing(*headers, rows=rows, left=[4], wrapped=[4])
+            missing = f"{within} reports missing within runs, about {between} between runs"
+            missing = missing if within + between else "No report missing within or between runs"
+        where = " The columns missing and gap say where and why." if recorded.gaps else ""
+        yield Text(f"{missing}{repeated}.{where}")
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
     if computed and recorded.missing:

@@ -163,8 +163,6 @@ REFUSED = [
         "first_axis joints (1,): give each once, in order, from 2 to 2",
     ),
     (lambda: HayatiForm(6, (2, 1)), "parallel joints (2, 1): give each once, in order, from 0 to 4"),
-    (lambda: HayatiForm(6, (1, 1)), "parallel joints (1, 1): give each once, in order, from 0 to 4"),
-    (lambda: HayatiForm(6, (-1,)), "parallel joints (-1,): give each once, in order, from 0 to 4"),
     (lambda: LITE6.pack(np.zeros(4), np.zeros((6, 6))), "base (4,), links (6, 6): this form takes (6,) and (6, 6)"),
     (lambda: parameters_of_table(LITE6, np.zeros(4), LITE6_DH + 0.5, [0]), f"d2 is 0.5, and {ABSENT}"),
     (lambda: table_of_parameters(LITE6, np.zeros(27)), "parameters of shape (27,): this form takes (28,)"),

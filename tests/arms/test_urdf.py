@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typed import refusal
+from typed import refusal, refused, run
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -16,7 +16,6 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_into_urdf, write_urdf
-from lite6jax.cli import main
 from lite6jax.errors import InputError, InputWarning
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
@@ -148,13 +147,21 @@ def test_the_tip_can_be_named_in_the_path(tmp_path):
     np.testing.assert_allclose(read_arm(f"{path}#ft_frame").T_joint_flange[1, 1], -1)
 
 
-def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
+def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path, capsys):
     parts = [link(name) for name in ("base", "a", "hand", "left", "right")]
     parts += [joint("j1", "base", "a"), joint("j2", "a", "hand"), joint("l", "hand", "left", "prismatic")]
     parts += [joint("r", "hand", "right", "prismatic", extra='<mimic joint="l"/>')]
     path = write(tmp_path, *parts)
-    with pytest.raises(InputError, match=r"end at hand \(2 joints\), left \(3 joints\), right \(3 joints\); say which"):
-        read_urdf(path)
+    assert refusal(read_urdf, path) == (
+        f"{path}: the chain could end at hand (2 joints), left (3 joints), right (3 joints); say which as "
+        "arm.urdf#hand, or in convert with --tip hand"
+    )
+    assert run(capsys, "convert", path, tmp_path / "arm.yaml", "--tip", "hand")[0] == 0
+    assert read_arm(tmp_path / "arm.yaml").dof == read_arm(f"{path}#hand").dof == 2
+    said = refused(capsys, "convert", f"{path}#hand", tmp_path / "p.yaml", "--tip", "hand")
+    assert "names base or tip already; leave out --base and --tip, or what follows #" in said
+    said = refused(capsys, "convert", "lite6", tmp_path / "p.yaml", "--base", "torso")
+    assert said == "lite6: --base and --tip choose a chain of a URDF or MJCF; leave them out"
     assert read_urdf(path, tip="hand").dof == 2
     assert read_urdf(path, tip="left").sliding == (2,)
     assert read_urdf(path, base="a", tip="hand").dof == 1
@@ -170,24 +177,6 @@ def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
     assert "no joint moves below 'left'; name another --base" in refusal(read_urdf, path, base="left")
     with pytest.raises(InputError, match="no joint moves between 'a' and 'a'; name another --base or --tip"):
         read_urdf(path, base="a", tip="a")
-
-
-def panda():
-    """Seven joints, a flange, a hand, and two fingers of which one mimics the other."""
-    parts = [link(f"panda_link{i}") for i in range(9)] + [link(f"panda_{part}") for part in ("hand", "hand_tcp")]
-    parts += [joint(f"panda_joint{i}", f"panda_link{i - 1}", f"panda_link{i}", xyz="0 0 0.1") for i in range(1, 8)]
-    parts += [joint("panda_joint8", "panda_link7", "panda_link8", "fixed", xyz="0 0 0.107")]
-    parts += [joint("panda_hand_joint", "panda_link8", "panda_hand", "fixed", rpy="0 0 -0.785")]
-    parts += [joint("panda_hand_tcp_joint", "panda_hand", "panda_hand_tcp", "fixed", xyz="0 0 0.1034")]
-    for i, finger in enumerate(("left", "right"), 1):
-        mimic = '<mimic joint="panda_finger_joint1"/>' if i == 2 else ""
-        parts += [link(f"panda_{finger}finger")]
-        parts += [
-            joint(
-                f"panda_finger_joint{i}", "panda_hand", f"panda_{finger}finger", "prismatic", "0 0 0.0584", extra=mimic
-            )
-        ]
-    return parts
 
 
 def tiago():
@@ -221,22 +210,6 @@ def tiago():
         name = f"gripper_{finger}_finger"
         parts += [link(f"{name}_link"), joint(f"{name}_joint", "gripper_link", f"{name}_link", "prismatic")]
     return parts
-
-
-def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
-    path = write(tmp_path, *panda(), name="panda.urdf")
-    assert refusal(read_urdf, path) == (
-        f"{path}: the chain could end at panda_hand (7 joints), panda_leftfinger (8 joints), panda_rightfinger (8 "
-        "joints); say which as panda.urdf#panda_hand, or in convert with --tip panda_hand"
-    )
-    assert read_arm(f"{path}#panda_hand").dof == 7
-    assert main(["convert", str(path), str(tmp_path / "panda.yaml"), "--tip", "panda_hand"]) == 0
-    assert read_arm(tmp_path / "panda.yaml").dof == 7
-    capsys.readouterr()
-    assert main(["convert", f"{path}#panda_hand", str(tmp_path / "p.yaml"), "--tip", "panda_hand"]) == 2
-    assert "names base or tip already; leave out --base and --tip, or what follows #" in capsys.readouterr().err
-    assert main(["convert", "lite6", str(tmp_path / "p.yaml"), "--base", "torso"]) == 2
-    assert "lite6: --base and --tip choose a chain of a URDF or MJCF; leave them out" in capsys.readouterr().err
 
 
 def test_a_tree_with_a_torso_names_the_arm_with_and_without_it(tmp_path):

@@ -92,10 +92,10 @@ def test_no_row_is_lost_and_every_loss_is_counted(tmp_path, monkeypatch, name):
         if len(sent) == len(hostile.connections):
             stop.wait(10)
 
-    def show(progress):
-        if progress.rows and len(sent) == len(hostile.connections) and quiet[0] == progress.rows:
+    def show(rows, trouble):
+        if rows.count and len(sent) == len(hostile.connections) and quiet[0] == rows.count:
             stop.set()
-        quiet[0] = progress.rows
+        quiet[0] = rows.count
 
     quiet = [0]
     out = tmp_path / "run.parquet"
@@ -104,7 +104,7 @@ def test_no_row_is_lost_and_every_loss_is_counted(tmp_path, monkeypatch, name):
     table = pyarrow.parquet.read_table(out).to_pydict()
     assert done.rows + done.repeated == hostile.received
     assert done.rows == len(table["time_s"])
-    assert (done.runs, done.gaps.within) == (hostile.runs, hostile.missing)
+    assert (done.runs, done.missing_within) == (hostile.runs, hostile.missing)
     assert done.refusal[:20] == hostile.refusal
     # by the times alone: each gap has its row, its number and its reason
     steps = np.rint(1e6 * np.diff(table["time_s"])).astype(int)
@@ -113,4 +113,4 @@ def test_no_row_is_lost_and_every_loss_is_counted(tmp_path, monkeypatch, name):
     starts = np.diff(table["run"]) > 0
     lacking = np.array(table["missing"][1:]) > 0
     assert [reason is not None for reason in table["gap"]] == [False, *(starts | lacking)]
-    assert sum(table["missing"]) == done.missing == done.gaps.within + done.gaps.between
+    assert sum(table["missing"]) == done.missing == done.missing_within + done.missing_between

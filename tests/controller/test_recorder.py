@@ -83,17 +83,18 @@ def test_torques_without_noise_are_declared_as_the_controllers_own(tmp_path, noi
 def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_there(tmp_path):
     done, read = recorded(tmp_path, 12.0, faults=Faults(close_reports_after=300), speed=8.0)
     assert done.runs == read.run.max() + 1 >= 3
-    assert done.gaps.within == done.repeated == 0
+    assert done.missing_within == done.repeated == 0
     assert done.short
     starts = np.flatnonzero(np.diff(read.run)) + 2  # data rows count from 1
-    gaps = done.gaps.longest(99)
-    assert [gap.row for gap in gaps] == starts.tolist()
-    assert all("connection lost (" in gap.reason and "closed by the controller" in gap.reason for gap in gaps)
-    assert done.gaps.between == sum(gap.missing for gap in gaps) > 0
+    rows = pyarrow.parquet.read_table(tmp_path / "run.parquet").to_pydict()
+    reasons = {k + 1: reason for k, reason in enumerate(rows["gap"]) if reason is not None}
+    assert [*reasons] == starts.tolist()
+    assert all("connection lost (" in reason and "closed by the controller" in reason for reason in reasons.values())
+    assert done.missing_between == sum(rows["missing"]) > 0
     account = yaml.safe_load((tmp_path / "run.yaml").read_text())["account"]
     assert (account["complete"], account["rows"], account["rows_asked_for"]) == (False, done.rows, 3000)
-    assert account["reports_missing_between_runs"] == done.gaps.between
-    assert [gap["row"] for gap in account["longest_gaps"]] == starts.tolist()
+    assert account["reports_missing_between_runs"] == done.missing_between
+    assert account["gaps"] == len(starts)
     assert any(f"{done.missing} reports of the controller are missing" in note for note in read.notes)
     assert done.rows == read.samples
     for run in range(done.runs - 1):

@@ -3,34 +3,23 @@
 import numpy as np
 from live import ARM, KINEMATICS
 from scipy.spatial.transform import Rotation
+from test_condition import report as rich
 
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Reports
 from lite6jax.controller.rows import SOURCES, Rows
-from lite6jax.controller.station import Condition, Station
+from lite6jax.controller.station import Station, parse_condition
 from tests.oracles.chains import six_parameter_poses
 
 STEP = 4000
 
 
-def condition(**changed):
-    values = {
-        "error": 0,
-        "warning": 0,
-        "joint_position": np.zeros(7),
-        "tool_offset": np.zeros(6),
-        "world_offset": np.zeros(6),
-        "payload": np.zeros(4),
-        "gravity_direction": np.array([0.0, 0.0, -1.0]),
-        "temperature": np.arange(20.0, 27.0),
-    }
-    return Condition(**(values | changed))
-
-
 def station(calibrated=True, known=True, **changed):
     own = FactoryCalibration(np.array(KINEMATICS), ARM, ARM.T_joint_flange, "arm") if calibrated else None
-    return Station(ARM, "lite6", own, condition(**changed) if known else None, ())
+    return Station(
+        ARM, "lite6", own, parse_condition(rich(temperature=range(20, 27), **changed), "here") if known else None, ()
+    )
 
 
 def reports(time_us, q=None, vector=False, length=784, seed=0):
@@ -97,7 +86,7 @@ def test_a_connection_lost_for_long_is_no_jump():
     table = took(rows, reports(STEP * np.arange(5000, 5003)), connection=1, heard=20.98)
     np.testing.assert_allclose(table["time_s"], 0.004 * np.arange(5000, 5003))
     assert table["gap"][0] == "new connection"
-    assert rows.gaps.between == 4995
+    assert rows.missing_between == 4995
 
 
 def test_a_rotation_vector_is_recognised_by_the_chain():

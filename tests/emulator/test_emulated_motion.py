@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from lite6jax.arms.description import load_bundled
 from lite6jax.emulator import Faults, draw_sines, interpolate, read_path, visit
 from lite6jax.emulator.core import Core
-from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, rest
 from lite6jax.errors import InputError
+from lite6jax.simulation.motions import MAX_ACCELERATION, MAX_SPEED, rest
 
 LITE6 = load_bundled("lite6")
 HERE = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])

@@ -10,7 +10,7 @@ from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines, visit
-from lite6jax.emulator.paths import Polynomials
+from lite6jax.simulation.motions import Polynomials
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.gravity import gravity_moments
 
