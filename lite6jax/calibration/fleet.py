@@ -127,17 +127,14 @@ def fit_fleet(
 
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
-    solved = summary.solved
-    numbers = POSE * summary.samples
-    result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
-    covariance = summary.covariance
+    fits: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
+    numbers = POSE * fits.samples
+    result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, fits.status).astype(np.int32)
+    covariance = fits.covariance
     if noise is None:
-        covariance = covariance * (2 * solved.cost / np.maximum(numbers - form.size, 1))[:, None, None]
-    return FleetSolution(
-        form, solved.model.geometry, covariance, result, solved.steps,
-        summary.position_rms, summary.orientation_rms, solved.cost,
-    )  # type: ignore[arg-type]  # fmt: skip
+        covariance = covariance * (2 * fits.cost / np.maximum(numbers - form.size, 1))[:, None, None]
+    errors = fits.position_rms, fits.orientation_rms
+    return FleetSolution(form, fits.model.geometry, covariance, result, fits.steps, *errors, fits.cost)
 
 
 def fit_fleet_calibrations(

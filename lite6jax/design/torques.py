@@ -117,7 +117,7 @@ class TorqueModel:
         """The base parameters that motions determine."""
         return self.possible.base
 
-    @cached_property
+    @property
     def base_scale(self) -> Array:
         """`(base,)` their typical sizes, SI."""
         return np.array([item.scale for item in self.base])
@@ -132,10 +132,6 @@ class TorqueModel:
     def silent(self) -> tuple[str, ...]:
         """Names of parameters that change no torque."""
         return tuple(d.name for d in self.possible.dependencies if not d.partners)
-
-    def base_columns(self, motion: Motion) -> JaxArray:
-        """Whitened torques per typical size of each base parameter, `(joint, base, sample)`; plain JAX."""
-        return self.columns(motion)[:, np.flatnonzero(self.possible.free)] * self.base_scale[:, None]
 
 
 def torque_model(
@@ -357,8 +353,11 @@ def plan_motion(
         InputError: no room for a motion.
     """
 
+    stands = np.flatnonzero(model.possible.free)
+
     def log_determinant(motion: Motion) -> JaxArray:
-        rows = jnp.moveaxis(model.base_columns(motion), 1, 0).reshape(len(model.base), -1)
+        columns = model.columns(motion)[:, stands] * model.base_scale[:, None]
+        rows = jnp.moveaxis(columns, 1, 0).reshape(len(stands), -1)
         return jnp.linalg.slogdet(rows @ rows.T * (room.samples / motion.q.shape[1]))[1]
 
     drawn = random_motions(room, seed, draws)

@@ -12,7 +12,6 @@ from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import Reduced, Search, Weighed
-from lite6jax.fleet.reduced import Found
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
 from lite6jax.schema import FLEET
 
@@ -30,13 +29,13 @@ class Member:
     Attributes:
         file: its name.
         about: as in `ReducedArm`; empty where the recording is not used.
-        found: by the recording alone.
+        found: as in `Heading`.
         unused: why it is not pooled; empty where it is.
     """
 
     file: str
     about: Mapping[str, Any]
-    found: tuple[Found, ...] = ()
+    found: tuple[tuple[str, float], ...] = ()
     unused: str = ""
 
 
@@ -119,7 +118,7 @@ class Population:
             "reason": member.unused or None,
             "date": member.about.get("date"),
             "verdict": member.about.get("verdict"),
-            "found_alone": [{"label": one.label, "p_value": one.p_value} for one in member.found],
+            "found_alone": [{"label": label, "p_value": p_value} for label, p_value in member.found],
             "outlier_in": [self._named(effect.selected.term) for effect in self.effects if arm in effect.outliers],
         }
 
