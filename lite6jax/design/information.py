@@ -20,7 +20,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
 from lite6jax.calibration.problem import Geometry, recording_problem
-from lite6jax.calibration.residual import BLOCK, pad, predict_frames, step_order, twist_columns
+from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
+from lite6jax.design.determination import accumulate_root
 from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -257,19 +258,9 @@ class Experiment:
         return J - base @ alike
 
     def root(self, joint_position: ArrayLike) -> Array:
-        """An upper triangular R `(size, size)` with RᵀR the information of readings at `joint_position`, without prior.
-
-        By orthogonal steps, block by block: its singular values are those of the rows to rounding, where an
-        eigenvalue of RᵀR would lose half the digits.
-        """
+        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
         q = check_joints(self, joint_position)
-        direction, size, R = self.direction(q), min(len(q), BLOCK), np.zeros((0, self.size))
-        for first in range(0, len(q), size):
-            some = slice(first, first + size)
-            block = (pad(part[some], 0, size) for part in (q, direction))  # of one shape, compiled once
-            J = self._columns(*block)[..., : len(q[some])].reshape(self.size, -1)
-            R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
-        return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
+        return self.unit * accumulate_root(self._columns, (q, self.direction(q)), self.size, min(len(q), BLOCK))
 
     def with_sensor(self, sensor: AnySensor) -> "Experiment":
         """The same model with another sensor."""

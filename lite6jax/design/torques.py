@@ -15,7 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
-from lite6jax.design.determination import BaseParameter, Determination, determination_of, narrow_joints
+from lite6jax.design.determination import (
+    BaseParameter,
+    Determination,
+    accumulate_root,
+    determination_of,
+    narrow_joints,
+)
 from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
@@ -86,15 +92,13 @@ class TorqueModel:
         return found / self.noise[:, None, None]
 
     def root(self, motion: Motion) -> Array:
-        """`(column, column)` upper triangular R with RᵀR = the information of a motion, in typical sizes."""
-        numbers = np.stack([np.asarray(part) for part in motion])
-        R = np.zeros((0, len(self.names)))
-        for start in range(0, numbers.shape[2], _BLOCK):
-            some = numbers[..., start : start + _BLOCK]
-            padded = np.pad(some, ((0, 0), (0, 0), (0, _BLOCK - some.shape[2])))
-            rows = np.asarray(self.columns(Motion(*padded)))[..., : some.shape[2]].transpose(0, 2, 1)
-            R = np.linalg.qr(np.vstack([R, rows.reshape(-1, R.shape[1]) * self.scale])).R
-        return R
+        """`accumulate_root` of the torques of a motion, in typical sizes."""
+
+        def rows(*parts: Array) -> Array:
+            return np.asarray(self.columns(Motion(*(part.T for part in parts)))).swapaxes(0, 1)
+
+        parts = [np.asarray(part).T for part in motion]
+        return self.scale * accumulate_root(rows, parts, len(self.names), _BLOCK)
 
     @cached_property
     def possible(self) -> Determination:
