@@ -53,7 +53,8 @@ class Dependency(NamedTuple):
         if not self.partners:
             return f"{self.name} is unobservable: no reading changes with it."
         moves = [(name, unit, self.amount * share) for name, unit, share in self.partners]
-        moves.sort(key=lambda move: -abs(move[2]) * _SHOWN.get(move[1], (1.0, ""))[0])
+        # to six digits: rounding decides no order
+        moves.sort(key=lambda move: -float(f"{abs(move[2]) * _SHOWN.get(move[1], (1.0, ''))[0]:.6g}"))
         listed = ", ".join(_shift(*move) for move in moves[:4])
         if len(moves) > 4:
             listed += f" and {len(moves) - 4} smaller"

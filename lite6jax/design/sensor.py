@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, final
 
 import jax
@@ -271,26 +271,26 @@ class BoardView(AnySensor):
         return f"images by a camera {where}, corners to ±{self.pixel_noise:.3g} px"
 
     def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
-        """With J the slopes of pixels over their noise, and JᵀJ = UᵀU, it is U times the motion.
+        """With J the slopes of the pixels that are seen, over their noise, and JᵀJ = UᵀU, it is U times the motion.
 
-        Zero where a corner is behind the camera: a board that is not seen tells nothing.
+        A corner behind the camera or outside the picture, whose middle is the principal point, is not seen. Where too
+        few are, it is zero.
         """
         turn = jnp.stack([jnp.sum(axis * spin, 0) for axis in tool[:3]])  # in the moved axes
-        lens, corners, origin = Lens(np.array(self.lens[:4]), np.array(self.lens[4:])), np.array(self.corners), tool[3]
+        lens, corners = Lens(np.array(self.lens[:4]), np.array(self.lens[4:])), np.array(self.corners)
 
-        def pixels(T: Array, twist: Array) -> Array:
-            return seen_corners(self.mounted, lens, corners, T, twist) / self.pixel_noise
+        def slopes(T: Array) -> Array:
+            still, fixed = jnp.zeros(6), self.mounted == "fixed"
+            pixels = partial(seen_corners, self.mounted, lens, corners, T)
+            depth = corners @ T[2, :3] + T[2, 3] if fixed else (corners - T[:3, 3]) @ T[:3, 2]
+            at = pixels(still)
+            seen = (depth > 0) & jnp.all((at > 0) & (at < 2 * lens.pinhole[2:]), 1)
+            return jnp.where(seen[:, None, None], jax.jacfwd(pixels)(still) / self.pixel_noise, 0.0).reshape(-1, 6)
 
-        if self.mounted == "fixed":
-            depth = corners @ jnp.stack([axis[2] for axis in tool[:3]]) + origin[2]
-        else:
-            depth = corners @ tool.z - jnp.sum(origin * tool.z, 0)
-        seen = jnp.all(depth > 0, 0)[:, None, None]
         T = jnp.zeros((*tool.origin.shape[1:], 4, 4)).at[:, 3, 3].set(1.0)
-        T = T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0))
-        J = jax.vmap(lambda T: jax.jacfwd(lambda twist: pixels(T, twist))(jnp.zeros(6)).reshape(-1, 6))(T)
-        root = jnp.linalg.cholesky(jnp.where(seen, jnp.swapaxes(J, 1, 2) @ J, jnp.eye(6)))
-        root = jnp.where(seen, root, 0.0)
+        J = jax.vmap(slopes)(T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)))
+        root = jnp.linalg.cholesky(jnp.swapaxes(J, 1, 2) @ J)
+        root = jnp.where(jnp.all(jnp.isfinite(root), (1, 2), keepdims=True), root, 0.0)
         return jnp.einsum("ski,ks->is", root, jnp.concatenate([shift, turn]))
 
     def to_dict(self) -> dict[str, Any]:
