@@ -139,10 +139,11 @@ def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[A
     return raw, whitened, jnp.sum(observed.weight * cost), observed.weight * weight
 
 
-def _pull(observed: Observations, raw: Array, whitened: Array, weight: Array) -> tuple[Array, Array | None]:
-    """The force and the torque `(3, sample)` that residuals exert on the tool, sensor axes; no torque of positions."""
+def _pull(observed: Observations, raw: Array, weighted: Array) -> tuple[Array, Array | None]:
+    """The force and the torque `(3, sample)` that whitened residuals exert on the tool, sensor axes; no torque of
+    positions."""
     isotropic = observed.whitener.ndim == 1
-    dual = weight * whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), whitened)
+    dual = whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), weighted)
     if len(dual) == POSITION:
         return dual, None
     # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
@@ -157,7 +158,7 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     """
     _, tool = predict_frames(form, model, observed.joint)
     raw, whitened, cost, weight = _look(observed, tool, robust)
-    force, torque = _pull(observed, raw, whitened, weight)
+    force, torque = _pull(observed, raw, weight * whitened)
     moment = cross(tool.origin, force) + (0.0 if torque is None else torque)
 
     def power(twist: Twist) -> Array:
@@ -177,7 +178,8 @@ def linearise(
     """
     _, tool, twists = _walk_twists(form, model, observed.joint, lambda twist: twist)
     raw, whitened, cost, weight = _look(observed, tool, robust)
-    force, torque = _pull(observed, raw, whitened, weight)
+    root = jnp.sqrt(weight)
+    force, torque = _pull(observed, raw, root * whitened)
     shifts, turns = [], []
     for twist, turning in zip(twists, _turning(form), strict=True):
         if twist.angular is None:
@@ -185,11 +187,11 @@ def linearise(
             continue
         shifts.append(twist.linear + jnp.moveaxis(cross(jnp.moveaxis(twist.angular, 1, 0), tool.origin[:, None]), 0, 1))
         turns.append(twist.angular if turning.all() else twist.angular[np.flatnonzero(turning)])
-    root, shift, turn = jnp.sqrt(weight), jnp.concatenate(shifts), jnp.concatenate(turns)
+    shift, turn = root * jnp.concatenate(shifts), root * jnp.concatenate(turns)
     at = np.flatnonzero(np.concatenate(_turning(form)))  # those that turn: the others have no orientation rows
 
     def product(rows: Array) -> Array:
-        J = (root * rows).reshape(len(rows), -1)
+        J = rows.reshape(len(rows), -1)
         return J @ J.T
 
     gradient = shift.reshape(len(shift), -1) @ force.reshape(-1)
