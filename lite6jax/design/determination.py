@@ -170,7 +170,7 @@ def accumulate_root(rows: Callable[..., Array], parts: Sequence[Array], size: in
     count, R = len(parts[0]), np.zeros((size, size))
     for first in range(0, count, block):
         J = rows(*(pad(part[first : first + block], 0, block) for part in parts))[..., : count - first]
-        R = np.linalg.qr(np.concatenate([R, J.reshape(size, -1).T]), mode="r")
+        R = np.asarray(np.linalg.qr(np.concatenate([R, J.reshape(size, -1).T]), mode="r"))
     return R
 
 
