@@ -16,7 +16,7 @@ from lite6jax.arms import dynamics
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.quality import CONVERGED
-from lite6jax.calibration.solve import Known, Solved, fit_chunks
+from lite6jax.calibration.solve import Fits, Known, fit_chunks
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.design.poses import Criterion, Design, Pool, choose
 from lite6jax.design.sensor import Sensor
@@ -179,13 +179,13 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
             yield Record("models", subject, "condition, median", float(np.median(condition)), "", wrong)
 
 
-def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarray, pose: np.ndarray) -> Solved:
+def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarray, pose: np.ndarray) -> Fits:
     """The same fits by the library's own solver."""
     form = ModelForm(chain)
     movable = np.isin(np.arange(form.size), free).astype(float)
     scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
     known = Known(movable, start, np.zeros(form.size))
-    return fit_chunks(form, arm_model(start), q, pose, weight, scale, known=known).solved
+    return fit_chunks(form, arm_model(start), q, pose, weight, scale, known=known)
 
 
 def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:

@@ -509,8 +509,8 @@ def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path
 
     monkeypatch.setattr(folder, "_read_calibration", stumble)
     (row,) = folder.fit_files([calibration], None)
-    assert row.result == Result.UNREADABLE
-    assert row.message == (
+    assert row["result"] == Result.UNREADABLE
+    assert row["message"] == (
         f"{calibration}: unexpected ZeroDivisionError: division by zero; please report it with this file"
     )
 

@@ -19,7 +19,6 @@ from lite6jax.calibration.problem import (
     UNDECLARED_NOISE,
     Geometry,
     Problem,
-    calibration_problem,
     recording_problem,
 )
 from lite6jax.calibration.quality import NOISES, Result, spread_of
@@ -29,6 +28,7 @@ from lite6jax.calibration.solve import MAX_STEPS, Estimate, Solver, invert, solv
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
+from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
 
@@ -73,24 +73,27 @@ def fit_calibration(
     # the fitted and the fresh samples in one array: the chain is then compiled for one shape
     q = np.concatenate([sample_within_limits(arm, samples, seed), check_positions(arm, seed)])
     pose = calibration_poses(calibration, q)
-    problem = calibration_problem(calibration, q[:samples], pose[:samples])
+    form = ModelForm(arm.form)
+    start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
+    nothing, every = np.zeros(form.size), np.ones(form.size, bool)
+    problem = Problem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, every)
     estimate = solve(problem, solver=solver, max_steps=max_steps)
-    errors = prediction_errors(problem.form, estimate.model, q, pose)
+    errors = prediction_errors(form, estimate.model, q, pose)
     return Solution(
         arm=arm,
-        form=problem.form,
+        form=form,
         model=estimate.model,
         result=estimate.result,
         steps=estimate.steps,
         covariance=None,
-        free=problem.movable,
+        free=every,
         held=(),
         errors=errors.select(slice(0, samples)),
-        nominal_errors=prediction_errors(problem.form, problem.start, q, pose).select(slice(samples, None)),
+        nominal_errors=prediction_errors(form, start, q, pose).select(slice(samples, None)),
         checked=errors.select(slice(samples, None)),
         noise=None,
         weight=np.ones(samples),
-        tolerance=np.zeros(problem.form.size),
+        tolerance=nothing,
     )
 
 
@@ -143,7 +146,13 @@ def fit_recording(
     # the parameters that the data determine: each less the share of the prior's variance that is left to it
     from_prior = np.diagonal(invert((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
     fitted = float(free.sum() - from_prior.sum())
-    _require_samples(recording, problem.rows, round(fitted))
+    samples, rows, parameters = recording.samples, problem.rows, round(fitted)
+    if parameters and samples * rows * (FOLDS - 1) <= FOLDS * parameters:
+        raise InputError(
+            f"{recording.source}: {samples} samples give {samples * rows} numbers, too few to fit {parameters} "
+            f"parameters and hold a fifth back; record at least {parameters * FOLDS // (rows * (FOLDS - 1)) + 1} "
+            f"samples"
+        )
 
     freedom = FREEDOM if loss == "student_t" else None
     estimate = partial(solve, freedom=freedom, max_steps=max_steps)
@@ -160,6 +169,12 @@ def fit_recording(
     folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], **start), list(weight))
     frames_only = free & (np.arange(form.size) >= chain.size)
     nominal_fit = estimate(some, frames_only)
+    notes = problem.notes
+    if count := sum(fold.result != Result.CONVERGED for fold in folds):
+        notes += (
+            f"{count} of the {FOLDS} held-out fits did not converge: without their block the other rows do not "
+            "identify every parameter, and the held-out errors are unreliable; mix the poses when recording",
+        )
 
     errors = prediction_errors(form, final.model, problem.joint_position, problem.pose)
     return Solution(
@@ -177,7 +192,7 @@ def fit_recording(
         checked=_held_out_errors(problem, folds, weight),
         noise=Noise(problem.declared_noise if any(problem.declared_noise) else None, *_noise_level(errors)),
         weight=weights_left(final.squares / final.scale**2, freedom),
-        notes=(*problem.notes, *_unconverged(folds)),
+        notes=notes,
         recording=recording,
     )
 
@@ -236,16 +251,6 @@ def _without_scale(
     return free & (np.arange(free.size) != longest), (*held, Held(form.names[longest], scaled))
 
 
-def _require_samples(recording: Recording, rows: int, parameters: int) -> None:
-    samples = recording.samples
-    if parameters and samples * rows * (FOLDS - 1) <= FOLDS * parameters:
-        raise InputError(
-            f"{recording.source}: {samples} samples give {samples * rows} numbers, too few to fit {parameters} "
-            f"parameters and hold a fifth back; record at least {parameters * FOLDS // (rows * (FOLDS - 1)) + 1} "
-            f"samples"
-        )
-
-
 def _with_noise(problem: Problem, residual: Errors) -> Problem:
     """With the noise that the residuals of a first fit show.
 
@@ -289,16 +294,6 @@ def _held_out_errors(problem: Problem, folds: list[Estimate], weight: Array) -> 
         if orientation is not None:
             orientation[row == 0] = errors.orientation
     return Errors(position, orientation, problem.joint_position)
-
-
-def _unconverged(folds: list[Estimate]) -> list[str]:
-    count = sum(fold.result != Result.CONVERGED for fold in folds)
-    if not count:
-        return []
-    return [
-        f"{count} of the {FOLDS} held-out fits did not converge: without their block the other rows do not identify "
-        f"every parameter, and the held-out errors are unreliable; mix the poses when recording"
-    ]
 
 
 def _covariance(

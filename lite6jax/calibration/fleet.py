@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.arms import description
+from lite6jax.arms import description, frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
 from lite6jax.arms.dh import closed_form
@@ -127,17 +127,14 @@ def fit_fleet(
 
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    summary: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
-    solved = summary.solved
-    numbers = POSE * summary.samples
-    result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
-    covariance = summary.covariance
+    fits: Any = fit_chunks(form, start, q, T, w, 1 / sigma, max_steps, progress)
+    numbers = POSE * fits.samples
+    result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, fits.status).astype(np.int32)
+    covariance = fits.covariance
     if noise is None:
-        covariance = covariance * (2 * solved.cost / np.maximum(numbers - form.size, 1))[:, None, None]
-    return FleetSolution(
-        form, solved.model.geometry, covariance, result, solved.steps,
-        summary.position_rms, summary.orientation_rms, solved.cost,
-    )  # type: ignore[arg-type]  # fmt: skip
+        covariance = covariance * (2 * fits.cost / np.maximum(numbers - form.size, 1))[:, None, None]
+    errors = fits.position_rms, fits.orientation_rms
+    return FleetSolution(form, fits.model.geometry, covariance, result, fits.steps, *errors, fits.cost)
 
 
 def fit_fleet_calibrations(
@@ -188,24 +185,19 @@ def _chain_poses(kinematics: NDArray, joint_position: Array, sliding: tuple[int,
 class FittedCalibrations(NamedTuple):
     """The Hayati models of many calibrations of one type of arm, and their errors.
 
-    Each of the last three is `(arm, 4)`: root mean square and largest distance (m), and root mean square and largest
-    angle (rad), of a model from the calibration.
-
     Attributes:
         result: `(arm,)` of `Result`.
         steps: `(arm,)` of the solver.
         parameters: `(arm, size)`, m and rad.
-        fitted: at the `SAMPLES` joint positions that were fitted.
-        checked: at `check_positions`.
-        nominal: of the nominal geometry at these.
+        errors: `(arm, 3, 4)` from the calibration: of the model at the `SAMPLES` joint positions that were fitted, of
+            the model at `check_positions`, and of the nominal geometry at these. Each time root mean square and
+            largest distance (m), and root mean square and largest angle (rad).
     """
 
     result: NDArray[np.int32]
     steps: NDArray[np.integer]
-    parameters: NDArray[np.floating]
-    fitted: NDArray[np.floating]
-    checked: NDArray[np.floating]
-    nominal: NDArray[np.floating]
+    parameters: Array
+    errors: Array
 
 
 def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> FittedCalibrations:
@@ -220,16 +212,21 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     # filled up to whole chunks, so that batches of any size share compiled code
     filled = np.minimum(np.arange(-(-count // CHUNK) * CHUNK), count - 1)
     kinematics, T_joint_flange = kinematics[filled], T_joint_flange[filled]
-    chunks = [slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)]
     q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
-    nominal = arm.hayati, arm.T_joint_flange
 
     def errors(parameters: Array) -> Array:
-        each = (
-            _calibration_errors(arm.form, parameters[some], *nominal, kinematics[some], T_joint_flange[some], q)
-            for some in chunks
-        )
-        return np.concatenate(list(each))
+        found = []
+        for some in (slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)):
+            models = np.vstack([parameters[some], arm.hayati])
+            predicted, true = map(
+                np.asarray,
+                _flange_poses(arm.form, models, arm.T_joint_flange, kinematics[some], T_joint_flange[some], q),
+            )
+            own, nominal = (np.stack(frames.compare_transforms(each, true)) for each in (predicted[:-1], predicted[-1]))
+            parts = own[..., :SAMPLES], own[..., SAMPLES:], nominal[..., SAMPLES:]
+            statistics = [np.stack([np.sqrt(np.mean(part**2, -1)), part.max(-1)], -1) for part in parts]
+            found.append(np.stack(statistics, 1).transpose(2, 1, 0, 3).reshape(-1, 3, 4))
+        return np.concatenate(found)
 
     parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
     found = errors(parameters)
@@ -241,38 +238,16 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
         parameters = np.where(inexact[:, None], solution.parameters, parameters)
         result, steps = np.where(inexact, solution.result, result), np.where(inexact, solution.steps, steps)
         found = errors(parameters)
-    fitted, checked, by_design = np.moveaxis(found[:count], 1, 0)
-    return FittedCalibrations(result[:count], steps[:count], parameters[:count], fitted, checked, by_design)
+    return FittedCalibrations(result[:count], steps[:count], parameters[:count], found[:count])
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
-def _calibration_errors(
-    form: HayatiForm,
-    parameters: jax.Array,
-    nominal: jax.Array,
-    T_nominal: jax.Array,
-    kinematics: jax.Array,
-    T_joint_flange: jax.Array,
-    joint_position: jax.Array,
-) -> jax.Array:
-    """`(arm, 3, 4)`: those of `FittedCalibrations`."""
-
-    def differences(predicted: jax.Array, true: jax.Array) -> list[jax.Array]:
-        """`(4,)` of the samples that were fitted, and of the others; as of `prediction_errors`."""
-        squares = jnp.sum((predicted - true)[:, :3] ** 2, 1)
-        distance, chord = jnp.sqrt(squares[:, 3]), jnp.sqrt(jnp.sum(squares[:, :3], 1))
-        both = jnp.stack([distance, 2 * jnp.arcsin(jnp.minimum(chord / np.sqrt(8), 1.0))])
-        parts = both[:, :SAMPLES], both[:, SAMPLES:]
-        return [jnp.stack([jnp.sqrt(jnp.mean(part**2, 1)), part.max(1)], 1).ravel() for part in parts]
-
-    by_design = hayati_fk(form, nominal, joint_position) @ T_nominal
-
-    def one(own: jax.Array, calibrated: jax.Array, T: jax.Array) -> jax.Array:
-        true = six_parameter_fk(calibrated, joint_position, form.sliding) @ T
-        found = hayati_fk(form, own, joint_position) @ T_nominal
-        return jnp.stack([*differences(found, true), differences(by_design, true)[1]])
-
-    return jax.vmap(one)(parameters, kinematics, T_joint_flange)
+def _flange_poses(
+    form: HayatiForm, parameters: Any, T_nominal: Any, kinematics: Any, T_joint_flange: Any, joint_position: Any
+) -> tuple[jax.Array, jax.Array]:
+    """Poses `(arm, sample, 4, 4)` of Hayati models `(arm, size)`, and of calibrations."""
+    predicted = jax.vmap(lambda row: hayati_fk(form, row, joint_position))(parameters) @ T_nominal
+    return predicted, _chain_poses(kinematics, joint_position, form.sliding) @ T_joint_flange[:, None]
 
 
 @dataclass(frozen=True, repr=False)

@@ -22,9 +22,10 @@ from lite6jax.calibration.start import (
     nominal_calibration,
 )
 from lite6jax.errors import InputError
-from lite6jax.model import LEVER, ArmModel, ModelForm
+from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints
+from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
@@ -103,15 +104,6 @@ class Problem:
         by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
         q, pose = self.joint_position[samples], self.pose[samples]
         return replace(self, joint_position=q, pose=pose, by_joints=by_joints, spread=spread)
-
-
-def calibration_problem(calibration: FactoryCalibration, joint_position: Array, pose: Array) -> Problem:
-    """The Hayati model that reproduces a calibrated chain's poses `(sample, 4, 4)`, from nominal."""
-    arm = calibration.arm
-    form = ModelForm(arm.form)
-    start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    nothing = np.zeros(form.size)
-    return Problem(arm, form, start, joint_position, pose, (1.0, 1 / LEVER), nothing, np.ones(form.size, bool))
 
 
 class DeclaredGeometry(NamedTuple):
@@ -242,16 +234,11 @@ def recording_problem(
         notes.append(f"the sidecar does not declare the noise of {what}: it is taken from the residuals")
     by_joints = None
     if settings.joint_noise_rad:
-        blocks = [slice(first, first + frames.BLOCK) for first in range(0, recording.samples, frames.BLOCK)]
-        J = np.concatenate(
-            [
-                _residual_by_joints(
-                    known, recording.joint_position[some], T_sensor_base, T_flange_tool,
-                    None if rotation is None else rotation[some],
-                )
-                for some in blocks
-            ]
-        )  # fmt: skip
+        parts = []
+        for some in (slice(first, first + frames.BLOCK) for first in range(0, recording.samples, frames.BLOCK)):
+            turned, q = None if rotation is None else rotation[some], recording.joint_position[some]
+            parts.append(_residual_by_joints(known, q, T_sensor_base, T_flange_tool, turned))
+        J = np.concatenate(parts)
         by_joints = settings.joint_noise_rad**2 * J @ np.swapaxes(J, 1, 2)
     return Problem(
         arm=arm,
@@ -272,25 +259,12 @@ def recording_problem(
 def _residual_by_joints(
     known: FactoryCalibration, q: Array, T_sensor_base: Array, T_flange_tool: Array, rotation: Array | None
 ) -> Array:
-    """The residual's derivatives `(sample, row, joint)` by the revolute joints, which are not read without noise.
-
-    It is the manipulator Jacobian in the residual's axes, with the logarithm's own derivative.
-    """
+    """The residual's derivatives `(sample, row, joint)` by the revolute joints, which are not read without noise."""
     links, arm = [frames.transform_from_row(row) for row in known.kinematics], known.arm
     _, *walked = frames.walk(links, q, arm.sliding, T_sensor_base)
     tool = walked[-1] @ T_flange_tool
-    turning = [walked[j] for j in np.flatnonzero(~arm.slides)]
-    axes = np.stack([T[:, :3, 2] for T in turning], 1)
-    levers = tool[:, None, :3, 3] - np.stack([T[:, :3, 3] for T in turning], 1)
-    J = np.swapaxes(np.cross(axes, levers), 1, 2)
-    if rotation is None:
-        return J
-    from scipy.spatial.transform import Rotation
-
-    error = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ tool[:, :3, :3]).as_rotvec()[:, None]
-    spins = axes @ rotation
-    # J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80)
-    angle = np.maximum(np.linalg.norm(error, axis=2, keepdims=True), 1e-3)
-    once = np.cross(error, spins)
-    spins += (1 / angle**2 - 1 / (2 * angle * np.tan(angle / 2))) * np.cross(error, once) - 0.5 * once
-    return np.concatenate([J, np.swapaxes(spins, 1, 2)], 1)
+    joints = np.stack([walked[j] for j in np.flatnonzero(~arm.slides)])
+    turn, origin = (np.moveaxis(joints[..., :3, k], 1, 2) for k in (2, 3))
+    shift = np.cross(turn, tool[:, :3, 3].T - origin, axis=1)
+    seen = Measured(None, np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1), None)
+    return np.moveaxis(seen.columns(tool, shift, turn), 2, 0).swapaxes(1, 2)

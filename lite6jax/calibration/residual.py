@@ -139,6 +139,18 @@ def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[A
     return raw, whitened, jnp.sum(observed.weight * cost), observed.weight * weight
 
 
+def _pull(observed: Observations, raw: Array, weighted: Array) -> tuple[Array, Array | None]:
+    """The force and the torque `(3, sample)` that whitened residuals exert on the tool, sensor axes; no torque of
+    positions."""
+    isotropic = observed.whitener.ndim == 1
+    dual = whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), weighted)
+    if len(dual) == POSITION:
+        return dual, None
+    # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
+    torque = dual[3:] if isotropic else pose.left_jacobian_inverse(-raw[3:], dual[3:])
+    return dual[:3], sum(observed.rotation[:, i] * torque[i] for i in range(3))  # type: ignore[return-value]
+
+
 def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
     """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
 
@@ -146,13 +158,8 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     """
     _, tool = predict_frames(form, model, observed.joint)
     raw, whitened, cost, weight = _look(observed, tool, robust)
-    isotropic = observed.whitener.ndim == 1
-    dual = whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), whitened) * weight
-    force = dual[:3]
-    moment = cross(tool.origin, force)
-    if len(dual) == POSE:
-        # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
-        moment += _to_sensor(observed, dual[3:] if isotropic else _left_jacobian_inverse(-raw[3:], dual[3:]))
+    force, torque = _pull(observed, raw, weight * whitened)
+    moment = cross(tool.origin, force) + (0.0 if torque is None else torque)
 
     def power(twist: Twist) -> Array:
         total = force * twist.linear
@@ -164,61 +171,43 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
 def linearise(
     form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
 ) -> tuple[Array, Array, Array]:
-    """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
-    if observed.whitener.ndim == 1:
-        return _linearise_isotropic(form, model, observed, robust)
-    _, tool = predict_frames(form, model, observed.joint)
-    raw, whitened, cost, weight = _look(observed, tool, robust)
-    root = jnp.sqrt(weight)
-    # the whitened residual's derivatives by a twist at the fixed origin, each (row, component, sample)
-    by_linear = observed.whitener[:, :3]
-    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), tool.origin[:, None]), 0, 1)
-    if len(raw) == POSE:
-        turned = jnp.stack([_left_jacobian_inverse(raw[3:], observed.rotation[j]) for j in range(3)], 1)
-        by_angular += jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
+    """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`, by one walk.
 
-    def rows(twist: Twist) -> Array:
-        shift = jnp.sum(by_linear * twist.linear, 1)
-        return root * (shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1))
-
-    J = twist_columns(form, model, observed.joint, rows)
-    J = J.reshape(len(J), -1)
-    order = step_order(form)  # of the small products: to reorder J would copy it
-    return cost, (J @ (root * whitened).reshape(-1))[order], (J @ J.T)[order][:, order]
-
-
-def _linearise_isotropic(
-    form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
-) -> tuple[Array, Array, Array]:
-    """As `linearise` where the whitener is `(2,)`: by one walk, and without the zeros of a shift's orientation rows.
-
-    Orientation rows are in the sensor's axes and without the logarithm's own derivative, which differs from one by half
-    the residual angle. The gradient is exact all the same; the curvature differs to second order.
+    The gradient is exact. The curvature is without the logarithm's own derivative, which differs from one by half the
+    residual angle: it differs to second order.
     """
     _, tool, twists = _walk_twists(form, model, observed.joint, lambda twist: twist)
     raw, whitened, cost, weight = _look(observed, tool, robust)
     root = jnp.sqrt(weight)
-    shifts, spins = [], []
+    force, torque = _pull(observed, raw, root * whitened)
+    shifts, turns = [], []
     for twist, turning in zip(twists, _turning(form), strict=True):
         if twist.angular is None:
             shifts.append(twist.linear)
             continue
         shifts.append(twist.linear + jnp.moveaxis(cross(jnp.moveaxis(twist.angular, 1, 0), tool.origin[:, None]), 0, 1))
-        spins.append(twist.angular if turning.all() else twist.angular[np.flatnonzero(turning)])
+        turns.append(twist.angular if turning.all() else twist.angular[np.flatnonzero(turning)])
+    shift, turn = root * jnp.concatenate(shifts), root * jnp.concatenate(turns)
+    at = np.flatnonzero(np.concatenate(_turning(form)))  # those that turn: the others have no orientation rows
 
-    def product(columns: list[Array], rows: Array) -> tuple[Array, Array]:
-        J = (root * jnp.concatenate(columns)).reshape(sum(map(len, columns)), -1)
-        return J @ (root * rows).reshape(-1), J @ J.T
+    def product(rows: Array) -> Array:
+        J = rows.reshape(len(rows), -1)
+        return J @ J.T
 
-    per_metre = observed.whitener[0]
-    gradient, curvature = product(shifts, whitened[:POSITION])
-    gradient, curvature = per_metre * gradient, per_metre**2 * curvature
-    if len(raw) == POSE:
-        per_radian, at = observed.whitener[1], np.flatnonzero(np.concatenate(_turning(form)))
-        of_spins, among_spins = product(spins, _to_sensor(observed, whitened[POSITION:]))
-        gradient = gradient.at[at].add(per_radian * of_spins)
-        curvature = curvature.at[np.ix_(at, at)].add(per_radian**2 * among_spins)
-    order = step_order(form)
+    gradient = shift.reshape(len(shift), -1) @ force.reshape(-1)
+    if torque is not None:
+        gradient = gradient.at[at].add(turn.reshape(len(turn), -1) @ torque.reshape(-1))
+    W = observed.whitener
+    if W.ndim == 1:  # two products, without the zeros
+        curvature = W[0] ** 2 * product(shift)
+        curvature = curvature if torque is None else curvature.at[np.ix_(at, at)].add(W[1] ** 2 * product(turn))
+    else:
+        rows = jnp.sum(W[:, :3] * shift[:, None], 2)
+        if torque is not None:
+            in_tool = jnp.stack([jnp.sum(observed.rotation[:, j] * turn, 1) for j in range(3)], 1)
+            rows = rows.at[at].add(jnp.sum(W[:, 3:] * in_tool[:, None], 2))
+        curvature = product(rows)
+    order = step_order(form)  # of the small products: to reorder J would copy it
     return cost, gradient[order], curvature[order][:, order]
 
 
@@ -261,26 +250,6 @@ def _turning(form: ModelForm) -> list[np.ndarray]:
     of_base, of_joints = units[: chain.base_size, None], units[chain.base_size :].reshape(-1, chain.dof)
     frames = np.array(form.units[chain.size :])[:, None]
     return [group == "rad" for group in (*of_base, *of_joints, *frames)]
-
-
-def _to_sensor(observed: Observations, in_tool: Array) -> Array:
-    """Vectors `(3, sample)` in the measured tool's axes, in the sensor's."""
-    return sum(observed.rotation[:, i] * in_tool[i] for i in range(3))  # type: ignore[return-value]
-
-
-def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
-    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v), over the first axis (T. Barfoot, State Estimation for Robotics, 7.80).
-
-    Its transpose is that of −e.
-    """
-    angle2 = jnp.sum(vector**2, 0)
-    small = angle2 < 1e-4
-    safe = jnp.where(small, 1.0, angle2)
-    angle = jnp.sqrt(safe)
-    exact = 1 / safe - (1 + jnp.cos(angle)) / (2 * angle * jnp.sin(angle))
-    gamma = jnp.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
-    once = cross(vector, rows)
-    return rows - 0.5 * once + gamma * cross(vector, once)
 
 
 def over_blocks(evaluate, observed: Observations):

@@ -113,12 +113,15 @@ class Solved(NamedTuple):
     steps: Array
 
 
-class Summary(NamedTuple):
-    """What is kept of a chunk, one row an arm: the solver's answer, covariance, the number of samples that were used,
-    and root-mean-square errors, m and rad."""
+class Fits(NamedTuple):
+    """What is kept of arms, a row each: as of `Solved`, and the covariance, the number of samples that were used, and
+    root-mean-square errors, m and rad."""
 
-    solved: Solved
+    model: ArmModel
     covariance: Array
+    cost: Array
+    status: Array
+    steps: Array
     samples: Array
     position_rms: Array
     orientation_rms: Array
@@ -134,7 +137,7 @@ def fit_chunks(
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
     known: Known | None = None,
-) -> Summary:
+) -> Fits:
     """Fits arms by least squares, chunk by chunk and on every core.
 
     Args:
@@ -162,7 +165,7 @@ def fit_chunks(
         arms = array[first : first + chunk]
         return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
 
-    def solve(first: int) -> Summary:
+    def solve(first: int) -> Fits:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
         data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
         found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, known)
@@ -188,7 +191,7 @@ def _fit_chunk(
     whitener: Array,
     max_steps: ArrayLike,
     known: Known | None,
-) -> Summary:
+) -> Fits:
     prepare = jax.vmap(
         partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
     )
@@ -201,7 +204,7 @@ def _fit_chunk(
     regular = jnp.all((inflation > 0.5) & (inflation < SINGULAR_ABOVE), 1)
     doubtful = (solved.status != NOT_FINITE) & ~regular
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
-    solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
+    status = jnp.where(doubtful, SINGULAR, solved.status)
 
     def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
         """Of all distances and angles, zero where missing."""
@@ -212,7 +215,7 @@ def _fit_chunk(
     totals = jax.vmap(lambda model, observed: over_blocks(partial(squares, model), observed))(solved.model, observed)
     used = jnp.sum(observed.weight > 0, (1, 2))
     rms = [jnp.sqrt(total / jnp.maximum(used, 1)) for total in totals]
-    return Summary(solved, covariance, used, rms[0], rms[1])
+    return Fits(solved.model, covariance, solved.cost, status, solved.steps, used, *rms)
 
 
 class _State(NamedTuple):

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
 as much. A real UR10 is 0.8 mm from its nominal table with the sensor's frame and the tool fitted."""
 _SHOWN = 4
+Match = tuple[Arm, float]
 
 
 def load_nominal(nominal: Arm | str | Path | None) -> Arm | None:
@@ -96,19 +97,6 @@ def read_source(
         check_joint_scale(recording, _widest_limits(known), assumed=assume_degrees)
         check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
     return recording if not recording.numbers_per_sample else with_arm(recording, warn=True)
-
-
-class Match(NamedTuple):
-    """A bundled arm and its error in a recording.
-
-    Attributes:
-        arm: the nominal arm.
-        error: m, which three quarters of its position errors do not exceed; the sensor's frame and the tool are fitted
-            where they are unknown, the geometry is not.
-    """
-
-    arm: Arm
-    error: float
 
 
 def arm_of(recording: Recording) -> Arm:
@@ -174,8 +162,11 @@ def with_arm(recording: Recording, warn: bool = False) -> Recording:
 
 
 def matches(recording: Recording) -> list[Match]:
-    """The bundled arms of as many joints, the nearest first; refuses joint positions in degrees and what has no
-    poses."""
+    """The bundled arms of as many joints and their errors in a recording, the nearest first.
+
+    An error, m, is what three quarters of the position errors do not exceed; the sensor's frame and the tool are fitted
+    where they are unknown, the geometry is not. Refuses joint positions in degrees and what has no poses.
+    """
     require_samples(recording, 1)
     known = bundled_of(recording.dof)
     if known:  # a wrong unit is no reason to find no arm
@@ -187,8 +178,8 @@ def matches(recording: Recording) -> list[Match]:
         flange = frames.chain(arm.links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-        found.append(Match(arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
-    return sorted(found, key=lambda match: match.error)
+        found.append((arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
+    return sorted(found, key=lambda match: match[1])
 
 
 def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
@@ -204,19 +195,19 @@ def _choose(recording: Recording, tried: Sequence[Match]) -> Arm:
     )
     if not tried:
         raise InputError(f"{undeclared} no bundled one has {recording.dof} joints; {remedy}")
-    best = tried[0]
-    if not best.error <= RECOGNISED_WITHIN:
+    best, error = tried[0]
+    if not error <= RECOGNISED_WITHIN:
         raise InputError(
             f"{undeclared} its poses fit no bundled one (nearest: {_listed(tried)}); {remedy}, or check the joints' "
             f"order, signs and units"
         )
-    alike = [match for match in tried if match.error <= max(ALIKE * best.error, 1e-9)]
+    alike = [match for match in tried if match[1] <= max(ALIKE * error, 1e-9)]
     if len(alike) > 1:
         raise InputError(f"{undeclared} fits several alike ({_listed(alike)}); {remedy}")
-    return best.arm
+    return best
 
 
 def _listed(tried: Sequence[Match]) -> str:
     """The nearest arms with their errors in mm."""
-    shown = "; ".join(f"{match.arm.name}: {1e3 * match.error:.3g} mm" for match in tried[:_SHOWN])
+    shown = "; ".join(f"{arm.name}: {1e3 * error:.3g} mm" for arm, error in tried[:_SHOWN])
     return shown + ("; …" if len(tried) > _SHOWN else "")

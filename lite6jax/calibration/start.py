@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -60,15 +61,7 @@ def measured_rotations(recording: "Recording") -> Array | None:
     """The measured orientations `(sample, 3, 3)` of a recording, whose quaternions may have any norm; None without."""
     if recording.quaternion is None:
         return None
-    q = recording.quaternion.T
-    w, x, y, z = q
-    s = 2 / np.sum(q * q, 0)
-    rows = [
-        [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
-        [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
-        [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
 
 
 def declared_tool(recording: "Recording") -> Array:
@@ -142,13 +135,6 @@ def nearest_rotation(M: Array) -> Array:
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
 
 
-def _cross_matrices(vectors: Array) -> Array:
-    """`(sample, 3, 3)`, what takes u to v × u for each vector v of `(sample, 3)`."""
-    x, y, z = vectors.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
-
-
 def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array, float]:
     """The nine of the base's axes in the sensor's, and how well they are determined, from 1 down to 0."""
     center = position.mean(0)
@@ -200,11 +186,10 @@ def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: A
 def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: Array, T_tool: Array) -> Array:
     """A Gauss–Newton step of the sensor frame's rotation, with both translations free."""
     turned = (p + R @ T_tool[:3, 3]) @ T_frame[:3, :3].T
-    columns = [-_cross_matrices(turned), T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)]
-    step = _solve(np.concatenate(columns, 2), position - turned - T_frame[:3, 3], weight)[:3]
-    angle = float(np.linalg.norm(step))
-    K = _cross_matrices(step[None])[0] / max(angle, np.finfo(float).tiny)
-    return (np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K) @ T_frame[:3, :3]
+    spins = np.cross(np.eye(3), turned[:, None]).swapaxes(1, 2)
+    columns = np.concatenate([spins, T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
+    step = _solve(columns, position - turned - T_frame[:3, 3], weight)[:3]
+    return Rotation.from_rotvec(step).as_matrix() @ T_frame[:3, :3]
 
 
 def _registration(points: Array, position: Array, weight: Array) -> Array:

@@ -239,7 +239,7 @@ class Fleet:
             )
         return command.present(
             self.json,
-            lambda: documents.of_folder(list(folder.read_rows(table))),
+            lambda: documents.of_folder(folder.read_rows(table)),
             fleets.folder_report(folder.read_rows(table, parameters=False)),
             [table],
         )

@@ -4,7 +4,7 @@ Columns are those of poses or of torques: how whitened readings change per typic
 which columns are taken says which parameter stands for those that it is confounded with.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.calibration.residual import pad
 
 Array = NDArray[np.floating]
 
@@ -52,7 +53,8 @@ class Dependency(NamedTuple):
         if not self.partners:
             return f"{self.name} is unobservable: no reading changes with it."
         moves = [(name, unit, self.amount * share) for name, unit, share in self.partners]
-        moves.sort(key=lambda move: -abs(move[2]) * _SHOWN.get(move[1], (1.0, ""))[0])
+        # to six digits: rounding decides no order
+        moves.sort(key=lambda move: -float(f"{abs(move[2]) * _SHOWN.get(move[1], (1.0, ''))[0]:.6g}"))
         listed = ", ".join(_shift(*move) for move in moves[:4])
         if len(moves) > 4:
             listed += f" and {len(moves) - 4} smaller"
@@ -152,6 +154,24 @@ class Determination:
         rho = np.triu(self.correlation, 1)
         found = sorted(zip(*np.nonzero(np.abs(rho) > _CORRELATED), strict=True), key=lambda ij: -abs(rho[ij]))
         return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
+
+
+def accumulate_root(rows: Callable[..., Array], parts: Sequence[Array], size: int, block: int) -> Array:
+    """An upper triangular R `(size, size)` with RᵀR the information of readings, by orthogonal steps.
+
+    Its singular values are those of the rows to rounding, where an eigenvalue of RᵀR would lose half the digits.
+
+    Args:
+        rows: of parts `(block, …)`, the rows `(size, row, block)`.
+        parts: what rows depend on, `(sample, …)` each.
+        size: how many parameters.
+        block: samples at a time: parts are filled up with zeros to one shape, which is compiled once.
+    """
+    count, R = len(parts[0]), np.zeros((size, size))
+    for first in range(0, count, block):
+        J = rows(*(pad(part[first : first + block], 0, block) for part in parts))[..., : count - first]
+        R = np.asarray(np.linalg.qr(np.concatenate([R, J.reshape(size, -1).T]), mode="r"))
+    return R
 
 
 def determination_of(

@@ -20,7 +20,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
 from lite6jax.calibration.problem import Geometry, recording_problem
-from lite6jax.calibration.residual import BLOCK, pad, predict_frames, step_order, twist_columns
+from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
+from lite6jax.design.determination import accumulate_root
 from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -60,104 +61,80 @@ class Numbers(NamedTuple):
     payload: float | jax.Array
 
 
-class Reader(NamedTuple):
-    """What is read of which model at rest. Hashable: the static argument of compiled functions.
+def _move_tool(
+    form: ModelForm, physics: Physics, numbers: Numbers, q: jax.Array, direction: jax.Array, step: jax.Array
+) -> Frame:
+    """The tool's frame in the sensor's coordinates, at rest, a step `(form's and physics' number,)` away; plain JAX.
 
-    Their other arguments are `numbers`, joint positions `(sample, joint)` rad, and the direction `(sample, joint)` in
-    which each pose was approached.
-
-    Attributes:
-        form: of the geometry, the sensor's frame and the tool.
-        physics: the effects. The parameters are those of a step of `form`, the sensor's own, then those of `physics`.
-        sensor: what is read.
-        own: how many unknowns of its own a sensor has; another one does not depend on them.
+    `q` are joint positions `(sample, joint)` rad, and `direction` is that in which each pose was approached.
     """
+    chain, samples = form.chain, len(q)
+    model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
+    if not physics.effects:
+        return predict_frames(form, model, joint_motion(chain, q.T))[1]
+    motion = Motion(
+        joint_position=q.T,
+        joint_velocity=None,
+        direction=direction.T,
+        time=None,
+        run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
+        temperature_rise=None,
+        payload=jnp.full(samples, numbers.payload),
+        sliding=Sliding(chain.sliding),
+    )
+    statics: Inertia | Loads | None = numbers.inertia
+    if statics is not None and not isinstance(chain, SixParameterForm):  # its frames are not those of the masses
+        nominal = SixParameterForm(chain.dof, chain.sliding)
+        statics = loads(nominal, numbers.kinematics, joint_motion(nominal, q.T), motion.payload, statics)
+    return predict_frames_with(chain, physics, model, values, motion, statics)[1]
 
-    form: ModelForm
-    physics: Physics
-    sensor: AnySensor
-    own: int = 0
 
-    @property
-    def size(self) -> int:
-        """How many parameters the tool depends on."""
-        return self.form.size + self.physics.size
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _columns(
+    form: ModelForm, physics: Physics, sensor: AnySensor, own: int, numbers: Numbers, q: jax.Array, direction: jax.Array
+) -> jax.Array:
+    """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit.
 
-    def tool(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array, step: jax.Array) -> Frame:
-        """The tool's frame in the sensor's coordinates, a step `(parameter,)` away from `numbers`; plain JAX."""
-        form, chain = self.form, self.form.chain
-        model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
-        if not self.physics.effects:
-            return predict_frames(form, model, joint_motion(chain, joint_position.T))[1]
-        samples = joint_position.shape[0]
-        motion = Motion(
-            joint_position=joint_position.T,
-            joint_velocity=None,
-            direction=direction.T,
-            time=None,
-            run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
-            temperature_rise=None,
-            payload=jnp.full(samples, numbers.payload),
-            sliding=Sliding(chain.sliding),
+    Arguments are those of `_move_tool`; another sensor than that which has the `own` unknowns does not depend on them.
+    """
+    if physics.effects:  # they have no closed form in common
+        zero = jnp.zeros(form.size + physics.size)
+        moved = partial(_move_tool, form, physics, numbers, q, direction)
+        tool = moved(zero)
+        columns = jax.lax.map(
+            lambda entry: sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1])), jnp.eye(len(zero))
         )
-        statics: Inertia | Loads | None = numbers.inertia
-        if statics is not None and not isinstance(chain, SixParameterForm):  # its frames are not those of the masses
-            nominal = SixParameterForm(chain.dof, chain.sliding)
-            joint = joint_motion(nominal, joint_position.T)
-            statics = loads(nominal, numbers.kinematics, joint, motion.payload, statics)
-        return predict_frames_with(chain, self.physics, model, values, motion, statics)[1]
+    else:
+        joint = joint_motion(form.chain, q.T)
+        tool = predict_frames(form, numbers.model, joint)[1]
+        columns = twist_columns(form, numbers.model, joint, partial(sensor.change, tool))[step_order(form)]
+    if own:
+        by_own = sensor.by_own(tool) if sensor.own else jnp.zeros((own, *columns.shape[1:]))
+        columns = jnp.concatenate([columns[: form.size], by_own, columns[form.size :]])
+    if not sensor.joint_noise:
+        return columns
+    return jnp.sum(_whiten_joints(form, sensor, numbers.model, q) * columns[:, None], 2)
 
-    @partial(jax.jit, static_argnums=0)
-    def columns(self, numbers: Numbers, joint_position: jax.Array, direction: jax.Array) -> jax.Array:
-        """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit."""
-        if self.physics.effects:  # they have no closed form in common
 
-            def moved(step: jax.Array) -> Frame:
-                return self.tool(numbers, joint_position, direction, step)
+def _whiten_joints(form: ModelForm, sensor: AnySensor, model: ArmModel, q: jax.Array) -> jax.Array:
+    """What makes the noise of whitened readings unit again where the joints' read-outs are noisy: `(row, row, sample)`.
 
-            zero = jnp.zeros(self.size)
-            tool = moved(zero)
+    With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
+    Prismatic joints are read without noise.
+    """
+    chain, joint = form.chain, joint_motion(form.chain, q.T)
+    tool = predict_frames(form, model, joint)[1]
 
-            def change(entry: jax.Array) -> jax.Array:
-                return self.sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1]))
+    def change(direction: jax.Array) -> jax.Array:
+        rate = joint_rate(joint, direction, chain.sliding)
+        moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (rate,))[1]
+        return sensor.change(tool, _twist(tool, moved))
 
-            columns = jax.lax.map(change, jnp.eye(self.size))
-        else:
-            joint = joint_motion(self.form.chain, joint_position.T)
-            tool = predict_frames(self.form, numbers.model, joint)[1]
-            columns = twist_columns(self.form, numbers.model, joint, partial(self.sensor.change, tool))
-            columns = columns[step_order(self.form)]
-        if self.own:
-            still = jnp.zeros((self.own, *columns.shape[1:]))
-            by_own = still if isinstance(self.sensor, Sensor) else self.sensor.by_own(tool)
-            columns = jnp.concatenate([columns[: self.form.size], by_own, columns[self.form.size :]])
-        if not self.sensor.joint_noise:
-            return columns
-        return jnp.sum(self.whitener(numbers, joint_position)[None] * columns[:, None], 2)
-
-    def whitener(self, numbers: Numbers, joint_position: jax.Array) -> jax.Array:
-        """What makes the noise of whitened readings unit again where the joints' read-outs are noisy too.
-
-        With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
-        Prismatic joints are read without noise.
-
-        Returns:
-            `(row, row, sample)`.
-        """
-        chain = self.form.chain
-        joint = joint_motion(chain, joint_position.T)
-        tool = predict_frames(self.form, numbers.model, joint)[1]
-
-        def change(direction: jax.Array) -> jax.Array:
-            rate = joint_rate(joint, direction, chain.sliding)
-            moved = jax.jvp(lambda j: predict_frames(self.form, numbers.model, j)[1], (joint,), (rate,))[1]
-            return self.sensor.change(tool, _twist(tool, moved))
-
-        turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
-        J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
-        unit = jnp.eye(J.shape[1])
-        L = jnp.linalg.cholesky(unit + self.sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
-        return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
+    turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
+    J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
+    unit = jnp.eye(J.shape[1])
+    L = jnp.linalg.cholesky(unit + sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
+    return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
 
 
 def _twist(frame: Frame, moved: Frame) -> Twist:
@@ -230,11 +207,6 @@ class Experiment:
         """`(size, size)`, the information of the prior, in these units; diagonal."""
         return np.diag(self.precision[self.movable] * self.unit**2)
 
-    @property
-    def reader(self) -> Reader:
-        """What is read of which model."""
-        return Reader(self.form, self.physics, self.sensor, len(self.own))
-
     @cached_property
     def numbers(self) -> Numbers:
         """What readings depend on beside the joints."""
@@ -260,8 +232,12 @@ class Experiment:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
         q = check_joints(self, joint_position)
-        columns = np.asarray(self.reader.columns(self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
-        return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
+        return np.transpose(self._columns(q, self.direction(q)), (2, 1, 0)) * self.unit
+
+    def _columns(self, q: Array, direction: Array) -> Array:
+        """`(size, row, sample)`, of the unknown parameters, per SI unit."""
+        static = self.form, self.physics, self.sensor, len(self.own)
+        return np.asarray(_columns(*static, self.numbers, q, direction))[self.movable]  # type: ignore[arg-type]
 
     def error_rows(self, joint_position: ArrayLike) -> Array:
         """How the tool's pose changes with the parameters, `(sample, 6, size)` m and rad per tolerance.
@@ -273,28 +249,18 @@ class Experiment:
         if not self.own:
             return J
         q = np.asarray(joint_position, float)
-        still = jnp.zeros(self.reader.size)
-        p = np.asarray(self.reader.tool(self.numbers, jnp.asarray(q), jnp.asarray(self.direction(q)), still).origin)
+        still = jnp.zeros(self.form.size + self.physics.size)
+        moved = jnp.asarray(q), jnp.asarray(self.direction(q))
+        p = np.asarray(_move_tool(self.form, self.physics, self.numbers, *moved, still).origin)
         base = np.tile(np.eye(6), (len(q), 1, 1))
         base[:, :3, 3:] = np.cross(np.eye(3), p.T[:, None]).swapaxes(1, 2)
         alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
         return J - base @ alike
 
     def root(self, joint_position: ArrayLike) -> Array:
-        """An upper triangular R `(size, size)` with RᵀR the information of readings at `joint_position`, without prior.
-
-        By orthogonal steps, block by block: its singular values are those of the rows to rounding, where an
-        eigenvalue of RᵀR would lose half the digits.
-        """
+        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
         q = check_joints(self, joint_position)
-        direction, size, R = self.direction(q), min(len(q), BLOCK), np.zeros((0, self.size))
-        for first in range(0, len(q), size):
-            some = slice(first, first + size)
-            block = (pad(part[some], 0, size) for part in (q, direction))  # of one shape, compiled once
-            columns = np.asarray(self.reader.columns(self.numbers, *block))  # type: ignore[arg-type]
-            J = columns[self.movable][..., : len(q[some])].reshape(self.size, -1)
-            R = np.linalg.qr(np.concatenate([R, J.T * self.unit]), mode="r")
-        return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
+        return self.unit * accumulate_root(self._columns, (q, self.direction(q)), self.size, min(len(q), BLOCK))
 
     def with_sensor(self, sensor: AnySensor) -> "Experiment":
         """The same model with another sensor."""

@@ -176,10 +176,6 @@ class Pool:
             raise InputError(criterion.confounded)
         return Criterion(self.outward.T @ criterion.weight @ self.outward)
 
-    def average(self) -> Criterion:
-        """A-optimality: minus the sum of the variances of the determined directions."""
-        return Criterion(self.outward.T @ self.outward)
-
     def accumulate(self, rows: Array) -> Array:
         """The information of the prior and of the first 1, 2, … of rows `(pose, row, k)`, `(pose, k, k)`."""
         return self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0)
@@ -391,7 +387,12 @@ def plan_poses(
     pool = Pool(experiment.rows(q), prior)
     anywhere = sample_within_limits(experiment.arm, WORKSPACE, seed + 1)
     error = accuracy_criterion(experiment.error_rows(anywhere)[:, :3])  # m per tolerance
-    by = pool.average() if criterion == "A" else pool.apply(Criterion() if criterion == "D" else error)
+    # A: minus the sum of the variances of the determined directions
+    by = (
+        Criterion(pool.outward.T @ pool.outward)
+        if criterion == "A"
+        else pool.apply(Criterion() if criterion == "D" else error)
+    )
     design = choose(pool, count, by)
     try:
         judged = pool.apply(error)

@@ -1,7 +1,8 @@
 """What a sensor reads off the tool, with which noise, and how its reading changes as the tool moves."""
 
+from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, final
 
 import jax
@@ -17,12 +18,61 @@ from lite6jax.sensors.sensor import OwnNumber
 from lite6jax.sensors.sensor import Sensor as ReadingSensor
 
 Quantity = Literal["position", "pose", "axis", "distance"]
+Point = tuple[float, float, float]
+
+
+class AnySensor(ABC):
+    """What a plan reads with which noise; hashable, as a static argument of jitted functions.
+
+    What derives from it has `rows`, how many numbers a reading has, a `phrase` that says it in words, and
+    `joint_noise`, one standard deviation of each joint's read-out, rad; it reaches the reading through the arm.
+    """
+
+    quantity: Any
+    rows: Any
+    joint_noise: float
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """Its unknowns, each with a name of its own."""
+        return ()
+
+    @property
+    @abstractmethod
+    def phrase(self) -> str:
+        """It in words."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """What it reads and how well, in SI units (px of a camera)."""
+
+    @abstractmethod
+    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
+        """How the whitened reading `(row, sample)` changes with a shift and a turn `(3, sample)` of the tool."""
+
+    def change(self, tool: Frame, twist: Twist) -> Array:
+        """How the whitened reading changes with a motion of the tool.
+
+        Args:
+            tool: its frame in the sensor's coordinates.
+            twist: of the motion, at the sensor's origin.
+
+        Returns:
+            `(row, sample)`, in standard deviations; an orientation's as a rotation vector in the sensor's axes.
+        """
+        spin = twist.angular
+        shift = twist.linear if spin is None else twist.linear + cross(spin, tool.origin)
+        return self.shown(tool, shift, jnp.zeros_like(shift) if spin is None else spin)
+
+    def by_own(self, tool: Frame) -> Array:
+        """How the whitened reading changes with its own unknowns, `(number, row, sample)`, per m or rad."""
+        return jnp.zeros((0, self.rows, tool.origin.shape[1]))
 
 
 @final
 @dataclass(frozen=True)
-class Sensor:
-    """A sensor that stands still. Hashable: a static argument of jitted functions.
+class Sensor(AnySensor):
+    """A sensor that stands still.
 
     Attributes:
         quantity: `position` (3 numbers), `pose` (6), the position along one `axis` (1: a dial gauge, an
@@ -31,7 +81,7 @@ class Sensor:
         orientation_noise: one standard deviation of a turn, per axis, rad; of a pose only.
         direction: of the axis, a unit vector in the sensor's frame.
         center: the point that the distance is taken to, in the sensor's frame, m.
-        joint_noise: one standard deviation of each joint's read-out, rad; it reaches the reading through the arm.
+        joint_noise: one standard deviation of each joint's read-out, rad.
 
     Raises:
         InputError: noise that is not positive, no orientation noise for a pose, a direction of no length.
@@ -40,8 +90,8 @@ class Sensor:
     quantity: Quantity
     position_noise: float
     orientation_noise: float | None = None
-    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: Point = (0.0, 0.0, 1.0)
+    center: Point = (0.0, 0.0, 0.0)
     joint_noise: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,12 +115,10 @@ class Sensor:
 
     @property
     def rows(self) -> int:
-        """How many numbers a reading has."""
         return {"position": 3, "pose": 6, "axis": 1, "distance": 1}[self.quantity]
 
     @property
     def phrase(self) -> str:
-        """It in words."""
         reads = {
             "position": "positions",
             "pose": "positions and orientations",
@@ -80,24 +128,14 @@ class Sensor:
         turns = f" and {np.rad2deg(self.orientation_noise):.2g} deg" if self.orientation_noise else ""
         return f"{reads} to ±{1e3 * self.position_noise:.3g} mm{turns}{' per axis' if self.rows > 1 else ''}"
 
-    @property
-    def own(self) -> tuple[OwnNumber, ...]:
-        """None: it has no unknowns of its own."""
-        return ()
-
     def with_noise(
         self, position: float | None = None, orientation: float | None = None, joint: float | None = None
     ) -> "Sensor":
         """The sensor with another noise (m, rad, rad); what is None stays."""
-        return replace(
-            self,
-            position_noise=self.position_noise if position is None else position,
-            orientation_noise=self.orientation_noise if orientation is None else orientation,
-            joint_noise=self.joint_noise if joint is None else joint,
-        )
+        given = {"position_noise": position, "orientation_noise": orientation, "joint_noise": joint}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     def to_dict(self) -> dict[str, Any]:
-        """What it reads and how well, in SI units, without what does not concern it."""
         concerns = {"direction": "axis", "center": "distance", "orientation_noise": "pose"}
         return {
             name: value for name, value in asdict(self).items() if concerns.get(name, self.quantity) == self.quantity
@@ -109,40 +147,23 @@ class Sensor:
         turns = [self.orientation_noise] * 3 if self.quantity == "pose" else []
         return np.array([self.position_noise] * (self.rows - len(turns)) + turns, float)
 
-    def change(self, tool: Frame, twist: Twist) -> Array:
-        """How the whitened reading changes with a motion of the tool.
-
-        Args:
-            tool: its frame in the sensor's coordinates.
-            twist: of the motion, at the sensor's origin.
-
-        Returns:
-            `(row, sample)`, in standard deviations; the orientation's as a rotation vector in the sensor's axes.
-        """
-        spin = twist.angular
-        shift = twist.linear if spin is None else twist.linear + cross(spin, tool.origin)
+    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
         if self.quantity == "position":
             return shift / self.position_noise
         if self.quantity == "pose":
             assert self.orientation_noise is not None
-            turning = jnp.zeros_like(shift) if spin is None else spin
-            return jnp.concatenate([shift / self.position_noise, turning / self.orientation_noise])
-        if self.quantity == "axis":
-            along = jnp.array(self.direction)[:, None]
-        else:
+            return jnp.concatenate([shift / self.position_noise, spin / self.orientation_noise])
+        along = jnp.array(self.direction)[:, None]
+        if self.quantity == "distance":
             along = tool.origin - jnp.array(self.center)[:, None]
             along = along / jnp.sqrt(jnp.sum(along**2, 0))
         return jnp.sum(along * shift, 0, keepdims=True) / self.position_noise
 
 
-Point = tuple[float, float, float]
-Places = tuple[tuple[str, Point], ...]
-
-
 @final
 @dataclass(frozen=True)
-class PlacedReading:
-    """A reading that is no pose, with unknowns of its own, as a `sensors.Sensor` of places that are planned. Hashable.
+class PlacedReading(AnySensor):
+    """A reading that is no pose, with unknowns of its own, as a `sensors.Sensor` of places that are planned.
 
     A sample is of the place that the tool's point is nearest to.
 
@@ -157,19 +178,17 @@ class PlacedReading:
 
     quantity: Literal["contact", "plane", "distance", "axis"]
     position_noise: float
-    places: Places
+    places: tuple[tuple[str, Point], ...]
     normals: tuple[Point, ...] = ()
     rods: tuple[tuple[int, float], ...] = ()
     joint_noise: float = 0.0
 
     @property
     def rows(self) -> int:
-        """How many numbers a reading has."""
         return 3 if self.quantity == "contact" else 1
 
     @property
     def phrase(self) -> str:
-        """It in words."""
         count = len(self.places)
         reads = {
             "contact": f"touches of {count} sockets",
@@ -180,8 +199,7 @@ class PlacedReading:
         return f"{reads} to ±{1e3 * self.position_noise:.3g} mm, whose places are unknown"
 
     @cached_property
-    def own(self) -> tuple[OwnNumber, ...]:
-        """Its unknowns, each with a name of its own."""
+    def own(self) -> tuple[OwnNumber, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         found = self._at(np.zeros(1, int)).own
         names = [one.name for one in found]
         return tuple(
@@ -213,28 +231,23 @@ class PlacedReading:
             return Distance(group, unit, value, places, np.zeros(1), names, free)
         return Axis(group, unit, value, np.array(self.normals[0]), np.zeros(1), True)
 
-    def change(self, tool: Frame, twist: Twist) -> Array:
-        """As `Sensor.change`, by automatic differentiation of the reading."""
-        spin = jnp.zeros_like(twist.linear) if twist.angular is None else twist.angular
+    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
         x, y, z = (cross(spin, axis) for axis in tool[:3])
-        moved = Frame(x, y, z, twist.linear + cross(spin, tool.origin))
-        return jax.jvp(self._at(self.nearest(tool.origin)).residual, (tool,), (moved,))[1]
+        return jax.jvp(self._at(self.nearest(tool.origin)).residual, (tool,), (Frame(x, y, z, shift),))[1]
 
     def by_own(self, tool: Frame) -> Array:
-        """How the whitened reading changes with its own unknowns, `(number, row, sample)`, per m or rad."""
         sensor = self._at(self.nearest(tool.origin))
         by = jax.jacfwd(lambda numbers: sensor.moved(numbers).residual(tool))(jnp.zeros(len(self.own)))
         return jnp.moveaxis(by, -1, 0)
 
     def to_dict(self) -> dict[str, Any]:
-        """What it reads and how well, in SI units."""
         return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)}
 
 
 @final
 @dataclass(frozen=True)
-class BoardView:
-    """A camera that sees a board: the pose of the one in the other, with the covariance of its corners. Hashable.
+class BoardView(AnySensor):
+    """A camera that sees a board: the pose of the one in the other, with the covariance of its corners.
 
     Attributes:
         mounted: `fixed`, of the board on the flange in the camera's frame; `on_flange`, of the camera in the board's.
@@ -254,41 +267,34 @@ class BoardView:
 
     @property
     def phrase(self) -> str:
-        """It in words."""
         where = "on the flange" if self.mounted == "on_flange" else "that stands"
         return f"images by a camera {where}, corners to ±{self.pixel_noise:.3g} px"
 
-    @property
-    def own(self) -> tuple[OwnNumber, ...]:
-        """None: the camera's and the board's poses are the sensor's frame and the tool."""
-        return ()
+    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
+        """With J the slopes of the pixels that are seen, over their noise, and JᵀJ = UᵀU, it is U times the motion.
 
-    def change(self, tool: Frame, twist: Twist) -> Array:
-        """As `Sensor.change`: with J the slopes of pixels over their noise, and JᵀJ = UᵀU, it is U times the motion."""
-        spin = jnp.zeros_like(twist.linear) if twist.angular is None else twist.angular
-        shift = twist.linear + cross(spin, tool.origin)
+        A corner behind the camera or outside the picture, whose middle is the principal point, is not seen. Where too
+        few are, it is zero.
+        """
         turn = jnp.stack([jnp.sum(axis * spin, 0) for axis in tool[:3]])  # in the moved axes
-        pinhole, lens = np.array(self.lens[:4]), np.array(self.lens[4:])
+        lens, corners = Lens(np.array(self.lens[:4]), np.array(self.lens[4:])), np.array(self.corners)
 
-        def pixels(T: Array, twist: Array) -> Array:
-            return seen_corners(self.mounted, Lens(pinhole, lens), np.array(self.corners), T, twist) / self.pixel_noise
+        def slopes(T: Array) -> Array:
+            still, fixed = jnp.zeros(6), self.mounted == "fixed"
+            pixels = partial(seen_corners, self.mounted, lens, corners, T)
+            depth = corners @ T[2, :3] + T[2, 3] if fixed else (corners - T[:3, 3]) @ T[:3, 2]
+            at = pixels(still)
+            seen = (depth > 0) & jnp.all((at > 0) & (at < 2 * lens.pinhole[2:]), 1)
+            return jnp.where(seen[:, None, None], jax.jacfwd(pixels)(still) / self.pixel_noise, 0.0).reshape(-1, 6)
 
         T = jnp.zeros((*tool.origin.shape[1:], 4, 4)).at[:, 3, 3].set(1.0)
-        T = T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0))
-        J = jax.vmap(lambda T: jax.jacfwd(lambda twist: pixels(T, twist))(jnp.zeros(6)).reshape(-1, 6))(T)
+        J = jax.vmap(slopes)(T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)))
         root = jnp.linalg.cholesky(jnp.swapaxes(J, 1, 2) @ J)
+        root = jnp.where(jnp.all(jnp.isfinite(root), (1, 2), keepdims=True), root, 0.0)
         return jnp.einsum("ski,ks->is", root, jnp.concatenate([shift, turn]))
 
-    def by_own(self, tool: Frame) -> Array:
-        """Of no unknowns."""
-        return jnp.zeros((0, 6, tool.origin.shape[1]))
-
     def to_dict(self) -> dict[str, Any]:
-        """What it reads and how well, px and m."""
         return asdict(self) | {"quantity": self.quantity}
-
-
-AnySensor = Sensor | PlacedReading | BoardView
 
 
 BARE = Sensor("pose", 1.0, 1.0)

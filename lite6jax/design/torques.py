@@ -15,7 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
-from lite6jax.design.determination import BaseParameter, Determination, determination_of, narrow_joints
+from lite6jax.design.determination import (
+    BaseParameter,
+    Determination,
+    accumulate_root,
+    determination_of,
+    narrow_joints,
+)
 from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
@@ -86,15 +92,13 @@ class TorqueModel:
         return found / self.noise[:, None, None]
 
     def root(self, motion: Motion) -> Array:
-        """`(column, column)` upper triangular R with RᵀR = the information of a motion, in typical sizes."""
-        numbers = np.stack([np.asarray(part) for part in motion])
-        R = np.zeros((0, len(self.names)))
-        for start in range(0, numbers.shape[2], _BLOCK):
-            some = numbers[..., start : start + _BLOCK]
-            padded = np.pad(some, ((0, 0), (0, 0), (0, _BLOCK - some.shape[2])))
-            rows = np.asarray(self.columns(Motion(*padded)))[..., : some.shape[2]].transpose(0, 2, 1)
-            R = np.linalg.qr(np.vstack([R, rows.reshape(-1, R.shape[1]) * self.scale])).R
-        return R
+        """`accumulate_root` of the torques of a motion, in typical sizes."""
+
+        def rows(*parts: Array) -> Array:
+            return np.asarray(self.columns(Motion(*(part.T for part in parts)))).swapaxes(0, 1)
+
+        parts = [np.asarray(part).T for part in motion]
+        return self.scale * accumulate_root(rows, parts, len(self.names), _BLOCK)
 
     @cached_property
     def possible(self) -> Determination:
@@ -117,7 +121,7 @@ class TorqueModel:
         """The base parameters that motions determine."""
         return self.possible.base
 
-    @cached_property
+    @property
     def base_scale(self) -> Array:
         """`(base,)` their typical sizes, SI."""
         return np.array([item.scale for item in self.base])
@@ -132,10 +136,6 @@ class TorqueModel:
     def silent(self) -> tuple[str, ...]:
         """Names of parameters that change no torque."""
         return tuple(d.name for d in self.possible.dependencies if not d.partners)
-
-    def base_columns(self, motion: Motion) -> JaxArray:
-        """Whitened torques per typical size of each base parameter, `(joint, base, sample)`; plain JAX."""
-        return self.columns(motion)[:, np.flatnonzero(self.possible.free)] * self.base_scale[:, None]
 
 
 def torque_model(
@@ -357,8 +357,11 @@ def plan_motion(
         InputError: no room for a motion.
     """
 
+    stands = np.flatnonzero(model.possible.free)
+
     def log_determinant(motion: Motion) -> JaxArray:
-        rows = jnp.moveaxis(model.base_columns(motion), 1, 0).reshape(len(model.base), -1)
+        columns = model.columns(motion)[:, stands] * model.base_scale[:, None]
+        rows = jnp.moveaxis(columns, 1, 0).reshape(len(stands), -1)
         return jnp.linalg.slogdet(rows @ rows.T * (room.samples / motion.q.shape[1]))[1]
 
     drawn = random_motions(room, seed, draws)

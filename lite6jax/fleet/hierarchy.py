@@ -15,7 +15,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.special import fdtrc, stdtrit
+from scipy.special import chdtrc, fdtrc, stdtrit
 
 from lite6jax.estimation.projection import scaled_inverse
 
@@ -120,11 +120,17 @@ class Hierarchy:
         return float(stdtrit(self.freedom, 0.5 + _LEVEL / 2)) * self.std
 
     @property
-    def determined(self) -> int:
-        """How many numbers of the mean the recordings determine."""
-        M = replace(self.arms, variance=np.inf).solved(0.0)[1]
+    def between_p_value(self) -> float:
+        """Of estimates that vary as much if all arms are alike (W. Cochran, Biometrics 10, 1954)."""
+        arms = replace(self.arms, variance=np.inf)
+        values, _, along = arms.eigen
+        mean, M, *_ = arms.solved(0.0)
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
-        return int(np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True))
+        determined = np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True)
+        shown = values > 0
+        each = float(np.sum(along[shown] ** 2 / values[shown]))
+        freedom = int(shown.sum()) - int(determined)
+        return float(chdtrc(freedom, max(each - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0
 
     def shrunken(self) -> tuple[Array, Array]:
         """The estimate of each arm `(arm, number)` and its covariance `(arm, number, number)`, by empirical Bayes.

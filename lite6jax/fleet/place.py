@@ -129,12 +129,15 @@ class Place:
                     (folder / part).parent.mkdir(parents=True, exist_ok=True)
                     store.get_file(f"{root}/{part}", str(folder / part))
 
-            for part in dict.fromkeys(part for name in names for part in _add_sidecar(name)):
+            recorded = [name for name in names if guess_kind(name) == "recording"]
+            for part in dict.fromkeys([*names, *(f"{_stem(name)}.yaml" for name in recorded)]):
                 copy(part)
-            for path in (path for name in names for path in _sidecar_files(folder / name)):
-                part = os.path.relpath(path, folder)
-                if not part.startswith("..") and not path.exists():
-                    copy(Path(part).as_posix())
+            for name in recorded:
+                with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
+                    for _, file in sidecar.list_sidecar_files(folder / name):
+                        part = os.path.relpath(file, folder)
+                        if not part.startswith("..") and not file.exists():
+                            copy(Path(part).as_posix())
             yield folder
 
     def show(self, message: str, folder: Path) -> str:
@@ -204,21 +207,6 @@ def _stem(name: str) -> str:
 def _without_growing(names: Sequence[str]) -> list[str]:
     """Without the rows of a recording beside that recording: a process was ended between the two."""
     return [name for name in names if not name.endswith(sidecar.GROWING) or f"{_stem(name)}.parquet" not in names]
-
-
-def _add_sidecar(name: str) -> list[str]:
-    return [name] if guess_kind(name) == "calibration" else [name, f"{_stem(name)}.yaml"]
-
-
-def _sidecar_files(path: Path) -> list[Path]:
-    """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
-    if guess_kind(path) == "calibration":
-        return []
-    found = []
-    with suppress(InputError):  # the row will say it, and it follows from the sidecar's content
-        for _, file in sidecar.list_sidecar_files(path):
-            found.append(file)
-    return found
 
 
 def _holds_rows(path: Path) -> bool:

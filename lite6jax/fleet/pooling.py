@@ -214,17 +214,18 @@ class Reduced:
 
     def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:
         """What each recording says of all that is tested, beside some terms, in order."""
-        return self._found(scanned, (tuple(beside), (*tried.singles, *tried.pairs), self.options))
+        return self._answers(scan_beside, tuple(beside), (*tried.singles, *tried.pairs))
 
     def evidence(self, asked: Sequence[Asked]) -> list[list[Evidence | None]]:
         """For each recording, what it says of each term that is asked for."""
-        return list(self._found(measured, (tuple(asked), self.options)))
+        return list(self._answers(measure, tuple(asked)))
 
-    def _found(self, function: Any, given: tuple[Any, ...]) -> Iterator[Any]:
+    def _answers(self, question: Callable[..., Any], *given: Any) -> Iterator[Any]:
+        """What `question(recording, options, *given)` gives of each recording, in order."""
         batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
         waiting: dict[int, pa.Table] = {}
         following = 0
-        for number, rows in self._workers.outcomes(function, batches, given, died=_died):
+        for number, rows in self._workers.outcomes(answer, batches, (question, self.options, *given), died=_died):
             waiting[number] = rows
             while following in waiting:
                 yield pickle.loads(waiting.pop(following)["found"][0].as_py())
@@ -236,30 +237,25 @@ def _died(stored: bytes) -> "pa.Table":
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def scanned(
-    stored: Sequence[bytes], beside: tuple[Tested, ...], processes: tuple[Process, ...], options: PoolingOptions
-) -> "pa.Table":
-    """The `Scan` of one recording beside some terms, as a table of one row."""
-    (one,) = stored
-    return _row(ReducedArm.from_bytes(one).beside(beside, options).scan(processes, options))
-
-
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: PoolingOptions) -> "pa.Table":
-    """What one recording says of each term that is asked for, as a table of one row."""
-    (one,) = stored
-    arm, known, found = ReducedArm.from_bytes(one), dict[tuple[Tested, ...], ReducedArm](), list[Evidence | None]()
-    for term, beside in asked:
-        if beside not in known:
-            known[beside] = arm.beside(beside, options)
-        found.append(known[beside].evidence(term, options))
-    return _row(found)
-
-
-def _row(found: Any) -> "pa.Table":
+def answer(stored: Sequence[bytes], question: Callable[..., Any], *given: Any) -> "pa.Table":
+    """What a question gives of one recording, as a table of one row."""
     import pyarrow as pa
 
-    return pa.table({"found": pa.array([pickle.dumps(found)], pa.binary())})
+    (one,) = stored
+    return pa.table({"found": pa.array([pickle.dumps(question(ReducedArm.from_bytes(one), *given))], pa.binary())})
+
+
+def scan_beside(
+    arm: ReducedArm, options: PoolingOptions, beside: tuple[Tested, ...], processes: tuple[Process, ...]
+) -> Scan:
+    """The `Scan` of one recording beside some terms."""
+    return arm.beside(beside, options).scan(processes, options)
+
+
+def measure(arm: ReducedArm, options: PoolingOptions, asked: tuple[Asked, ...]) -> list[Evidence | None]:
+    """What one recording says of each term that is asked for."""
+    known = {beside: arm.beside(beside, options) for beside in {beside for _, beside in asked}}
+    return [known[beside].evidence(term, options) for term, beside in asked]
 
 
 # ------------------------------------------------------------------ the search

@@ -1,18 +1,16 @@
 """The result: effects of a type with mean and spread, each arm's numbers, outliers; codes and numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import Reduced, Search, Weighed
-from lite6jax.fleet.reduced import Found
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
 from lite6jax.schema import FLEET
 
@@ -30,13 +28,13 @@ class Member:
     Attributes:
         file: its name.
         about: as in `ReducedArm`; empty where the recording is not used.
-        found: by the recording alone.
+        found: as in `Heading`.
         unused: why it is not pooled; empty where it is.
     """
 
     file: str
     about: Mapping[str, Any]
-    found: tuple[Found, ...] = ()
+    found: tuple[tuple[str, float], ...] = ()
     unused: str = ""
 
 
@@ -50,15 +48,12 @@ class TypeEffect:
         candidate: as a report names it.
         hierarchy: of all arms but the outliers.
         outliers: p-values of the arms that differ from the others, family-wise over arms and effects, by arm.
-        between_p_value: of estimates that vary as much if all arms but the outliers are alike (W. Cochran, Biometrics
-            10, 1954).
     """
 
     selected: Weighed
     candidate: Candidate
     hierarchy: Hierarchy
     outliers: Mapping[int, float]
-    between_p_value: float
 
     def estimates(self) -> list[tuple[Array, Array] | None]:
         """Of each arm the numbers and their standard deviations; None of an arm that does not show the effect.
@@ -119,7 +114,7 @@ class Population:
             "reason": member.unused or None,
             "date": member.about.get("date"),
             "verdict": member.about.get("verdict"),
-            "found_alone": [{"label": one.label, "p_value": one.p_value} for one in member.found],
+            "found_alone": [{"label": label, "p_value": p_value} for label, p_value in member.found],
             "outlier_in": [self._named(effect.selected.term) for effect in self.effects if arm in effect.outliers],
         }
 
@@ -144,7 +139,7 @@ class Population:
                 name: _interval(hierarchy, i) | {"between_std": float(hierarchy.between[i])}
                 for i, name in enumerate(names)
             },
-            "between_p_value": effect.between_p_value,
+            "between_p_value": hierarchy.between_p_value,
         }
         if isinstance(selected.term, Process):
             document |= _curve(selected.term, hierarchy)
@@ -229,15 +224,4 @@ def _effect(selected: Weighed, candidate: Candidate, effects: int, options: Pool
         rest = fitted(hierarchy.arms.without(most))
         assert rest is not None
         hierarchy = rest
-    return TypeEffect(selected, candidate, hierarchy, outliers, _between_p_value(hierarchy))
-
-
-def _between_p_value(hierarchy: Hierarchy) -> float:
-    """Cochran's test that all arms are alike."""
-    arms = replace(hierarchy.arms, variance=np.inf)
-    values, _, along = arms.eigen
-    mean, M, *_ = arms.solved(0.0)
-    shown = values > 0
-    each = float(np.sum(along[shown] ** 2 / values[shown]))
-    freedom = int(shown.sum()) - hierarchy.determined
-    return float(chdtrc(freedom, max(each - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0
+    return TypeEffect(selected, candidate, hierarchy, outliers)

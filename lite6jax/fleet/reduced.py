@@ -50,24 +50,12 @@ def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], num
     return found
 
 
-class Found(NamedTuple):
-    """What the diagnosis of the recording alone found.
-
-    Attributes:
-        label: its name and site.
-        p_value: family-wise, over all that was searched in the recording.
-    """
-
-    label: str
-    p_value: float
-
-
 class Heading(NamedTuple):
     """What is said of a recording before the numbers.
 
     Attributes:
         about: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
-        found: by the recording alone.
+        found: by the diagnosis of the recording alone: name and site, and the family-wise p-value.
         candidates: that can be tested here.
         families: of waves, each of an angle that is one of the quantities.
         places: where processes can act.
@@ -76,7 +64,7 @@ class Heading(NamedTuple):
     """
 
     about: dict[str, Any]
-    found: tuple[Found, ...]
+    found: tuple[tuple[str, float], ...]
     candidates: tuple[Candidate, ...]
     families: tuple[Candidate, ...]
     places: tuple[Place, ...]

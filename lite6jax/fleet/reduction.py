@@ -12,7 +12,7 @@ from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.fleet.reduced import Found, Heading, ReducedArm, readings
+from lite6jax.fleet.reduced import Heading, ReducedArm, readings
 from lite6jax.fleet.terms import Candidate, Place, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
 
@@ -57,7 +57,7 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
                 "date": settings.date,
                 "verdict": found.verdict,
             },
-            found=tuple(Found(one.effect.label, one.p_value) for one in found.findings),
+            found=tuple((one.effect.label, one.p_value) for one in found.findings),
             candidates=tuple(_candidate(effect, _key(effect), problem) for effect in named),
             families=tuple(
                 _candidate(wave, f"waves:{wave.site}", problem)

@@ -5,7 +5,7 @@ To add a kind of result, write its fields into `_FIELDS`.
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from functools import singledispatch
 from operator import attrgetter
@@ -16,6 +16,7 @@ import numpy as np
 
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.fleet import Comparison
+from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.design.identify import Identification, Sensitivity
@@ -26,7 +27,8 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.fleet.folder import Row
+from lite6jax.fleet.folder import ERRORS, columns
+from lite6jax.fleet.folder import STATISTICS as OF_FILES
 from lite6jax.report.compensation import reason_text
 from lite6jax.report.words import STATISTICS
 
@@ -170,14 +172,22 @@ def _errors(errors: Errors) -> dict[str, float]:
     return found
 
 
-def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
-    """The document of the fits of a folder."""
-    return {
-        "schema": "lite6jax/folder/1",
-        "files": [
-            {**asdict(row), "result": row.result.name.lower(), "parameters": dict(row.parameters)} for row in rows
-        ],
-    }
+def of_folder(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """The document of the fits of a folder, of the rows of its table."""
+    fixed = columns()
+
+    def file(row: Mapping[str, Any]) -> dict[str, Any]:
+        errors = ({name.rpartition("_")[0]: row[f"{part}_{name}"] for name in OF_FILES} for part in ERRORS)
+        return {
+            **{name: row[name] for name in ("file", "kind", "message")},
+            "result": Result(row["result"]).name.lower(),
+            **{name: row[name] or "" for name in ("quality", "arm")},
+            **{name: row[name] or 0 for name in ("joints", "samples", "steps")},
+            "parameters": {name: value for name, value in row.items() if name not in fixed and value is not None},
+            **{part: each if row["arm"] else None for part, each in zip(ERRORS, errors, strict=True)},
+        }
+
+    return {"schema": "lite6jax/folder/1", "files": list(map(file, rows))}
 
 
 def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

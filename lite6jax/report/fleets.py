@@ -11,7 +11,7 @@ from rich.text import Text
 
 from lite6jax.calibration.quality import Result
 from lite6jax.fleet.diagnoses import DIAGNOSED
-from lite6jax.fleet.folder import Row
+from lite6jax.fleet.folder import has_failed
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import capital, chance, counted, listing, number, quantity
@@ -33,26 +33,24 @@ _NEAR = 6.0
 # ------------------------------------------------------------------ folders
 
 
-def folder_report(rows: Iterable[Row]) -> Iterator[RenderableType]:
+def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
     """Position errors by type of arm, and a line for each file without a usable fit; rows are looked at once."""
-    groups: dict[tuple[str, str], list[tuple[bool, float | None, float | None]]] = {}
+    groups: dict[tuple[str, str], list[tuple[bool, float, float]]] = {}
     bad: list[str] = []
     count = 0
     for row in rows:
         count += 1
-        if row.arm:
-            nominal, checked = (part and 1e3 * part.position_max for part in (row.nominal, row.checked))
-            groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, nominal, checked))
-        if row.failed:
-            bad.append(_with_file(row.file, row.message))
+        if row["arm"]:
+            errors = (1e3 * row[f"{part}_position_max_m"] for part in ("nominal", "checked"))
+            groups.setdefault((row["kind"], row["arm"]), []).append((row["result"] == Result.CONVERGED, *errors))
+        if has_failed(row):
+            bad.append(_with_file(row["file"], row["message"]))
     table = listing("arm", "files", "ok", "nominal", "worst", "check")
     for (kind, arm), group in sorted(groups.items()):
-        nominal = [error for _, error, _ in group if error is not None]
-        checked = [error for _, _, error in group if error is not None]
-        good = sum(converged for converged, _, _ in group)
+        converged, nominal, checked = zip(*group, strict=True)
         name = arm if kind == "calibration" else f"{arm} (recorded)"
         errors = (f"{median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked)))
-        table.add_row(name, str(len(group)), str(good), *errors)
+        table.add_row(name, str(len(group)), str(sum(converged)), *errors)
     if groups:
         yield Text("By type of arm; position errors in mm")
         yield table

@@ -96,7 +96,7 @@ class Measured(NamedTuple):
             return np.concatenate([shift, np.zeros_like(shift)], -2)
         in_tool = np.einsum("abs,...as->...bs", self.rotation, turn)
         apart = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))
-        return np.concatenate([shift, _left_jacobian_inverse(apart, in_tool)], -2)
+        return np.concatenate([shift, left_jacobian_inverse(apart, in_tool)], -2)
 
     def by_numbers(self, tool: Array) -> Array:
         """How differences change with its unknowns, `(number, row, sample)`."""
@@ -129,18 +129,21 @@ def _rotation_vector(R: Array) -> Array:
     return vector
 
 
-def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
+def left_jacobian_inverse(vector: Any, rows: Any) -> Any:
     """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80).
+
+    Its transpose is that of −e. Array code of NumPy and of JAX alike.
 
     Args:
         vector: e, `(3, sample)` rad.
         rows: v, `(…, 3, sample)`.
     """
-    angle2 = np.sum(vector**2, 0)
+    xp = vector.__array_namespace__()
+    angle2 = xp.sum(vector**2, 0)
     small = angle2 < 1e-4
-    safe = np.where(small, 1.0, angle2)
-    angle = np.sqrt(safe)
-    exact = 1 / safe - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
-    gamma = np.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
-    once = np.cross(vector, rows, axis=-2)
-    return rows - 0.5 * once + gamma * np.cross(vector, once, axis=-2)
+    safe = xp.where(small, 1.0, angle2)
+    angle = xp.sqrt(safe)
+    exact = 1 / safe - (1 + xp.cos(angle)) / (2 * angle * xp.sin(angle))
+    gamma = xp.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
+    once = xp.cross(vector, rows, axis=-2)
+    return rows - 0.5 * once + gamma * xp.cross(vector, once, axis=-2)

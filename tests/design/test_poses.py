@@ -160,7 +160,7 @@ ORACLES = {
 def apply(name, pool):
     """A criterion in the coordinates of a pool."""
     if name == "A":
-        return pool.average()
+        return Criterion(pool.outward.T @ pool.outward)
     return pool.apply(Criterion() if name == "D" else accuracy_criterion(ERRORS))
 
 

@@ -109,7 +109,7 @@ def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
     diagnosis = corpus["compliance"].diagnosis
     made = reduced(diagnosis)
     (finding,) = diagnosis.findings
-    assert [(one.label, one.p_value) for one in made.heading.found] == [(finding.effect.label, finding.p_value)]
+    assert made.heading.found == ((finding.effect.label, finding.p_value),)
     (key,) = (
         one.key
         for one in made.heading.candidates
