@@ -13,6 +13,7 @@ import hypothesis
 import jax
 import jaxtyping
 import pytest
+import threadpoolctl
 
 ROOT = Path(__file__).resolve().parents[1]
 # The parts that take arrays from outside; the others' types are pyright's.
@@ -45,8 +46,10 @@ def quick_flags() -> Iterator[str]:
 if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has them of the process that started it
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *quick_flags()])
 
-# Two workers whose matrix products take two threads each wait for each other; a worker that starts now has one thread.
+# Small matrix products on several threads wait for each other, in one process and more so in two: one thread each, of
+# the library that is loaded already and of those that load later or in another process.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpoolctl.threadpool_limits(int(os.environ["OPENBLAS_NUM_THREADS"]), "blas")
 
 # A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
