@@ -5,6 +5,7 @@ import importlib.util
 import mmap
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ hypothesis.settings.load_profile("repeatable")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """All processes and later runs share the compiled code of equal functions; `--cache-clear` removes it."""
+    """All processes and later runs share compiled code, of XLA and of Python; `--cache-clear` removes it."""
     cache = getattr(config, "cache", None)  # absent under -p no:cacheprovider
     if cache is None:
         return
@@ -72,6 +73,9 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, value in kept.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)  # for the processes that tests start
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):  # then each of them would compile what it imports, for seconds
+        sys.dont_write_bytecode = False
+        sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(cache.mkdir("bytecode"))
 
 
 @pytest.fixture(scope="session")
