@@ -86,12 +86,17 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return Corpus(tmp_path_factory.mktemp("corpus"))
 
 
-@pytest.fixture
-def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_pictures(patch: pytest.MonkeyPatch) -> None:
     """Pages of a diagnosis without their pictures, where only text is read: painting them takes seconds."""
     from lite6jax.report.sections import Picture  # after types are instrumented
 
-    monkeypatch.setattr("lite6jax.report.pages._picture", lambda _, caption: Picture("data:,", caption, False))
+    patch.setattr("lite6jax.report.pages._picture", lambda _, caption: Picture("data:,", caption, False))
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `without_pictures`, in one test."""
+    without_pictures(monkeypatch)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -109,26 +109,6 @@ def test_a_device_that_is_not_there_is_refused_in_one_line(capsys, monkeypatch):
     assert "--device gpu: JAX sees none here; on a machine with an NVIDIA card pip install 'lite6jax[gpu]'" in said
 
 
-def test_a_device_runs_its_own_workload_alone():
-    asked = []
-
-    def counted(device="cpu"):
-        asked.append(device)
-        return iter(())
-
-    def other():
-        asked.append("other")
-        return iter(())
-
-    known = {"devices": counted, "other": other}
-    assert harness.main(["--device", "cpu"], known) == 0
-    assert asked == ["cpu"]
-    assert harness.main([], known) == 0
-    assert asked == ["cpu", "other"]
-    with pytest.raises(SystemExit, match="2"):
-        harness.main(["other", "--device", "cpu"], known)
-
-
 def test_a_rival_that_is_not_installed_is_named_in_one_line(capsys, monkeypatch):
     monkeypatch.setattr(fits.shutil, "which", lambda name: None)
     assert harness.main(["ceres"]) == 2

@@ -36,6 +36,7 @@ from benchmarks.measure import DONE
 from benchmarks.torque_trials import plans as torque_plans
 from benchmarks.torque_trials import trials as torque_trials
 from benchmarks.torque_trials.campaign import TORQUES
+from benchmarks.torque_trials.effects import NAMED
 
 RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1.0_seed8.parquet"
 OURS = ("lite6jax", "jax", "tests")
@@ -98,6 +99,22 @@ def test_every_round_has_every_kind_in_its_share(campaign):
     assert {kind: kinds.count(kind) for kind in KINDS} == {kind: 2 * rounds.shares[kind] for kind in KINDS}
     assert rounds.indices(3, 2, "faulty") == [index for index, kind in enumerate(kinds) if kind == "faulty"][:2]
     assert [rounds.ordinal(3, index, kind) for index, kind in enumerate(kinds) if kind == "clean"] == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "kind", "part", "all_of_them"),
+    [
+        (plans, "single", lambda plan: plan.sizes[0], plans.SIZES),
+        (plans, "faulty", lambda plan: plan.fault, plans.FAULTS),
+        (torque_plans, "clean", lambda plan: plan.noise, torque_plans.NOISES),
+        (torque_plans, "single", lambda plan: plan.effects[0], NAMED),
+    ],
+    ids=["sizes", "faults", "noises", "names"],
+)
+def test_what_is_drawn_goes_round(drawn, kind, part, all_of_them):
+    indices = drawn.ROUNDS.indices(3, len(all_of_them), kind)
+    found = [part(drawn.draw_plan(3, index, np.random.default_rng(0))) for index in indices]
+    assert sorted(found) == sorted(all_of_them)
 
 
 @DOMAINS
