@@ -15,16 +15,12 @@ from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, Setup, moments, poses
 from benchmarks.concealed.view import Open, View
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.domains.pose.fit import fit
-from lite6jax.effects.composition import Physics
-from lite6jax.effects.motion import motion_of
-from lite6jax.effects.serialization import effect_from_dict
-from lite6jax.effects.statics import inertia_of
-from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import read_recording
+from tests.oracles.effects import predicted_poses
 
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
+GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def a_setup(rng, arm=None):
@@ -51,66 +47,38 @@ SITES = {
     "link_thermal_expansion": "link2",
     "frame_offset": "link4",
 }
-WHERE = {"joint_harmonic": {"joint": 2, "order": 3.5}, "joint_coupling": {"joint": 2, "source_joint": 4}}
-
-
+FIXED = {"joint_harmonic": {"order": 3.5}, "joint_coupling": {"source_joint": 4.0}}
 SHARED = [name for name in COORDINATES if name not in (*OUTSIDE, "time_offset")]
 """Effects that both codes know."""
 
 
-def of_the_library(hidden):
-    """The library's effect for a hidden one, and its values."""
-    place = "joint" if hidden.site.startswith("joint") else "link"
-    where = WHERE.get(hidden.name, {place: hidden.number} if hidden.number else {})
-    numbers = {key: value for key, value in views.reported(hidden).items() if key not in where}
-    return effect_from_dict({"effect": hidden.name, "where": where, "parameters": numbers})
-
-
-@pytest.fixture(scope="module")
-def two_codes():
-    """Each shared effect as it is hidden, and what either code shows of some of them.
-
-    The library's code is compiled once, with all effects, of which the others' values are zero.
-    """
-    rng = np.random.default_rng(5)
-    setup = a_setup(rng)
-    motion = a_motion(rng, setup, moving=True, rows=20)
-    hidden = {}
-    for name in SHARED:
-        values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
-        fixed = {key: v for key, v in WHERE.get(name, {}).items() if key != "joint"}
-        hidden[name] = Hidden(name, SITES.get(name, "joint2"), tuple(values), fixed)
-    pairs = {name: of_the_library(effect) for name, effect in hidden.items()}
-    physics = Physics(tuple(effect for effect, _ in pairs.values()))
-    given = (
-        ArmModel(setup.chain.rows.ravel(), setup.sensor, setup.tool),
-        motion_of(
-            motion.q,
-            joint_velocity=motion.dq,
-            direction=motion.direction,
-            time=motion.time,
-            joint_temperature=motion.temperature,
-            payload=motion.payload,
-        ),
-        inertia_of(setup.chain.mass, setup.chain.center, PAYLOAD_CENTER),
-    )
-
-    def ours(*names):
-        return poses(setup, tuple(hidden[name] for name in names), motion)
-
-    def theirs(*names):
-        values = physics.join([np.multiply(value, name in names) for name, (_, value) in pairs.items()])
-        return np.asarray(predict_poses(SixParameterForm(6), physics, given[0], values, *given[1:]))
-
-    return ours, theirs
+def plain_form(hidden):
+    """A hidden effect as the oracle takes it."""
+    place = {"joint" if hidden.site.startswith("joint") else "link": hidden.number} if hidden.number else {}
+    return hidden.name, place | dict(hidden.fixed) | views.reported(hidden)
 
 
 @pytest.mark.parametrize("name", SHARED)
-def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(two_codes, name):
-    ours, theirs = two_codes
-    names = (name, "joint_compliance") if name == "payload_error" else (name,)
-    (rotation, position), shown = ours(*names), theirs(*names)
-    assert rms(position - ours()[1]) > 1e-7
+def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(name):
+    rng = np.random.default_rng(5)
+    setup = a_setup(rng)
+    motion = a_motion(rng, setup, moving=True, rows=20)
+    values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
+    beside = (Hidden("joint_compliance", "joint2", (1e-4,)),) if name == "payload_error" else ()
+    hidden = (Hidden(name, SITES.get(name, "joint2"), tuple(values), FIXED.get(name, {})), *beside)
+    told = {
+        "joint_position": motion.q,
+        "joint_velocity": motion.dq,
+        "direction": motion.direction,
+        "time": motion.time,
+        "joint_temperature": motion.temperature,
+        "payload": motion.payload,
+    }
+    chain = setup.chain
+    inertia = {"mass": chain.mass, "center_of_mass": chain.center, "payload_center": PAYLOAD_CENTER, "gravity": GRAVITY}
+    shown = predicted_poses(chain.rows, setup.sensor, setup.tool, told, inertia, [*map(plain_form, hidden)])
+    rotation, position = poses(setup, hidden, motion)
+    assert rms(position - poses(setup, (), motion)[1]) > 1e-7
     np.testing.assert_allclose(position, shown[:, :3, 3], atol=1e-13)
     np.testing.assert_allclose(rotation, shown[:, :3, :3], atol=1e-13)
 

@@ -15,7 +15,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, estimated, physics_columns
-from lite6jax.domains.pose.screening.screen import SCREENS, price, screen
+from lite6jax.domains.pose.screening.screen import SCREENS, screen
 from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import DEFAULTS, documented
@@ -561,15 +561,6 @@ class TestFrameJump:
         assert only(screened, "frame_jump").rows[0] == 102
         assert np.abs(screened.recording.position - recording.position).max() < 4e-4
 
-    def test_as_if_there_were_no_physics(self, good):
-        """Where there is none, a jump is better told without what physics could do beside it."""
-        off = []
-        for beside in (True, False):
-            screened = screen(bumped(good, 61), corrections=Corrections(beside_physics=beside))
-            only(screened, "frame_jump")
-            off.append(np.sqrt(np.mean((screened.recording.position - good.position)[61:] ** 2)))
-        assert off[1] < 0.7 * off[0]
-
     def test_left_as_it_is(self, good):
         recording = bumped(good, 61)
         screened = screen(recording, corrections=Corrections(jumps=0))
@@ -629,11 +620,6 @@ class TestRegistry:
         described = documented(OPTIONS)
         assert len(described) == len(fields(ScreeningOptions))
         assert all(item.meaning and item.why for item in described)
-
-    def test_a_jump_must_pay_for_six_numbers_and_its_row(self, good):
-        screened = screen(bumped(good, 61))
-        assert price(screened, 960.0, 160) == pytest.approx(3 * np.log(960) + np.log(160))
-        assert price(screen(good), 960.0, 160) == 0.0
 
     def test_numbers_are_plain_json(self, good):
         for screened in (screen(good), screen(bumped(good, 61))):

@@ -298,8 +298,8 @@ def test_the_same_motion_is_cut_alike_at_every_rate(arm):
 
 def test_a_table_of_one_motor_that_turns_without_end(tmp_path, capsys):
     (tmp_path / "motor.urdf").write_text(PENDULUM.format(length=0, kind="continuous"))
-    time = np.arange(1500) / 50
-    dq = 0.2 + 11 * np.abs(np.sin(np.pi * time / 15))
+    time = np.arange(600) / 50
+    dq = 0.2 + 11 * np.abs(np.sin(np.pi * time / 6))
     q = np.cumsum(dq) / 50
     torque = 0.34 * np.sign(dq) + 0.021 * dq + 0.02 * np.gradient(dq, time)
     torque += np.random.default_rng(5).normal(0, NOISE, len(time))
