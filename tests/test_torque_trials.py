@@ -2,9 +2,8 @@
 
 import json
 
-import mujoco as _mujoco
 import numpy as np
-import pinocchio as _pinocchio
+import pinocchio as pin
 import pytest
 import yaml
 from scipy.interpolate import make_interp_spline
@@ -13,7 +12,7 @@ from scipy.stats import chi2
 from benchmarks.campaigns import detection
 from benchmarks.campaigns.campaign import write_files
 from benchmarks.campaigns.rounds import KINDS
-from benchmarks.concealed.chain import Chain, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed.chain import Chain, rotation_from_vector
 from benchmarks.torque_trials import faults, hiding, mujoco_arm, plans, trials
 from benchmarks.torque_trials.effects import FAMILIES, NAMED, OPEN, SEALED, Hidden, draw_family
 from benchmarks.torque_trials.hiding import View
@@ -22,8 +21,7 @@ from lite6jax.arms.description import read_description
 from lite6jax.arms.dynamics import inverse_dynamics as library_torques
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.recordings import read_recording
-
-pin, mujoco = _pinocchio, _mujoco
+from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 AT = np.array([0.01, -0.02, 0.03])
@@ -36,23 +34,13 @@ def a_scene(name="lite6", seed=3, seconds=3.0, payload=0.0, tilted=False, **more
     return Setup(arm, gravity, AT), draw_motion(rng, arm, 100.0, seconds, payload=payload, **more)
 
 
-def pinocchio_torques(setup, motion):
-    """By Pinocchio, a payload lumped into the last link."""
-    model = pin.Model()
-    parent = 0
-    arm = setup.arm
-    for i, row in enumerate(arm.chain.rows):
-        placed = pin.SE3(rotation_from_rpy(*row[3:]), row[:3])
-        parent = model.addJoint(parent, pin.JointModelRZ(), placed, f"joint{i + 1}")
-        body = pin.Inertia(arm.chain.mass[i], arm.chain.center[i], arm.inertia[i])
-        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
-    if motion.payload[0]:
-        point = pin.Inertia(motion.payload[0], setup.payload_center, np.zeros((3, 3)))
-        model.appendBodyToJoint(parent, point, pin.SE3.Identity())
-    model.gravity.linear = setup.gravity
-    data = model.createData()
-    rows = zip(motion.q, motion.dq, motion.ddq, strict=True)
-    return np.array([pin.rnea(model, data, *row) for row in rows])
+def torques_of_pinocchio(setup, motion):
+    """With a payload lumped into the last link."""
+    chain = setup.arm.chain
+    model = pinocchio_model(chain.rows, chain.mass, chain.center, setup.arm.inertia, setup.gravity)
+    point = pin.Inertia(motion.payload[0], setup.payload_center, np.zeros((3, 3)))
+    model.appendBodyToJoint(len(chain.rows), point, pin.SE3.Identity())
+    return pinocchio_torques(model, motion.q.T, motion.dq.T, motion.ddq.T).T
 
 
 @pytest.mark.parametrize("name", ["lite6", "seven"])
@@ -60,7 +48,7 @@ def pinocchio_torques(setup, motion):
 def test_torques_of_rigid_bodies_are_those_of_pinocchio_and_mujoco(name, payload):
     setup, motion = a_scene(name, payload=payload, tilted=True)
     ours = torques(setup, (), motion)
-    np.testing.assert_allclose(ours, pinocchio_torques(setup, motion), atol=1e-9)
+    np.testing.assert_allclose(ours, torques_of_pinocchio(setup, motion), atol=1e-9)
     theirs = mujoco_arm.SimulatedArm(setup, (), payload).exerted(motion.q, motion.dq, motion.ddq)
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
     assert np.ptp(ours, axis=0).min() > 1e-3

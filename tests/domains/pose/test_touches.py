@@ -88,7 +88,7 @@ def test_the_nuisance_of_touches_moves_residuals_as_its_columns_say(tmp_path):
         np.testing.assert_allclose(column, slope, rtol=1e-3, atol=1e-4 * np.abs(columns).max(), err_msg=f"{k}")
 
 
-@pytest.mark.parametrize("sensor", ["fixed_camera", "flange_camera"])
+@pytest.mark.parametrize("sensor", [pytest.param("fixed_camera", marks=pytest.mark.long), "flange_camera"])
 def test_images_of_a_board_tell_where_camera_and_board_are(tmp_path, sensor):
     solution = fit_recording(recording_of(tmp_path, sensor, samples=50))
     tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
