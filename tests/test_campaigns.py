@@ -25,7 +25,6 @@ from trial_answers import (
 )
 
 from benchmarks import __main__ as harness
-from benchmarks import sensitivity
 from benchmarks.campaigns.campaign import open_truth, sealed_in
 from benchmarks.campaigns.command import differences
 from benchmarks.campaigns.report import markdown, sections, tables
@@ -206,35 +205,6 @@ def test_results_of_another_sensor_are_not_continued(tmp_path):
             quietly(refused[name], 4, [index], out)
     with pytest.raises(ValueError, match="another campaign than torque; give another file"):
         quietly(replace(TORQUES, answer=refusing), 4, [index], out)
-
-
-@DOMAINS
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        (["--trial", "1", "--out", "a.parquet"], "leave --kind, --out, --figure and --compare out"),
-        (["--out", "a.csv"], "end its name in .parquet"),
-        (["--trials", "0"], "invalid whole number from 1"),
-        (["--seed", "-1"], "invalid whole number from 0"),
-        (["--kind", "dirty"], "invalid choice"),
-    ],
-)
-def test_arguments_that_cannot_be_used_are_said(campaign, arguments, why, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        harness.main([campaign.name, *arguments])
-    assert why in capsys.readouterr().err
-
-
-def test_an_option_that_fails_a_trial_changes_something(capsys):
-    still = ("engine.a", 1.0, 1.5, 0, 0, 0.0, 0)
-    assert sensitivity.idle_options([still]) == ["engine.a"]
-    for k, value in ((3, 1), (4, 1), (5, 0.1), (6, 1)):
-        assert sensitivity.idle_options([still, (*still[:k], value, *still[k + 1 :])]) == []
-    known = next(name for name, *_ in sensitivity.variations())
-    for wrong, why in ((["--only", known, "engine.b"], "--only: no option engine.b;"), (["--trials", "-1"], "from 1")):
-        with pytest.raises(SystemExit, match="2"):
-            sensitivity.main(wrong)
-        assert why in capsys.readouterr().err
 
 
 def test_trials_are_exported_with_their_truth(tmp_path, capsys):

@@ -69,17 +69,12 @@ def predicted(folder, content, motion, **options):
     return predict(model, read_motion(written(folder, motion, **options), model))
 
 
-@pytest.mark.parametrize("text", MOVING)
-def test_an_effect_of_a_moving_arm_is_predicted_as_the_plain_arm_shows_it(arm, tmp_path, text):
-    motion = moving_motion(9, SAMPLES)
-    poses = predicted(tmp_path, document(arm, [text], "trajectory"), motion)
-    np.testing.assert_allclose(poses, with_effects(arm, text).poses(motion), rtol=0, atol=1e-11)
-
-
-def test_all_effects_together(arm, tmp_path):
-    motion = static_motion(9, SAMPLES)
-    poses = predicted(tmp_path, document(arm, STATIC), motion)
-    np.testing.assert_allclose(poses, with_effects(arm, *STATIC).poses(motion), rtol=0, atol=1e-11)
+@pytest.mark.parametrize("texts", [STATIC, *([text] for text in MOVING)], ids=["static", "lag", "clock", "backlash"])
+def test_effects_are_predicted_as_the_plain_arm_shows_them(arm, tmp_path, texts):
+    moving = texts is not STATIC
+    motion = (moving_motion if moving else static_motion)(9, SAMPLES)
+    poses = predicted(tmp_path, document(arm, texts, "trajectory" if moving else "static"), motion)
+    np.testing.assert_allclose(poses, with_effects(arm, *texts).poses(motion), rtol=0, atol=1e-11)
 
 
 def test_rows_where_the_clock_reaches_beyond_the_ends_are_nan(arm, tmp_path):
