@@ -107,7 +107,7 @@ def test_a_wide_transition_of_coulomb_friction_is_a_number_of_it(arm, tmp_path):
     assert main(["convert", str(tmp_path / "d.json"), str(tmp_path / "out.urdf")]) == 0
 
 
-@pytest.mark.parametrize("exponent", [0.6, 1.6])
+@pytest.mark.parametrize("exponent", [pytest.param(0.6, marks=pytest.mark.long), 1.6])
 def test_an_exponent_of_viscous_friction_is_a_number_of_it(arm, tmp_path, exponent):
     time = np.arange(3000) / 100
     found = diagnose_torques(
