@@ -5,6 +5,7 @@ import importlib.util
 import mmap
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import hypothesis
 import jax
 import jaxtyping
 import pytest
+import threadpoolctl
 
 ROOT = Path(__file__).resolve().parents[1]
 # The parts that take arrays from outside; the others' types are pyright's.
@@ -45,8 +47,10 @@ def quick_flags() -> Iterator[str]:
 if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has them of the process that started it
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *quick_flags()])
 
-# Two workers whose matrix products take two threads each wait for each other; a worker that starts now has one thread.
+# Small matrix products on several threads wait for each other, in one process and more so in two: one thread each, of
+# the library that is loaded already and of those that load later or in another process.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpoolctl.threadpool_limits(int(os.environ["OPENBLAS_NUM_THREADS"]), "blas")
 
 # A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -57,7 +61,7 @@ hypothesis.settings.load_profile("repeatable")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """All processes and later runs share the compiled code of equal functions; `--cache-clear` removes it."""
+    """All processes and later runs share compiled code, of XLA and of Python; `--cache-clear` removes it."""
     cache = getattr(config, "cache", None)  # absent under -p no:cacheprovider
     if cache is None:
         return
@@ -69,6 +73,9 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, value in kept.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)  # for the processes that tests start
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):  # then each of them would compile what it imports, for seconds
+        sys.dont_write_bytecode = False
+        sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(cache.mkdir("bytecode"))
 
 
 @pytest.fixture(scope="session")
@@ -79,12 +86,17 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return Corpus(tmp_path_factory.mktemp("corpus"))
 
 
-@pytest.fixture
-def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_pictures(patch: pytest.MonkeyPatch) -> None:
     """Pages of a diagnosis without their pictures, where only text is read: painting them takes seconds."""
     from lite6jax.report.sections import Picture  # after types are instrumented
 
-    monkeypatch.setattr("lite6jax.report.pages._picture", lambda _, caption: Picture("data:,", caption, False))
+    patch.setattr("lite6jax.report.pages._picture", lambda _, caption: Picture("data:,", caption, False))
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `without_pictures`, in one test."""
+    without_pictures(monkeypatch)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -4,13 +4,11 @@ import importlib
 import json
 from functools import partial
 
-import jax
 import numpy as np
 import pytest
 
 from benchmarks import __main__ as harness
 from benchmarks import fits, measure, problem, seed_way
-from benchmarks.ladder import main
 from benchmarks.measure import Record
 from tests.oracles.chains import seed_poses, six_parameter_poses
 
@@ -98,59 +96,8 @@ def test_every_workload_and_command_is_there():
         assert callable(importlib.import_module(f"benchmarks.{module}").main)
 
 
-def test_a_device_that_is_not_there_is_refused_in_one_line(capsys, monkeypatch):
-    def none(device):
-        raise RuntimeError(f"Unknown backend: '{device}' requested")
-
-    monkeypatch.setattr(jax, "devices", none)
-    assert harness.main(["--device", "gpu"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "--device gpu: JAX sees none here; on a machine with an NVIDIA card pip install 'lite6jax[gpu]'" in said
-
-
-def test_a_device_runs_its_own_workload_alone():
-    asked = []
-
-    def counted(device="cpu"):
-        asked.append(device)
-        return iter(())
-
-    def other():
-        asked.append("other")
-        return iter(())
-
-    known = {"devices": counted, "other": other}
-    assert harness.main(["--device", "cpu"], known) == 0
-    assert asked == ["cpu"]
-    assert harness.main([], known) == 0
-    assert asked == ["cpu", "other"]
-    with pytest.raises(SystemExit, match="2"):
-        harness.main(["other", "--device", "cpu"], known)
-
-
-def test_a_rival_that_is_not_installed_is_named_in_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(fits.shutil, "which", lambda name: None)
-    assert harness.main(["ceres"]) == 2
-    said = capsys.readouterr().err
-    assert said == "benchmarks: no C++ compiler or no Ceres here; apt-get install g++ libceres-dev\n"
-
-
 @pytest.mark.skipif(not fits.HEADERS.exists(), reason="Ceres (libceres-dev) is not installed here")
 def test_ceres_and_the_library_agree():
     found = list(fits.ceres(arms=2, samples=40, repeats=1))
     assert [record.failed for record in found] == [""] * len(found)
     assert all(record.value > 0 for record in found)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["missing.csv"], "missing.csv"), (["missing.csv", "--cut", "0"], "give a frequency above zero")],
-)
-def test_what_cannot_be_compared_is_said_in_a_line(arguments, message, capsys):
-    try:
-        code = main(arguments)
-    except SystemExit as stopped:
-        code = stopped.code
-    assert code == 2
-    assert message in capsys.readouterr().err

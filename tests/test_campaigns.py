@@ -25,7 +25,6 @@ from trial_answers import (
 )
 
 from benchmarks import __main__ as harness
-from benchmarks import sensitivity
 from benchmarks.campaigns.campaign import open_truth, sealed_in
 from benchmarks.campaigns.command import differences
 from benchmarks.campaigns.report import markdown, sections, tables
@@ -36,6 +35,7 @@ from benchmarks.measure import DONE
 from benchmarks.torque_trials import plans as torque_plans
 from benchmarks.torque_trials import trials as torque_trials
 from benchmarks.torque_trials.campaign import TORQUES
+from benchmarks.torque_trials.effects import NAMED
 
 RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1.0_seed8.parquet"
 OURS = ("lite6jax", "jax", "tests")
@@ -98,6 +98,22 @@ def test_every_round_has_every_kind_in_its_share(campaign):
     assert {kind: kinds.count(kind) for kind in KINDS} == {kind: 2 * rounds.shares[kind] for kind in KINDS}
     assert rounds.indices(3, 2, "faulty") == [index for index, kind in enumerate(kinds) if kind == "faulty"][:2]
     assert [rounds.ordinal(3, index, kind) for index, kind in enumerate(kinds) if kind == "clean"] == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "kind", "part", "all_of_them"),
+    [
+        (plans, "single", lambda plan: plan.sizes[0], plans.SIZES),
+        (plans, "faulty", lambda plan: plan.fault, plans.FAULTS),
+        (torque_plans, "clean", lambda plan: plan.noise, torque_plans.NOISES),
+        (torque_plans, "single", lambda plan: plan.effects[0], NAMED),
+    ],
+    ids=["sizes", "faults", "noises", "names"],
+)
+def test_what_is_drawn_goes_round(drawn, kind, part, all_of_them):
+    indices = drawn.ROUNDS.indices(3, len(all_of_them), kind)
+    found = [part(drawn.draw_plan(3, index, np.random.default_rng(0))) for index in indices]
+    assert sorted(found) == sorted(all_of_them)
 
 
 @DOMAINS
@@ -189,35 +205,6 @@ def test_results_of_another_sensor_are_not_continued(tmp_path):
             quietly(refused[name], 4, [index], out)
     with pytest.raises(ValueError, match="another campaign than torque; give another file"):
         quietly(replace(TORQUES, answer=refusing), 4, [index], out)
-
-
-@DOMAINS
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        (["--trial", "1", "--out", "a.parquet"], "leave --kind, --out, --figure and --compare out"),
-        (["--out", "a.csv"], "end its name in .parquet"),
-        (["--trials", "0"], "invalid whole number from 1"),
-        (["--seed", "-1"], "invalid whole number from 0"),
-        (["--kind", "dirty"], "invalid choice"),
-    ],
-)
-def test_arguments_that_cannot_be_used_are_said(campaign, arguments, why, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        harness.main([campaign.name, *arguments])
-    assert why in capsys.readouterr().err
-
-
-def test_an_option_that_fails_a_trial_changes_something(capsys):
-    still = ("engine.a", 1.0, 1.5, 0, 0, 0.0, 0)
-    assert sensitivity.idle_options([still]) == ["engine.a"]
-    for k, value in ((3, 1), (4, 1), (5, 0.1), (6, 1)):
-        assert sensitivity.idle_options([still, (*still[:k], value, *still[k + 1 :])]) == []
-    known = next(name for name, *_ in sensitivity.variations())
-    for wrong, why in ((["--only", known, "engine.b"], "--only: no option engine.b;"), (["--trials", "-1"], "from 1")):
-        with pytest.raises(SystemExit, match="2"):
-            sensitivity.main(wrong)
-        assert why in capsys.readouterr().err
 
 
 def test_trials_are_exported_with_their_truth(tmp_path, capsys):

@@ -13,18 +13,14 @@ from benchmarks.concealed import view as views
 from benchmarks.concealed.chain import MADE, lite6, rotation_from_vector, seven
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
-from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, Setup, hardening, moments, poses
+from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, Setup, moments, poses
 from benchmarks.concealed.view import Open, View
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.domains.pose.fit import fit
-from lite6jax.effects.composition import Physics
-from lite6jax.effects.motion import motion_of
-from lite6jax.effects.serialization import effect_from_dict
-from lite6jax.effects.statics import inertia_of
-from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import read_recording
+from tests.oracles.effects import predicted_poses
 
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
+GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def a_setup(rng, arm=None):
@@ -51,66 +47,38 @@ SITES = {
     "link_thermal_expansion": "link2",
     "frame_offset": "link4",
 }
-WHERE = {"joint_harmonic": {"joint": 2, "order": 3.5}, "joint_coupling": {"joint": 2, "source_joint": 4}}
-
-
+FIXED = {"joint_harmonic": {"order": 3.5}, "joint_coupling": {"source_joint": 4.0}}
 SHARED = [name for name in COORDINATES if name not in (*OUTSIDE, "time_offset")]
 """Effects that both codes know."""
 
 
-def of_the_library(hidden):
-    """The library's effect for a hidden one, and its values."""
-    place = "joint" if hidden.site.startswith("joint") else "link"
-    where = WHERE.get(hidden.name, {place: hidden.number} if hidden.number else {})
-    numbers = {key: value for key, value in views.reported(hidden).items() if key not in where}
-    return effect_from_dict({"effect": hidden.name, "where": where, "parameters": numbers})
-
-
-@pytest.fixture(scope="module")
-def two_codes():
-    """Each shared effect as it is hidden, and what either code shows of some of them.
-
-    The library's code is compiled once, with all effects, of which the others' values are zero.
-    """
-    rng = np.random.default_rng(5)
-    setup = a_setup(rng)
-    motion = a_motion(rng, setup, moving=True, rows=20)
-    hidden = {}
-    for name in SHARED:
-        values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
-        fixed = {key: v for key, v in WHERE.get(name, {}).items() if key != "joint"}
-        hidden[name] = Hidden(name, SITES.get(name, "joint2"), tuple(values), fixed)
-    pairs = {name: of_the_library(effect) for name, effect in hidden.items()}
-    physics = Physics(tuple(effect for effect, _ in pairs.values()))
-    given = (
-        ArmModel(setup.chain.rows.ravel(), setup.sensor, setup.tool),
-        motion_of(
-            motion.q,
-            joint_velocity=motion.dq,
-            direction=motion.direction,
-            time=motion.time,
-            joint_temperature=motion.temperature,
-            payload=motion.payload,
-        ),
-        inertia_of(setup.chain.mass, setup.chain.center, PAYLOAD_CENTER),
-    )
-
-    def ours(*names):
-        return poses(setup, tuple(hidden[name] for name in names), motion)
-
-    def theirs(*names):
-        values = physics.join([np.multiply(value, name in names) for name, (_, value) in pairs.items()])
-        return np.asarray(predict_poses(SixParameterForm(6), physics, given[0], values, *given[1:]))
-
-    return ours, theirs
+def plain_form(hidden):
+    """A hidden effect as the oracle takes it."""
+    place = {"joint" if hidden.site.startswith("joint") else "link": hidden.number} if hidden.number else {}
+    return hidden.name, place | dict(hidden.fixed) | views.reported(hidden)
 
 
 @pytest.mark.parametrize("name", SHARED)
-def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(two_codes, name):
-    ours, theirs = two_codes
-    names = (name, "joint_compliance") if name == "payload_error" else (name,)
-    (rotation, position), shown = ours(*names), theirs(*names)
-    assert rms(position - ours()[1]) > 1e-7
+def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(name):
+    rng = np.random.default_rng(5)
+    setup = a_setup(rng)
+    motion = a_motion(rng, setup, moving=True, rows=20)
+    values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
+    beside = (Hidden("joint_compliance", "joint2", (1e-4,)),) if name == "payload_error" else ()
+    hidden = (Hidden(name, SITES.get(name, "joint2"), tuple(values), FIXED.get(name, {})), *beside)
+    told = {
+        "joint_position": motion.q,
+        "joint_velocity": motion.dq,
+        "direction": motion.direction,
+        "time": motion.time,
+        "joint_temperature": motion.temperature,
+        "payload": motion.payload,
+    }
+    chain = setup.chain
+    inertia = {"mass": chain.mass, "center_of_mass": chain.center, "payload_center": PAYLOAD_CENTER, "gravity": GRAVITY}
+    shown = predicted_poses(chain.rows, setup.sensor, setup.tool, told, inertia, [*map(plain_form, hidden)])
+    rotation, position = poses(setup, hidden, motion)
+    assert rms(position - poses(setup, (), motion)[1]) > 1e-7
     np.testing.assert_allclose(position, shown[:, :3, 3], atol=1e-13)
     np.testing.assert_allclose(rotation, shown[:, :3, :3], atol=1e-13)
 
@@ -199,7 +167,10 @@ def test_what_frames_can_do_as_well_is_not_seen():
     assert rival.apart < 1e-3
 
 
-@pytest.mark.parametrize("sensor", plans.READERS)
+@pytest.mark.parametrize(
+    "sensor",
+    [pytest.param(sensor, marks=pytest.mark.long if "camera" in sensor else ()) for sensor in plans.READERS],
+)
 def test_the_library_fits_what_the_generator_reads_to_its_noise(sensor, tmp_path):
     clean = plans.READ_ROUNDS.indices(0, 12, "clean")
     index = next(i for i in clean if trials.draw_reading(sensor, 0, i).plan.geometry == "known")
@@ -210,14 +181,6 @@ def test_the_library_fits_what_the_generator_reads_to_its_noise(sensor, tmp_path
     assert recording.samples == plans.READERS[sensor]
     assert not recording.notes
     assert fit(recording).noise.over_declared == pytest.approx(1.0, abs=0.25)
-
-
-def test_sizes_and_faults_go_round():
-    def drawn(kind, count):
-        return [plans.draw_plan(3, i, np.random.default_rng(0)) for i in plans.ROUNDS.indices(3, count, kind)]
-
-    assert sorted(plan.sizes[0] for plan in drawn("single", len(plans.SIZES))) == sorted(plans.SIZES)
-    assert sorted(plan.fault for plan in drawn("faulty", len(plans.FAULTS))) == sorted(plans.FAULTS)
 
 
 def test_the_rows_repeated_in_a_file_are_those_that_are_sealed():
@@ -286,52 +249,20 @@ def scene():
     return setup, motion
 
 
-# name: where, what is drawn, and the formula of its signal, written down a second time: families of every site and of
+# name: where, what is drawn, and the formula of its signal, written down a second time: a family of every site and of
 # every kind of signal
 FORMULAS = {
     "joint_bump": ("joint3", {"centre": 1.0, "width": 0.3}, lambda s, m: np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18)),
-    "hardening_spring": ("joint2", {"torque_Nm": 3.0}, lambda s, m: hardening(torque(s, m, 2)[:, 2] / 3)),
-    "squared_coupling": ("joint3", {"by": 5.0, "power": 2.0}, lambda s, m: m.q[:, 4] ** 2),
-    "sticking_zone": (
-        "joint3",
-        {"lower": 0.5, "upper": 1.5},
-        lambda s, m: -np.sign(m.dq[:, 2]) * (abs(m.q[:, 2] - 1) < 0.5),
-    ),
     "link_tilt_by_time": ("link3", {"axis": 4.0, "span_s": 2.0}, lambda s, m: m.time / 2),
     "base_yaw_by_moment": ("base", {"axis": 5.0, "base_moment_Nm": 2.0}, lambda s, m: base_moment(s, m)[:, 0] / 2),
     "tool_turn_by_joint": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1]),
     "sensor_shift_by_warmth": ("sensor", {"axis": 0.0}, lambda s, m: rise(m)),
     "dragging_gear": ("joint3", {"torque_Nm": 3.0}, lambda s, m: -np.sign(m.dq[:, 2]) * abs(torque(s, m, 3)[:, 2]) / 3),
     "loose_clip": ("tool", {"axis": 1.0, "instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
-    "pulled_encoder": (
-        "joint3",
-        {"by": 5.0, "phase": 0.4},
-        lambda s, m: m.q[:, 4] * (np.sin(m.q[:, 2]) * np.cos(0.4) + np.cos(m.q[:, 2]) * np.sin(0.4)),
-    ),
-    "softening_link": ("link3", {"axis": 3.0, "moment_Nm": 2.0}, lambda s, m: rise(m) * torque(s, m, 3)[:, 0] / 2),
     "preloaded_base": (
         "base",
         {"axis": 3.0, "base_moment_Nm": 2.0},
         lambda s, m: beyond(base_moment(s, m)[:, 0], 1.0) / 2,
-    ),
-    "thinning_grease": ("joint3", {}, lambda s, m: (m.temperature.mean(1) / 10 - 2.5) * m.dq[:, 2]),
-    "bowed_link": ("link3", {"axis": 4.0}, lambda s, m: np.diff(m.temperature[:, 2:4], axis=1)[:, 0] / 10),
-    "rattling_ball": (
-        "tool",
-        {"axis": 0.0, "flange": 6.0, "flange_moment_Nm": 0.01},
-        lambda s, m: (
-            torque(s, m, 6)[:, 1] / np.sqrt(torque(s, m, 6)[:, 0] ** 2 + torque(s, m, 6)[:, 1] ** 2 + 0.001**2)
-        ),
-    ),
-    "short_umbilical": (
-        "link3",
-        {"axis": 4.0, "by": 5.0, "and": 2.0, "slack": 0.5},
-        lambda s, m: beyond(m.q[:, [1, 4]].sum(1), 0.5),
-    ),
-    "leaking_table": (
-        "base",
-        {"axis": 2.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
-        lambda s, m: np.modf(0.75 * m.time + 0.2 / np.pi)[0],
     ),
     "shaken_tripod": (
         "sensor",
@@ -407,7 +338,7 @@ def test_an_image_shifts_points_and_turns_nothing(name, scene):
     np.testing.assert_array_equal(moved[0], rotation)
 
 
-@pytest.mark.parametrize("seed", [5, 2321, 2341, 2361, 2381])
+@pytest.mark.parametrize("seed", [5, 2381])
 def test_families_not_looked_at_are_sealed_and_drawn_on_request_only(seed):
     opened, sealed = families(seed), families(seed, sealed=True)
     assert sealed

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 from diagnosis.recorded import Made
-from domains.pose.documents import document, refused
+from domains.pose.documents import document
+from typed import refusal
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, write_table
@@ -95,7 +96,7 @@ def test_a_damaged_diagnosis_is_refused(diagnosis, tmp_path, damage):
     spoil(content)
     path = tmp_path / "d.json"
     path.write_text(json.dumps(content))
-    said = refused(read_model, path)
+    said = refusal(read_model, path)
     assert said.startswith(f"{path}: ")
     assert says in said
 
@@ -119,7 +120,7 @@ def test_the_undamaged_diagnosis_is_read_without_a_word(diagnosis, tmp_path):
 def test_what_a_table_says_of_its_fit_is_checked(tmp_path, key, value, says):
     fit = {"result": "converged", "quality": "good", "checked_position_rms_m": 1e-9} | {key: value}
     path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
-    assert f"{path}: {says}" in refused(read_table, path)
+    assert f"{path}: {says}" in refusal(read_table, path)
 
 
 @pytest.mark.parametrize(
@@ -134,4 +135,4 @@ def test_absurd_numbers_of_a_table_are_refused(tmp_path, edit, says):
     content = json.loads(path.read_text())
     edit(content["dh"][2])
     path.write_text(json.dumps(content))
-    assert refused(read_table, path) == f"{path}: {says}"
+    assert refusal(read_table, path) == f"{path}: {says}"

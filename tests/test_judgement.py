@@ -105,26 +105,6 @@ def test_sizes_that_were_planned_at_a_bound_are_of_it_in_spite_of_rounding():
     assert grade([soft], verdict="consistent") == "misleading"
 
 
-def test_the_thresholds_of_intervals_are_said_in_goal_and_table():
-    wave = a_hidden("joint_harmonic", "joint3", {"order": 2.0}, size=3.0)
-    rows = [a_row([wave], a_finding("joint_harmonic", "joint3", order=2.1))]
-    for poses, known in ((POSES, "3"), (campaign.READINGS["contact"], "2")):
-        shown = {title: cells for title, _, cells in sections(poses, rows)}
-        asked = f"95 % intervals cover, from {known} thresholds on: 93 to 97 %"
-        (reached,) = (cells[1] for cells in shown["Goals"] if cells[0] == asked)
-        of_numbers = shown[f"Numbers of effects that were named, from {known} thresholds on"]
-        assert of_numbers[0][1] == reached == "100 % (2.5–100) of 1"
-
-
-def test_tables_count_every_number_of_rows_and_no_distance_that_is_not_known():
-    right = unnamed("joint4", "position of joint 2")
-    near = DRIFT | {"rival": {"name": "joint_lag", "site": "joint4", "apart": 3.0}}
-    rows = [a_row([each], right, kind="outside", index=k) | {"rows": 15} for k, each in enumerate((DRIFT, near))]
-    shown = {title: {row[0]: row[1] for row in cells} for title, _, cells in sections(POSES, rows)}
-    assert shown["What is said outside the catalogue and at its edge"]["15 to 40 rows"] == "2"
-    assert shown["Outside the catalogue"]["0 to 4 standard deviations from what is nearest"] == "1"
-
-
 @pytest.mark.parametrize("verdict", ["consistent", "explained"])
 def test_a_verdict_that_nothing_is_left_is_false_where_something_is(verdict):
     right = a_finding("joint_compliance", "joint2")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, Made, static_motion, with_effects
 
-from benchmarks import __main__ as harness
 from benchmarks import residual
 from benchmarks.concealed.chain import Chain
 from benchmarks.residual import Geometry
@@ -72,20 +71,3 @@ def test_a_wave_is_a_joints_sine(motion, view):
     angle = 3 * motion["joint_position"][:, 4]
     np.testing.assert_allclose(J[:, :, 0], lever * np.sin(angle)[:, None], atol=1e-9)
     np.testing.assert_allclose(J[:, :, 1], lever * np.cos(angle)[:, None], atol=1e-9)
-
-
-# ------------------------------------------------------------------ as it is typed
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ([], "name what to compare on: --real DIR (or the variable LITE6JAX_REAL)"),
-        (["--real", ".", "--every", "0"], "--every: give 1 or more"),
-    ],
-)
-def test_options_that_cannot_be(capsys, monkeypatch, options, says):
-    monkeypatch.delenv("LITE6JAX_REAL", raising=False)
-    with pytest.raises(SystemExit):
-        harness.main(["rivals", *options])
-    assert says in capsys.readouterr().err

@@ -68,6 +68,7 @@ def test_an_oracle_is_right_in_every_trial(truths):
     assert covered(rows, TORQUES.known).value > 0.5
 
 
+@pytest.mark.long
 def test_goals_tell_an_oracle_from_silence_and_lies(truths):
     right, silent, lying = (met(rows_of(truths, answer)) for answer in (the_oracle, nothing_said, wrongly_named))
     assert right["unseen torques within their bound"] is True

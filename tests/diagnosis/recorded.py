@@ -19,7 +19,7 @@ from lite6jax.recordings.settings import FactoryUncertainty
 from lite6jax.search.search import search
 from tests.oracles.arms import perturbed
 from tests.oracles.effects import predicted_poses
-from tests.oracles.transforms import perturb_poses
+from tests.oracles.transforms import perturb_poses, quaternions
 
 OPTIONS = EngineOptions()
 NO_TERMS = Terms()
@@ -191,11 +191,6 @@ class Made:
 def with_effects(made, *effects):
     """The same arm with other physics."""
     return replace(made, effects=effects)
-
-
-def quaternions(poses):
-    """(sample, 4), scalar first."""
-    return np.roll(Rotation.from_matrix(poses[:, :3, :3]).as_quat(), 1, axis=1)
 
 
 def truth(text):

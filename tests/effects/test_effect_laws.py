@@ -4,12 +4,10 @@ import json
 from dataclasses import FrozenInstanceError, fields
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.se3 import turn
 from lite6jax.effects.catalogue import POSE_EFFECTS, catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Altering, Bending
@@ -25,7 +23,7 @@ from lite6jax.effects.kinematic import (
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
-from lite6jax.effects.statics import inertia_of, loads
+from lite6jax.effects.statics import inertia_of
 from lite6jax.model import arm_model, predict, predict_poses
 from tests.oracles.arms import random_kinematics
 from tests.oracles.effects import predicted_poses, random_motion
@@ -221,18 +219,6 @@ def test_all_effects_together_are_those_of_plain_numpy_in_any_order():
         physics = Physics(tuple(together[i] for i in order))
         poses = predicted(physics, physics.join([parts[i] for i in order]))
         np.testing.assert_allclose(poses, plain, rtol=0, atol=1e-13)
-
-
-def test_deflections_add_up():
-    physics = Physics(tuple(e for e in EFFECTS if isinstance(e, Bending)))
-    values = jnp.asarray(physics.join([values_of(e) for e in physics.effects]))
-    pulled = loads(FORM, MODEL.geometry, turn(MOTION.joint_position), MOTION.payload, INERTIA)
-    together = physics.deflect(values, MOTION, pulled)
-    alone = [e.deflect(values[part], MOTION, pulled) for e, part in zip(physics.effects, physics.slices, strict=True)]
-    for name in together._fields:
-        parts = [getattr(one, name) for one in alone]
-        total = sum(np.asarray(part) for part in parts if part is not None)
-        np.testing.assert_allclose(getattr(together, name), total, rtol=0, atol=1e-17)
 
 
 def test_numbers_of_several_effects_stand_one_after_the_other():

@@ -8,6 +8,7 @@ import numpy as np
 from lite6jax.effects.kernels import plays
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
+from tests.oracles.effects import play
 
 RNG = np.random.default_rng(5)
 
@@ -17,25 +18,12 @@ def runs_of(run):
     return motion_of(np.zeros((len(run), 1)), run=run).run
 
 
-def plainly(values, width, run):
-    left, out = 0.0, []
-    for k, value in enumerate(values):
-        if k == 0 or run[k] != run[k - 1]:
-            left = 0.0
-        if value - left > width:
-            left = value - width
-        elif left - value > width:
-            left = value + width
-        out.append(left)
-    return np.array(out)
-
-
 def test_a_play_is_pushed_along_and_left_behind():
     run = np.repeat([0, 1, 2], [20, 1, 29])
     values, widths = RNG.normal(size=50), np.array([0.0, 0.3, 1.1, 5.0])
     found = np.asarray(plays(jnp.asarray(values), jnp.asarray(widths), runs_of(run)))
     for row, width in zip(found, widths, strict=True):
-        np.testing.assert_allclose(row, plainly(values, width, run), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(row, play(values, width, run), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(found[0], values)
     np.testing.assert_array_equal(found[3], 0)
 
@@ -65,8 +53,8 @@ def test_springs_beside_a_slider_are_a_line_and_a_play():
             slid = x - side * f / b
         spring.append(x)
     functions = Unnamed("joint1", "gravity torque of joint 1", -half, half, "play").functions_at(load[None])
-    line, play = functions[1], functions[1] - 0.2 * functions[6]
-    elastic, yielding = half / (a + b) * line, half * (1 / a - 1 / (a + b)) * play
+    line, slider = functions[1], functions[1] - 0.2 * functions[6]
+    elastic, yielding = half / (a + b) * line, half * (1 / a - 1 / (a + b)) * slider
     np.testing.assert_allclose(elastic + yielding, spring, rtol=0, atol=1e-12)
 
 
@@ -81,7 +69,7 @@ def test_a_process_with_memory_deflects_by_runs():
         values[0]
         + values[1] * q[:, 1]
         + sum(
-            value * (q[:, 1] - plainly(q[:, 1], width, run)) / width
+            value * (q[:, 1] - play(q[:, 1], width, run)) / width
             for value, width in zip(values[2:], (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7), strict=True)
         )
     )

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typed import refusal
 
 from lite6jax.effects.motion import accelerated, beyond, motion_of, select, shifted, since_reversal
-from lite6jax.errors import InputError
 from tests.oracles.effects import later, random_motion
 
 shift = jax.jit(shifted)
@@ -169,9 +169,7 @@ Q = np.zeros((3, 2))
     ],
 )
 def test_motion_refuses(arrays, message):
-    with pytest.raises(InputError) as error:
-        motion_of(**arrays)
-    assert str(error.value) == f"motion: {message}"
+    assert refusal(motion_of, **arrays) == f"motion: {message}"
 
 
 def test_time_may_start_again_in_another_run():

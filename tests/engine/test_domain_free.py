@@ -28,15 +28,3 @@ def named(source):
 @pytest.mark.parametrize("path", ENGINE, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_the_engine_names_no_robot(path):
     assert named(path.read_text()) == set()
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("x = 1  # of the joint", {"joint"}),
-        ("from lite6jax.effects.kinematic import JointHarmonic", {"JointHarmonic"}),
-        ("def normal(equations): return equations", set()),
-    ],
-)
-def test_what_the_check_finds(source, found):
-    assert named(source) == found

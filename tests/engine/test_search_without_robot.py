@@ -26,6 +26,12 @@ def terms(state):
     return [test.term for test in state.tested]
 
 
+def seeds(count, short):
+    """Of which the first few are tried in each run, and the others with the long tests."""
+    more = (pytest.param(seed, marks=pytest.mark.long) for seed in range(short, count))
+    return pytest.mark.parametrize("seed", [*range(short), *more])
+
+
 def test_a_number_that_no_sample_depends_on_has_no_share_of_the_inputs():
     problem = linear_problem(np.random.default_rng(0), planted=lambda d: 0.8 * d["u2"])
     problem.data["u4"] = np.zeros(problem.samples)
@@ -47,7 +53,7 @@ def test_a_group_of_readings_without_noise_is_scored():
     assert np.isfinite(score.gain)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@seeds(4, 2)
 def test_planted_terms_are_found_with_their_numbers(seed):
     problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"] - 0.5 * d["u5"])
     state = found(problem)
@@ -61,7 +67,7 @@ def test_planted_terms_are_found_with_their_numbers(seed):
         assert std == pytest.approx(bound, rel=0.15)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@seeds(8, 3)
 def test_nothing_is_found_in_noise_of_unequal_scale(seed):
     assert terms(found(linear_problem(np.random.default_rng(100 + seed)))) == []
 
@@ -69,7 +75,7 @@ def test_nothing_is_found_in_noise_of_unequal_scale(seed):
 DECAYS = tuple(Decay(f"u{k}", width) for k in range(1, 7) for width in (0.1, 0.3, 1.0))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@seeds(4, 2)
 def test_a_name_whose_number_is_tried_is_found_where_no_other_candidate_resembles_it(seed):
     hidden = Decay("u4", 0.45)
     problem = linear_problem(np.random.default_rng(seed), 800, lambda d: 0.8 * hidden.basis(d)[0])
@@ -82,12 +88,12 @@ def test_a_name_whose_number_is_tried_is_found_where_no_other_candidate_resemble
     assert all(other.term.label != term.label for test in state.tested for other in test.alternatives)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@seeds(8, 3)
 def test_names_whose_number_is_tried_are_not_found_in_noise(seed):
     assert terms(found(replace(linear_problem(np.random.default_rng(300 + seed)), shaped=DECAYS))) == []
 
 
-@pytest.mark.parametrize("seed", range(6))
+@seeds(6, 3)
 def test_nothing_is_found_in_noise_that_is_autocorrelated_in_one_group(seed):
     problem = linear_problem(np.random.default_rng(200 + seed), correlated=(0.0, 0.9), runs=3)
     assert terms(found(problem)) == []
@@ -119,20 +125,20 @@ def likelihood(problem, name):
     return fitted.log_likelihood(fitted.scale)
 
 
-def test_of_neighbours_the_likelier_one_is_found_and_the_other_is_its_alternative():
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
-        problem.data["u6"] = problem.data["u2"] + 0.1 * rng.normal(size=400)
-        (tested,) = search(problem, OPTIONS).state.tested
-        others = [one for one in tested.alternatives if not one.term.nonparametric]
-        assert {tested.term, *(one.term for one in others)} <= {Column("u2"), Column("u6")}
-        other = "u6" if tested.term == Column("u2") else "u2"
-        gap = likelihood(problem, tested.term.name) - likelihood(problem, other)
-        assert gap > -0.2
-        assert bool(others) == (gap < OPTIONS.close)
-        if others:
-            assert others[0].gap == pytest.approx(gap, rel=0.1, abs=0.2)
+@seeds(4, 2)
+def test_of_neighbours_the_likelier_one_is_found_and_the_other_is_its_alternative(seed):
+    rng = np.random.default_rng(seed)
+    problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
+    problem.data["u6"] = problem.data["u2"] + 0.1 * rng.normal(size=400)
+    (tested,) = search(problem, OPTIONS).state.tested
+    others = [one for one in tested.alternatives if not one.term.nonparametric]
+    assert {tested.term, *(one.term for one in others)} <= {Column("u2"), Column("u6")}
+    other = "u6" if tested.term == Column("u2") else "u2"
+    gap = likelihood(problem, tested.term.name) - likelihood(problem, other)
+    assert gap > -0.2
+    assert bool(others) == (gap < OPTIONS.close)
+    if others:
+        assert others[0].gap == pytest.approx(gap, rel=0.1, abs=0.2)
 
 
 def test_a_ramp_is_found_although_residuals_without_it_look_autocorrelated():
@@ -160,7 +166,7 @@ def test_a_neighbour_whose_numbers_are_not_possible_does_not_take_a_place():
     assert positive not in [one.term for one in tested.alternatives]
 
 
-@pytest.mark.parametrize("hidden", [0.0, 3.0, 30.0])
+@pytest.mark.parametrize("hidden", [3.0, 30.0])
 def test_a_name_stands_beside_a_wandering_error_that_is_taken_for_noise(hidden):
     """No term describes it, and it is in one group of four; the others say what noise is."""
     rng = np.random.default_rng(9)
@@ -368,9 +374,10 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("site", ["x", "y"])
-@pytest.mark.parametrize("shape", SHAPES)
+@seeds(3, 1)
+@pytest.mark.parametrize(
+    ("shape", "site"), [*((shape, "x") for shape in SHAPES), ("saturation", "y"), ("product", "y")]
+)
 def test_a_process_is_found_at_its_site_by_its_driver(shape, site, seed):
     planted, phrases = SHAPES[shape]
     problem = linear_problem(np.random.default_rng(seed), 400, planted, noise=(1.0, 1.0), site=site)
@@ -398,27 +405,27 @@ def test_two_processes_are_found_beside_a_name():
     assert set(map(process, terms(state))) == {"u1:x", ("x", ("u3",)), ("y", ("u5",))}
 
 
-def test_a_name_stands_beside_a_process_of_another_quantity():
+@seeds(4, 1)
+def test_a_name_stands_beside_a_process_of_another_quantity(seed):
     """A process of both quantities explains as much, with a product that is not there."""
-    for seed in range(4):
-        problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"] + 0.4 * d["u4"])
-        state = search(replace(problem, candidates=(Column("u2"),)), OPTIONS).state
-        assert list(map(process, terms(state))) == ["u2:x", ("x", ("u4",))]
+    problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"] + 0.4 * d["u4"])
+    state = search(replace(problem, candidates=(Column("u2"),)), OPTIONS).state
+    assert list(map(process, terms(state))) == ["u2:x", ("x", ("u4",))]
 
 
-def test_a_truth_that_no_name_has_is_not_called_by_the_nearest_name():
+@seeds(4, 1)
+def test_a_truth_that_no_name_has_is_not_called_by_the_nearest_name(seed):
     """A square of u2, of which the line is the nearest name where u2 is not centred."""
-    for seed in range(4):
-        problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.6 * (d["u2"] + 1.0) ** 2)
-        assert list(map(process, terms(search(problem, OPTIONS).state))) == [("x", ("u2",))]
+    problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.6 * (d["u2"] + 1.0) ** 2)
+    assert list(map(process, terms(search(problem, OPTIONS).state))) == [("x", ("u2",))]
 
 
-def test_a_regressor_that_has_no_name_is_the_driver_of_a_process():
+@seeds(4, 1)
+def test_a_regressor_that_has_no_name_is_the_driver_of_a_process(seed):
     """Of two sites that move alike, it is at that whose own it is."""
-    for seed in range(4):
-        problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"])
-        (term,) = terms(search(replace(problem, candidates=()), OPTIONS).state)
-        assert process(term) == ("x", ("u2",))
+    problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"])
+    (term,) = terms(search(replace(problem, candidates=()), OPTIONS).state)
+    assert process(term) == ("x", ("u2",))
 
 
 def test_regressors_that_are_not_told_apart_are_alternatives():
@@ -434,21 +441,21 @@ def test_regressors_that_are_not_told_apart_are_alternatives():
 # ---------------------------------------------------------------------------- names
 
 
-def test_a_name_stands_where_it_is_true():
-    for seed in range(6):
-        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"])
-        assert terms(search(problem, OPTIONS).state) == [Column("u2")]
+@seeds(6, 1)
+def test_a_name_stands_where_it_is_true(seed):
+    problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"])
+    assert terms(search(problem, OPTIONS).state) == [Column("u2")]
 
 
-def test_names_take_the_place_of_a_process_where_their_sum_is_true():
+@seeds(4, 1)
+def test_names_take_the_place_of_a_process_where_their_sum_is_true(seed):
     """Two decays of one regressor: a process of it explains both at once."""
     pair = Decay("u2", 0.3), Column("u2")
-    for seed in range(4):
-        problem = linear_problem(
-            np.random.default_rng(seed), 800, lambda d: 3.0 * pair[0].basis(d)[0] + 1.5 * d["u2"], noise=(1.0, 1.0)
-        )
-        state = search(replace(problem, shaped=DECAYS), OPTIONS).state
-        assert sorted(term.label for term in terms(state)) == ["decay of u2:x", "u2:x"]
+    problem = linear_problem(
+        np.random.default_rng(seed), 800, lambda d: 3.0 * pair[0].basis(d)[0] + 1.5 * d["u2"], noise=(1.0, 1.0)
+    )
+    state = search(replace(problem, shaped=DECAYS), OPTIONS).state
+    assert sorted(term.label for term in terms(state)) == ["decay of u2:x", "u2:x"]
 
 
 def test_a_number_that_is_not_possible_is_no_name():
@@ -462,10 +469,10 @@ def test_a_number_that_is_not_possible_is_no_name():
         assert (positive in terms(state)) == (sign > 0)
 
 
-def test_every_finding_is_significant_beside_the_others_in_the_end():
-    for seed in range(8):
-        problem = linear_problem(
-            np.random.default_rng(seed), planted=lambda data: 0.3 * data["u1"] + 0.25 * np.sin(data["angle"])
-        )
-        for tested in search(problem, OPTIONS).state.tested:
-            assert tested.p_value < OPTIONS.level
+@seeds(8, 3)
+def test_every_finding_is_significant_beside_the_others_in_the_end(seed):
+    problem = linear_problem(
+        np.random.default_rng(seed), planted=lambda data: 0.3 * data["u1"] + 0.25 * np.sin(data["angle"])
+    )
+    for tested in search(problem, OPTIONS).state.tested:
+        assert tested.p_value < OPTIONS.level

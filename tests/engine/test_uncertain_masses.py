@@ -10,6 +10,7 @@ from lite6jax.effects.kinematic import JointCompliance
 from lite6jax.estimation.terms import Terms
 from tests.oracles.effects import predicted_poses
 
+pytestmark = pytest.mark.long
 TRUE = 9e-5
 ARMS = 16
 
@@ -37,7 +38,6 @@ def off(tmp_path_factory):
     return {declared: np.array(errors) for declared, errors in found.items()}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("which", [0, 1])
 def test_intervals_hold_the_truth_where_masses_are_uncertain(off, which):
     squares = float(np.sum(off[0.1][:, which] ** 2))

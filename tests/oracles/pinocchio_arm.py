@@ -4,12 +4,13 @@ import numpy as np
 import pinocchio as pin
 
 
-def pinocchio_chain(kinematics):
-    """A model of x y z roll pitch yaw (joint, 6) without masses."""
+def pinocchio_chain(kinematics, sliding=()):
+    """A model of x y z roll pitch yaw (joint, 6) without masses; `sliding` are the prismatic joints, from 0."""
     model, joint = pin.Model(), 0
     for x, y, z, *rpy in kinematics:
-        placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z]))
-        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{joint + 1}")
+        placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z], float))
+        kind = pin.JointModelPZ() if joint in sliding else pin.JointModelRZ()
+        joint = model.addJoint(joint, kind, placement, f"joint{joint + 1}")
     return model
 
 

@@ -19,9 +19,9 @@ def random_bodies(rng, joints):
     return mass, center, inertia
 
 
-def pinocchio_model(kinematics, mass, center, inertia, gravity):
+def pinocchio_model(kinematics, mass, center, inertia, gravity, sliding=()):
     """The chain with these bodies."""
-    model = pinocchio_chain(kinematics)
+    model = pinocchio_chain(kinematics, sliding)
     for i, body in enumerate(zip(mass, center, inertia, strict=True)):
         model.appendBodyToJoint(i + 1, pin.Inertia(*body), pin.SE3.Identity())
     model.gravity.linear = np.asarray(gravity, float)

@@ -16,7 +16,7 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
 from lite6jax.recordings.ros import UR_JOINTS
 from tests.logs import joints, poses, write
-from tests.oracles import kane, sliding_arms
+from tests.oracles import sliding_arms
 
 pytest.importorskip("rosbags.rosbag2", reason="the package of the extra `rosbag` is not installed")
 
@@ -154,7 +154,7 @@ def test_clocks_that_do_not_overlap(tmp_path):
 def sliding_log(folder, names=("joint1", "joint2", "joint3"), sidecar=None):
     """Joint states of the telescope without poses: rad and Nm, but m and N of its third joint."""
     t, q, dq, ddq = slid.moved(seconds=3.0)
-    efforts = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq)
+    efforts = slid.exerted(q, dq, ddq)
     order = np.argsort(names)  # as a joint_state_broadcaster publishes them
     topic = joints(t, q[:, order], [names[k] for k in order], dq[:, order], efforts[:, order])
     write(folder / "run.mcap", {"/joint_states": topic}, sidecar=sidecar)

@@ -49,21 +49,6 @@ def test_arrays_are_kept_and_keys_of_the_sidecar_are_declared(plausible):
     assert both.settings == RecordingSettings(pose_frame="base", position_noise_m=1e-4)
 
 
-def test_degrees_are_refused_and_name_the_remedy(plausible):
-    degrees = np.rad2deg(plausible["joint_position"])
-    message = refusal(Recording.from_arrays, degrees, arm="lite6", source="mine")
-    assert message.startswith("mine: joint_position: row ")
-    assert message.endswith(" rad; are these degrees? give radians: np.deg2rad(joint_position)")
-    # of one joint alone
-    mixed = plausible["joint_position"].copy()
-    mixed[:, 0] = degrees[:, 0]
-    row = int(np.argmax(abs(degrees[:, 0]) > 4 * np.pi))
-    assert refusal(Recording.from_arrays, mixed) == (
-        f"recording: joint_position: row {row + 1} is at {degrees[row, 0]:.5g} rad while the arm's joint 1 goes from "
-        "-6.283 to 6.283 rad; are these degrees? give radians: np.deg2rad(joint_position)"
-    )
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

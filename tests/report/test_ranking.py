@@ -21,7 +21,6 @@ from lite6jax.report.diagnosis_figures import drawings
 from lite6jax.report.ranking import Files, contribution, headline, steps
 from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
 from lite6jax.report.statements import with_statements
-from tests.oracles import kane
 
 
 def ranked(document):
@@ -178,7 +177,7 @@ def test_an_arm_of_slides_alone_is_said_in_newtons():
     )
     t, q, dq, ddq = slid.moved()
     rng = np.random.default_rng(0)
-    forces = np.array(inverse_dynamics(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, kane.GRAVITY, (0, 1, 2)))
+    forces = np.array(inverse_dynamics(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, slid.GRAVITY, (0, 1, 2)))
     forces[1] += 30 * dq[:, 1]
     recording = Recording.from_arrays(
         q, time=t, joint_velocity=dq, joint_torque=(forces + rng.normal(0, 0.2, forces.shape)).T, sliding=(0, 1, 2),

@@ -1,45 +1,15 @@
-"""Diagnosis files with known models, and what is refused of them."""
+"""Diagnosis files with known models."""
 
 import json
 
-import pytest
 from diagnosis.recorded import GRAVITY, LITE6, PAYLOAD_COM
 
 from lite6jax.diagnosis.document import SCHEMA
+from lite6jax.effects import user_effects
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
-from lite6jax.errors import InputError
 
-OWN = '''
-from dataclasses import dataclass
-from typing import ClassVar, final
-
-import jax.numpy as jnp
-
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Coordinate, JointEffect
-
-
-@final
-@dataclass(frozen=True)
-class CableDrag(JointEffect):
-    """δq = d·tanh(q)."""
-
-    name: ClassVar[str] = "cable_drag"
-
-    @property
-    def coordinates(self):
-        return (Coordinate("drag_rad", "rad", 1e-4),)
-
-    @property
-    def drivers(self):
-        return (Driver("position", self.joint),)
-
-    def angle(self, values, motion, loads):
-        return values[0] * jnp.tanh(motion.joint_position[self.joint - 1])
-
-
-EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
-'''
+OWN = user_effects.__doc__.split("```python\n")[1].split("```")[0]
+"""The file of effects that the documents show: δq = d·tanh(q)."""
 
 
 def document(made, texts, motion="static", orientation=True):
@@ -70,10 +40,3 @@ def stored(folder, content, name="diagnosis.json"):
     path = folder / name
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
-
-
-def refused(function, *arguments):
-    with pytest.raises(InputError) as caught:
-        function(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)

@@ -107,17 +107,6 @@ def test_an_arm_that_does_not_agree_decides_nothing():
     assert found.of("rotation").form[:2] == ("rx", "assumed")
 
 
-def test_names_that_a_rotation_contradicts():
-    """Columns called roll, pitch and yaw that hold Rx Ry Rz; and a quaternion whose names stay."""
-    angles, _ = ROTATIONS["Rx Ry Rz"]
-    frame = table("joint{}", "tool_{}") | dict(zip(("roll", "pitch", "yaw"), angles.T, strict=True))
-    frame = {name.replace("tool_", "tcp_pose_"): column for name, column in frame.items()}
-    found, recording = read(frame)
-    assert found.of("rotation").names == ("rotx_rad", "roty_rad", "rotz_rad")
-    turned = Rotation.from_quat(recording.quaternion, scalar_first=True)
-    np.testing.assert_allclose((turned.inv() * TURNED).magnitude(), 0, atol=1e-7)
-
-
 def test_without_poses_sizes_and_slopes_decide():
     t = np.arange(200) * 8.0  # ms
     q = np.stack([90 * np.sin(t / 1000 + k) for k in range(6)], 1)
@@ -268,18 +257,6 @@ def test_names_say_which_joints_are_slides(tmp_path):
     assert inspect(list(frame.items()), None, given).columns == given
     torques = {f"tau{k}_{'N' if k == 3 else 'Nm'}": q[:, 0] for k in range(1, 5)}
     assert inspect(list((named | torques).items())).columns["tau3_N"] == "tau3_N"
-
-
-def test_the_arm_judges_columns_that_are_given_too():
-    """Where no name says what the joints are, the kinematics still decide the unit of the positions."""
-    names = ["one", "two", "three", "four", "five", "six"]
-    frame = dict(zip(names, np.rad2deg(Q.T), strict=True)) | dict(zip("uvw", 1e3 * P.T, strict=True))
-    given = {name: f"q{k}_deg" for k, name in enumerate(names, 1)}
-    places = {"u": "x_mm", "v": "y_mm", "w": "z_mm"}
-    found = inspect(list(frame.items()), LITE6, given | places)
-    assert found.columns == given | places
-    assert found.error < 5e-3
-    assert found.of("q").block.columns == tuple(names)
 
 
 # ------------------------------------------------------------------ numbers that object
@@ -489,7 +466,7 @@ WORDS = NAMES.split()
 ENDS = (range(6), "xyz", "xyzw", ("rx", "ry", "rz"), [f"{i}{j}" for i in range(3) for j in range(3)], range(16), ("",))
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_any_table_is_looked_at(seed):
     """What `init` makes of it is words and a sidecar, and the table is read with it or refused in one line."""
     rng = np.random.default_rng(seed)
@@ -521,25 +498,3 @@ def test_any_table_is_looked_at(seed):
         columns = {name: own for name, own in found.columns.items() if name in frame}
         with contextlib.suppress(InputError):  # of an empty column, or joints of which one is missing
             tabulate(table, "run7.csv", [], renamed=columns)
-
-
-@pytest.mark.parametrize(
-    ("position", "rotation", "numbers"),
-    [
-        ("t_{}", "r_{}", TURNED.as_rotvec()),
-        ("board_t{}", "board_r{}", TURNED.as_rotvec()),
-        ("aruco_tvec_{}", "aruco_rvec_{}", TURNED.as_rotvec()),
-        ("pos{}", "quat{}", TURNED.as_quat()),
-        ("p{}", "q_{}", TURNED.as_quat()),
-        ("EE/Position/{}", "EE/Rotation/{}", TURNED.as_euler("XYZ", degrees=True)),
-        ("transform.translation.{}", "transform.rotation.{}", TURNED.as_quat()),
-        ("TCP {} [mm]", "TCP R{} [°]", TURNED.as_euler("xyz", degrees=True)),
-    ],
-)
-def test_position_and_orientation_of_one_source(position, rotation, numbers):
-    factor = 1e3 if "mm" in position else 1.0
-    frame = dict(zip((position.format(axis) for axis in "XYZ"), factor * P.T, strict=True))
-    frame |= dict(zip((rotation.format(axis) for axis in "XYZW"), numbers.T, strict=False))
-    _, recording = read(JOINTS | frame)
-    np.testing.assert_allclose(recording.position, P, atol=1e-13)
-    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)

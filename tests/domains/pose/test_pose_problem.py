@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.columns import components, quantities
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.catalogue import shaped
 from lite6jax.effects.kinematic import (
     JointBacklash,
     JointCompliance,
@@ -209,28 +208,6 @@ def test_columns_of_other_loads_are_those_of_the_compliances_beside_them(known, 
     close(case.columns([effect], values, beside=others), there, 5e-3)
     alone = case.columns([effect], values, beside=(Terms(), np.zeros(0)))
     np.testing.assert_array_equal(alone, np.zeros((effect.size, 6, SAMPLES)))
-
-
-def test_shaped_effects_are_tried_at_shares_of_what_was_recorded(known, motions, arm):
-    case = known["static"]
-    assert {effect.name for effect in case.shaped} == {"joint_backlash", "joint_windup"}  # temperatures are recorded
-    torque = np.abs(np.asarray(case.loads.torque)).max(1)
-    assert 0 < torque[0] < 3e-3 * torque.max()  # of a joint that is not quite upright
-    assert sorted({effect.joint for effect in case.shaped}) == [2, 3, 4, 5, 6]
-    for name, shares in (
-        ("joint_backlash", (0, 0.05, 0.1, 0.2, 0.4, 0.7)),
-        ("joint_windup", (0.05, 0.1, 0.2, 0.4, 0.7)),
-    ):
-        found = [e.friction_torque_Nm for e in case.shaped if (e.name, e.joint) == (name, 2)]
-        np.testing.assert_allclose(found, np.multiply(shares, torque[1]), rtol=6e-3)
-    assert len(set(case.shaped)) == len(case.shaped)
-    columns = case.columns(case.shaped)
-    assert columns.shape[0] == len(case.shaped)
-    cold = shaped(case.motion._replace(temperature_rise=None, joint_temperature_rise=None), None, 6)
-    duration = float(np.ptp(motions["static"]["time"]))
-    assert cold == tuple(JointWarmUp(j, float(f"{s * duration:.3g}")) for j in range(1, 7) for s in (0.1, 0.3, 1))
-    still = shaped(case.motion._replace(direction=None, time=None), case.loads, 6)
-    assert {e.friction_torque_Nm for e in still if e.name == "joint_backlash"} == {0.0}
 
 
 def test_sites_are_derivatives_of_a_plain_arm(arm, motions, known):

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow.csv
 import pytest
 from diagnosis.recorded import NOISE, Made, moving_motion, quaternions, static_motion
-from domains.pose.documents import document, refused, stored
-from typed import flat, run
+from domains.pose.documents import document, stored
+from typed import flat, refusal, run
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.diagnosis.diagnose import diagnose_poses
@@ -314,7 +314,7 @@ def test_what_is_written_is_read(found, content, model):
 def test_what_is_damaged_is_refused(content, damage, says):
     content = copy.deepcopy(content)
     damage(content["model"]["uncertainty"])
-    said = refused(model_from_document, content)
+    said = refusal(model_from_document, content)
     assert says in said
     assert "run `lite6jax diagnose` again" in said
 

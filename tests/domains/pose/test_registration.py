@@ -3,28 +3,20 @@
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6
-from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.registration import register
 from tests.oracles.arms import random_positions
 from tests.oracles.chains import six_parameter_poses
-from tests.oracles.transforms import perturb_poses
+from tests.oracles.transforms import perturb_poses, random_transform
 
 NOISE = (2e-5, 1e-4)
-
-
-def somewhere(rng, distance):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(rng.uniform(-3, 3, 3)).as_matrix()
-    T[:3, 3] = distance * rng.uniform(-1, 1, 3)
-    return T
 
 
 def posed(seed, samples):
     """Flange poses, frame and tool."""
     rng = np.random.default_rng(seed)
     flange = six_parameter_poses(LITE6.kinematics, random_positions(rng, samples, 6))
-    return flange, somewhere(rng, 2.0), somewhere(rng, 0.1)
+    return flange, random_transform(rng, 2.0), random_transform(rng, 0.1)
 
 
 @pytest.mark.parametrize("seed", range(5))

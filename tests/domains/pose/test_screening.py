@@ -15,7 +15,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, estimated, physics_columns
-from lite6jax.domains.pose.screening.screen import SCREENS, price, screen
+from lite6jax.domains.pose.screening.screen import SCREENS, screen
 from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import DEFAULTS, documented
@@ -238,21 +238,15 @@ class TestRows:
 
 
 class TestColumns:
-    @pytest.mark.parametrize("setup", SETUPS)
-    @pytest.mark.parametrize("change", CHANGES)
+    @pytest.mark.parametrize(
+        ("change", "setup"), [*((change, "exact") for change in CHANGES), ("mirrored", "free"), ("degrees", "free")]
+    )
     def test_a_wrong_column(self, folder, still, change, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
         edit, name, numbers = CHANGES[change]
         screened = screen(joints_changed(recording, edit))
         assert numbers.items() <= only(screened, name).numbers.items()
         np.testing.assert_allclose(screened.recording.joint_position, recording.joint_position, atol=1e-12)
-
-    @pytest.mark.parametrize("change", CHANGES)
-    def test_of_seven_joints(self, seven, change):
-        edit, name, numbers = CHANGES[change]
-        screened = screen(joints_changed(seven, edit))
-        assert numbers.items() <= only(screened, name).numbers.items()
-        np.testing.assert_allclose(screened.recording.joint_position, seven.joint_position, atol=1e-12)
 
     def test_in_motion(self, folder, moving):
         """Positions only, one bundled table, nothing known of the frames; velocities go with the joints."""
@@ -284,11 +278,10 @@ class TestColumns:
             (lambda q: np.roll(q, -1, 1), "scalar_last"),
         ],
     )
-    def test_orientations(self, seven, good, edit, convention):
-        for recording in (seven, good):
-            screened = screen(replace(recording, quaternion=edit(recording.quaternion)))
-            assert only(screened, "orientation_convention").numbers["convention"] == convention
-            np.testing.assert_allclose(screened.recording.quaternion, recording.quaternion, atol=1e-12)
+    def test_orientations(self, seven, edit, convention):
+        screened = screen(replace(seven, quaternion=edit(seven.quaternion)))
+        assert only(screened, "orientation_convention").numbers["convention"] == convention
+        np.testing.assert_allclose(screened.recording.quaternion, seven.quaternion, atol=1e-12)
 
     def test_what_nothing_explains_is_not_read_otherwise(self, good):
         rng = np.random.default_rng(0)
@@ -297,8 +290,9 @@ class TestColumns:
         assert min(numbers["best_alternative_m"], numbers["fitted_error_m"]) > 0.05 * LITE6.reach
         np.testing.assert_array_equal(screened.recording.position, good.position)
 
-    @pytest.mark.parametrize("setup", SETUPS)
-    @pytest.mark.parametrize("signs", [(0, 1, 3), (1, 2, 3, 4), (0, 2, 3, 5)])
+    @pytest.mark.parametrize(
+        ("signs", "setup"), [((0, 1, 3), "free"), ((1, 2, 3, 4), "exact"), ((0, 2, 3, 5), "exact")]
+    )
     def test_many_signs(self, folder, still, signs, setup):
         """Any set of reversed joints is one hypothesis."""
         recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
@@ -306,8 +300,7 @@ class TestColumns:
         assert [fault.numbers["joint"] - 1 for fault in screened.found] == list(signs)
         np.testing.assert_array_equal(screened.recording.joint_position, recording.joint_position)
 
-    @pytest.mark.parametrize("setup", SETUPS)
-    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    @pytest.mark.parametrize(("sign", "setup"), [(1.0, "free"), (-1.0, "exact")])
     def test_a_coupled_column(self, folder, still, sign, setup):
         """A pendant shows joint 3 against the horizontal: q3 = column ± q2."""
         recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
@@ -484,10 +477,7 @@ class TestCommandedJoints:
 class TestUnsettledReadouts:
     @pytest.mark.parametrize(
         ("share", "physics", "setup"),
-        [
-            *((1e-4, "nothing", "exact"), (1e-4, "backlash", "free")),
-            *((1e-2, "backlash", "exact"), (1e-2, "backlash", "free")),
-        ],
+        [(1e-4, "backlash", "free"), (1e-2, "backlash", "exact")],
     )
     def test_a_share_of_each_move(self, folder, still, physics, share, setup):
         made = Made(folder, PHYSICS[physics], seed=11, **SETUPS[setup])
@@ -571,25 +561,11 @@ class TestFrameJump:
         assert only(screened, "frame_jump").rows[0] == 102
         assert np.abs(screened.recording.position - recording.position).max() < 4e-4
 
-    def test_as_if_there_were_no_physics(self, good):
-        """Where there is none, a jump is better told without what physics could do beside it."""
-        off = []
-        for beside in (True, False):
-            screened = screen(bumped(good, 61), corrections=Corrections(beside_physics=beside))
-            only(screened, "frame_jump")
-            off.append(np.sqrt(np.mean((screened.recording.position - good.position)[61:] ** 2)))
-        assert off[1] < 0.7 * off[0]
-
     def test_left_as_it_is(self, good):
         recording = bumped(good, 61)
         screened = screen(recording, corrections=Corrections(jumps=0))
         assert screened.found == ()
         np.testing.assert_array_equal(screened.recording.position, recording.position)
-
-    def test_of_seven_joints(self, seven):
-        screened = screen(bumped(seven, 40))
-        assert only(screened, "frame_jump").rows[0] == 41
-        assert np.abs(screened.recording.position - seven.position).max() < 1e-4
 
     def test_a_knock_of_centimetres(self, folder, still):
         recording = Made(folder, seed=13, **SETUPS["free"]).recording(still)
@@ -644,11 +620,6 @@ class TestRegistry:
         described = documented(OPTIONS)
         assert len(described) == len(fields(ScreeningOptions))
         assert all(item.meaning and item.why for item in described)
-
-    def test_a_jump_must_pay_for_six_numbers_and_its_row(self, good):
-        screened = screen(bumped(good, 61))
-        assert price(screened, 960.0, 160) == pytest.approx(3 * np.log(960) + np.log(160))
-        assert price(screen(good), 960.0, 160) == 0.0
 
     def test_numbers_are_plain_json(self, good):
         for screened in (screen(good), screen(bumped(good, 61))):

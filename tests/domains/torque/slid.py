@@ -1,10 +1,10 @@
-"""Recordings of an arm with a prismatic joint, whose torques and forces are those of an oracle in plain NumPy."""
+"""Recordings of an arm with a prismatic joint, whose torques and forces are those of Pinocchio."""
 
 import numpy as np
 
 from lite6jax.arms.arm import Arm
 from lite6jax.recordings import Recording
-from tests.oracles import kane
+from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
 
 HALF = np.pi / 2
 ROWS = ((0, 0, 0.3, 0, 0, 0), (0, 0, 0.1, -HALF, 0, 0), (0, -0.25, 0, HALF, 0, 0))
@@ -16,6 +16,7 @@ BODIES = (
     (2.0, (0.01, 0.0, 0.1), np.diag([0.01, 0.01, 0.004])),
 )
 LIMITS = ((-2.5, 2.5), (-1.2, 1.2), (0.0, 0.4))
+GRAVITY = np.array([0.0, 0.0, -9.81])
 NOISE = (0.02, 0.05, 0.3)
 """Nm, Nm and N."""
 VISCOUS, COULOMB = 25.0, 6.0
@@ -52,6 +53,12 @@ def moved(seed=0, seconds=14.0, rate=80.0):
     return t, q, (A * w[:, None] * np.cos(at)).sum(1), -(A * w[:, None] ** 2 * np.sin(at)).sum(1)
 
 
+def exerted(q, dq, ddq):
+    """Nm, Nm and N `(sample, joint)` that the motors exert on the rigid arm."""
+    model = pinocchio_model(ROWS, *map(np.array, zip(*BODIES, strict=True)), GRAVITY, SLIDING)
+    return pinocchio_torques(model, q.T, dq.T, ddq.T).T
+
+
 def friction(dq, viscous=VISCOUS, coulomb=COULOMB, shoulder=SHOULDER):
     """`(sample, joint)`: of the telescope and of the shoulder."""
     added = np.zeros_like(dq)
@@ -63,7 +70,7 @@ def friction(dq, viscous=VISCOUS, coulomb=COULOMB, shoulder=SHOULDER):
 def recorded(extra=None, seed=0, noise=1.0, **declared):
     """A recording; `extra` makes of velocities `(sample, joint)` what motors exert besides."""
     t, q, dq, ddq = moved(seed)
-    tau = kane.torques(ROWS, SLIDING, BODIES, q, dq, ddq)
+    tau = exerted(q, dq, ddq)
     tau += 0.0 if extra is None else extra(dq)
     rng = np.random.default_rng(seed + 1)
     tau += noise * np.array(NOISE) * rng.standard_normal(tau.shape)

@@ -40,7 +40,7 @@ from lite6jax.recordings import write_recording
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.statements import comparison_headline, finding_statement
-from tests.oracles import kane
+from tests.conftest import without_pictures
 
 FEW = Options(folds=2)
 TRUTH = {
@@ -65,15 +65,17 @@ def run(tmp_path_factory):
 def diagnosed(run):
     """Its document."""
     files = ["--out", str(run / "d.json"), "--report", str(run / "d.html")]
-    assert main(["diagnose", str(run / "run.csv"), "--quick", *files]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        without_pictures(patch)
+        assert main(["diagnose", str(run / "run.csv"), "--quick", *files]) == 0
     return json.loads((run / "d.json").read_text())
 
 
 def test_forces_and_torques_are_those_of_an_oracle():
     _, q, dq, ddq = slid.moved(3)
     arm = slid.arm()
-    found = inverse_dynamics(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, kane.GRAVITY, arm.sliding)
-    wanted = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq)
+    found = inverse_dynamics(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, slid.GRAVITY, arm.sliding)
+    wanted = slid.exerted(q, dq, ddq)
     np.testing.assert_allclose(np.asarray(found).T, wanted, rtol=0, atol=1e-11)
 
 
@@ -124,7 +126,7 @@ def test_the_model_predicts_another_motion_in_the_columns_of_its_joints(run, dia
     assert model.arm.sliding == (2,)
     unseen = slid.recorded(seed=5)
     _, q, dq, ddq = slid.moved(5)
-    truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
+    truth = slid.exerted(q, dq, ddq) + slid.friction(dq)
     away = (predict(model, unseen) - truth)[20:-20]
     # where the telescope turns back, smoothed velocities know the sign of friction some milliseconds late
     assert (np.sqrt(np.mean(away**2, 0)) < [0.02, 0.03, 0.5]).all()
@@ -169,7 +171,7 @@ def dynamics_of(seed=7):
     motion = motion_of(q, joint_velocity=dq, time=t, joint_temperature=warm, sliding=arm.sliding)
     host = jax.tree.map(np.asarray, motion._replace(joint_acceleration=jnp.asarray(ddq.T)))
     links = np.asarray(link_parameters(arm))
-    bodies = RigidBodies(host, links, np.zeros(3), kane.GRAVITY, np.asarray(arm.kinematics))
+    bodies = RigidBodies(host, links, np.zeros(3), slid.GRAVITY, np.asarray(arm.kinematics))
     return bodies.dynamics(links), (t, q[:, 2], dq[:, 2], ddq[:, 2])
 
 
@@ -288,24 +290,10 @@ def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
     model = model_from_document(document)
     unseen = slid.recorded(seed=6)
     _, q, dq, ddq = slid.moved(6)
-    truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
+    truth = slid.exerted(q, dq, ddq) + slid.friction(dq)
     truth[:, 2] += ripple(q[:, 2])
     away = predict(model, unseen) - truth
     assert np.median(np.abs(away[20:-20, 2])) < 0.15  # of a ripple of 3 N
-
-
-@pytest.mark.long
-def test_a_ripple_too_short_for_a_function_stays_beside_friction():
-    q = slid.moved(1)[1][:, 2]
-
-    def hidden(dq):
-        return slid.friction(dq) + np.outer(3.0 * np.sin(2 * np.pi * q / LEAD + 0.7), [0, 0, 1])
-
-    found = diagnose_torques(slid.recorded(hidden, seed=1), slid.arm(), options=FEW)
-    at_slide = {finding.effect.name: finding for finding in found.findings if finding.effect.site == "joint3"}
-    assert at_slide.keys() == {"viscous_friction", "coulomb_friction", "torque_ripple"}
-    period = at_slide["torque_ripple"].parameters["period_m"]
-    assert abs(period.value - LEAD) < 3 * period.std < 1e-4
 
 
 def test_a_ripple_of_a_fixed_order_is_one_of_its_period():

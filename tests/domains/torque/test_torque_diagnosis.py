@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 
 from benchmarks.torque_trials.effects import FAMILIES, Joint
 from benchmarks.torque_trials.physics import rigid, torques
-from benchmarks.torque_trials.trials import draw
 from lite6jax.diagnosis.document import model_from_document, read_model, write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
@@ -22,7 +21,7 @@ from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.recordings import Recording, read_recording
+from lite6jax.recordings import Recording
 from lite6jax.report.statements import verdict_statement, with_statements
 from lite6jax.search.search import search
 
@@ -154,6 +153,7 @@ def test_friction_that_bends_before_it_slides_is_hysteresis_of_the_position():
     assert largest.effect.driver == "position of joint 2"
 
 
+@pytest.mark.long
 def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noise():
     """Beside such noise no name is significant, and no function leaves white residuals."""
 
@@ -167,17 +167,6 @@ def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noi
     assert [(finding.effect.label, finding.effect.driver) for finding in found.findings] == [
         ("unnamed:joint2", "gravity torque of joint 2 and time")
     ]
-
-
-@pytest.mark.long
-def test_inertia_beside_friction_without_a_name_has_to_explain_as_much_in_autocorrelated_noise(tmp_path):
-    """Friction that bends before it slides, beside noise of coefficient 0.9: what a function of the velocity leaves at
-    reversals, where the joint accelerates most, had been a link's mass or a rotor's inertia.
-    """
-    for name, text in draw(54, 639).files.items():
-        (tmp_path / name).write_text(text)
-    found = diagnose_torques(read_recording(tmp_path / "recording.csv"), options=FEW)
-    assert {finding.effect.name for finding in found.findings} == {"unnamed"}
 
 
 @pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
@@ -303,6 +292,7 @@ def test_a_motion_without_a_driver_of_the_model_is_refused():
         predict(found.model, cold)
 
 
+@pytest.mark.long
 def test_a_payload_elsewhere_than_declared_is_one_finding():
     """Not a heavier last link whose centre of mass is outside it."""
     _, arm = setup_of(7)

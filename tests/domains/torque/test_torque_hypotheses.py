@@ -23,6 +23,11 @@ FRICTION = (
 )
 
 
+def also(*case):
+    """A further case of what each run shows once; campaigns draw such faults too."""
+    return pytest.param(*case, marks=pytest.mark.long)
+
+
 def mounted(gravity, change=None, seed=7, **declared):
     """A recording of an arm in this gravity, that declares it upright."""
     setup, arm = setup_of(seed)
@@ -46,7 +51,7 @@ def faults_of(recording, arm):
     return [(fault.code, fault.numbers) for fault in screen_torques(recording, arm).found]
 
 
-@pytest.mark.parametrize("gravity", [(0, 0, 9.81), (9.81, 0, 0), (0, -9.81, 0)])
+@pytest.mark.parametrize("gravity", [(0, 0, 9.81), also((0, -9.81, 0))])
 def test_an_arm_on_a_wall_or_a_ceiling_is_no_upright_one(gravity):
     screened = screen_torques(*mounted(gravity))
     ((code, numbers),) = [(fault.code, fault.numbers) for fault in screened.found]
@@ -68,8 +73,8 @@ def test_a_slanted_mount_is_found_as_it_is():
     assert np.linalg.norm(numbers["found_m_per_s2"]) == pytest.approx(9.81, abs=1e-2)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_a_small_tilt_is_an_effect_and_no_fault(tilt):
+def test_a_small_tilt_is_an_effect_and_no_fault():
+    tilt = 0.3
     gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     screened = screen_torques(*mounted(gravity))
     assert screened.found == ()
@@ -82,6 +87,7 @@ def test_all_signs_reversed_is_not_taken_for_a_ceiling():
     assert {1, 2, 3} <= set(numbers["joints"])
 
 
+@pytest.mark.long
 def test_gravity_and_columns_are_both_corrected():
     found = faults_of(*mounted((0, 0, 9.81), change=lambda tau: tau[:, [0, 2, 1, 3, 4, 5]]))
     assert [code for code, _ in found] == ["wrong_gravity", "swapped_torques"]
@@ -117,10 +123,9 @@ def test_of_currents_the_constant_to_declare_is_said():
     ("effects", "factor"),
     [
         (FRICTION, [1, 1, 1.5, 1, 1, 1]),  # an error of calibration: an effect
-        (FRICTION, 2.2),  # of all joints: rather other masses
+        also(FRICTION, 2.2),  # of all joints: rather other masses
         # other masses, though the torque of a joint may be a multiple of what it should be
         ([hidden("payload_error", "payload", mass_kg=0.9)], 1),
-        ([hidden("link_mass", "link3", mass_kg=1.5)], 1),
     ],
 )
 def test_what_is_no_wrong_constant(effects, factor):
@@ -177,9 +182,9 @@ def added(joint, degrees):
     ("columns", "code", "numbers"),
     [
         ({"tau": reversed_at(1, 5)}, "reversed_torque", {"joints": [1, 5]}),
-        ({"q": reversed_at(4), "dq": reversed_at(4), "tau": reversed_at(4)}, "reversed_joint", {"joints": [4]}),
+        also({"q": reversed_at(4), "dq": reversed_at(4), "tau": reversed_at(4)}, "reversed_joint", {"joints": [4]}),
         ({"q": reversed_at(2), "dq": reversed_at(2)}, "reversed_positions", {"joints": [2]}),
-        ({"q": exchanged(2, 3), "dq": exchanged(2, 3)}, "swapped_positions", {"joints": [2, 3]}),
+        also({"q": exchanged(2, 3), "dq": exchanged(2, 3)}, "swapped_positions", {"joints": [2, 3]}),
         (
             {"q": exchanged(4, 5), "dq": exchanged(4, 5), "tau": exchanged(4, 5)},
             "swapped_columns",
@@ -190,9 +195,8 @@ def added(joint, degrees):
             "coupled_positions",
             {"joint": 3, "added_joint": 2, "factor": -1.0},
         ),
-        ({"q": added(2, 90)}, "joint_zero", {"joint": 2, "added_rad": -np.pi / 2}),
+        also({"q": added(2, 90)}, "joint_zero", {"joint": 2, "added_rad": -np.pi / 2}),
         ({"q": added(3, 15)}, "joint_zero", {"joint": 3, "added_rad": np.deg2rad(-15)}),
-        ({"q": added(2, -7)}, "joint_zero", {"joint": 2, "added_rad": np.deg2rad(7)}),
     ],
 )
 def test_what_a_column_has_wrong_is_said_and_undone(columns, code, numbers):
@@ -263,7 +267,7 @@ def test_one_factor_in_three_joints_is_one_factor():
             "currents in A.*torque_constant_Nm_per_A: about 12, 12",
         ),
         ([100.0] * 6, "are these N cm\\? divide them by 100"),
-        ([1e-3] * 6, "are these kN m\\?"),
+        also([1e-3] * 6, "are these kN m\\?"),
         ([2.0, 2.0, 3.3, 10.0, 10.0, 12.5], "per cent of each joint's rating.*ratings of about 5"),
     ],
 )
@@ -283,12 +287,10 @@ def test_torques_without_gravity_are_compared_without_it():
 @pytest.mark.parametrize(
     "effect",
     [
-        hidden("payload_error", "payload", mass_kg=0.9),
-        hidden("link_com", "link3", x_m=0.05, y_m=0.04, z_m=0.0),
-        hidden("base_tilt", "base", tilt_x_rad=0.3, tilt_y_rad=0.1),
-        hidden("torque_scale", "joint2", scale=0.4),
+        also(hidden("payload_error", "payload", mass_kg=0.9)),
+        also(hidden("base_tilt", "base", tilt_x_rad=0.3, tilt_y_rad=0.1)),
         hidden("joint_spring", "joint2", stiffness_Nm_per_rad=8.0, rest_rad=0.3),
-        hidden("time_offset", "clock", offset_s=0.04),
+        also(hidden("time_offset", "clock", offset_s=0.04)),
     ],
 )
 def test_physics_is_no_fault_of_the_data(effect):
@@ -391,10 +393,9 @@ def test_rest_that_the_model_explains_keeps_its_weight():
     assert screened.data.slack is None
 
 
-@pytest.mark.parametrize(("joint", "axis"), [(3, "x"), (2, "-y")])
-def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis(joint, axis):
-    recording, arm = recorded(FRICTION, seed=7)
-    R = {"x": Rotation.from_euler("y", 90, degrees=True), "-y": Rotation.from_euler("x", 90, degrees=True)}[axis]
+def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis():
+    joint, (recording, arm) = 2, recorded(FRICTION, seed=7)
+    R = Rotation.from_euler("x", 90, degrees=True)
     wrong = arm.kinematics.copy()
     before, after = np.eye(4), np.eye(4)
     before[:3, :3] = R.inv().as_matrix()
@@ -405,6 +406,6 @@ def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis(join
     center[joint - 1] = after[:3, :3] @ center[joint - 1]
     inertia[joint - 1] = after[:3, :3] @ inertia[joint - 1] @ before[:3, :3]
     described = replace(arm, kinematics=wrong, center_of_mass=center, inertia=inertia)
-    with pytest.raises(InputError, match=f"joint {joint} turns about {axis} of its frame"):
+    with pytest.raises(InputError, match="joint 2 turns about -y of its frame"):
         screen_torques(recording, described)
     assert screen_torques(recording, arm).found == ()
