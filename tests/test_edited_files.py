@@ -21,7 +21,7 @@ def diagnosis(tmp_path_factory):
     """A document of the present version with a model, errors and what a prediction's bars need."""
     made = document(Made(tmp_path_factory.mktemp("arm"), seed=1, frame=True, tool=True), EFFECTS)
     errors = {"heldout_position_rms_m": 3e-4, "heldout_position_p95_m": 5e-4, "heldout_position_max_m": 8e-4}
-    one = {"position_m": 1e-5, "orientation_rad": 1e-5}
+    one = [1e-5, 1e-5]
     made["model"]["uncertainty"] = {
         "sites": [["base", 0, 0]],
         "covariance": [1e-10, 0.0, 1e-12, 0.0, 0.0, 1e-10],
@@ -82,7 +82,7 @@ DAMAGE = {
         "joint_offset:joint9: is of an arm of 9 joints or more, and this one has 6",
     ),
     "a negative variance": (changed("model", "uncertainty", "covariance", 5, -1.0), "a variance of its uncertainty is"),
-    "a negative deviation": (changed("model", "uncertainty", "left", "position_m", -1.0), "Expected `float` >= 0.0"),
+    "a negative deviation": (changed("model", "uncertainty", "left", 0, -1.0), "Expected `float` >= 0.0"),
     "a mass too few": (changed("model", "inertia", "mass", lambda m: m[1:]), "center_of_mass has the shape"),
     "a negative error": (changed("after", "heldout_position_rms_m", -1.0), "`float` >= 0.0 - at `$.after"),
 }

@@ -195,9 +195,8 @@ def certificate(document: Document) -> Figure:
 def _subject(document: Document) -> list[tuple[str, str]]:
     torques = is_of_torques(document)
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
-    source = document["torque_source" if torques else "pose_source"]
-    instrument = document["instrument"] or _INSTRUMENTS.get(source, "not stated")
-    noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
+    instrument = document["instrument"] or _INSTRUMENTS.get(document["source"], "not stated")
+    noise = next(iter(document["noise"]["declared"].values()))
     if noise is not None:
         shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
         instrument += f"; declared noise {shown} (one standard deviation)"
@@ -212,11 +211,9 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
-    torques, findings = is_of_torques(document), statements.findings_of(document)
-    lines = []
+    torques, findings, lines = is_of_torques(document), statements.findings_of(document), []
     for rank, finding in enumerate(findings[:_MOST], 1):
-        chosen = any(key in finding for key in ("peak_to_peak_Nm", "peak_to_peak_N"))
-        numbers = {} if chosen else finding.get("peak_to_peak", finding["parameters"])
+        numbers = finding.get("peak_to_peak", finding["parameters"])
         said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
         said.append(f"moves {ranking.contribution(document, finding)} RMS")
         lines.append(f"{rank}. {finding['title']}: {'; '.join(said)}")

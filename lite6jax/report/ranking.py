@@ -44,12 +44,21 @@ def units(document: Document) -> tuple[str, ...]:
 def is_computed(document: Document) -> bool:
     """Whether no sensor measured the poses: the controller computed them from the joints."""
     found = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
-    return found or document.get("pose_source") == "controller_fk"
+    return found or document.get("source") == "controller_fk"
 
 
 def is_nearly_significant(nearest: Entry | None) -> bool:
     """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
     return nearest is not None and nearest["p_value"] < _NEARLY
+
+
+def detailed(document: Document) -> list[dict[str, Any]]:
+    """The findings, each with the `domain` and, as `where`, the fields of its effect, which the model has.
+
+    In the model, tolerances of joints come after them.
+    """
+    pairs = zip(document["findings"], document["model"]["effects"], strict=False)
+    return [{**finding, "where": effect["where"], "domain": document["domain"]} for finding, effect in pairs]
 
 
 # ------------------------------------------------------------------ contributions
@@ -142,7 +151,7 @@ def _main(document: Document, finding: Entry) -> Measure:
 
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
-    findings, torques, texts = document["findings"], is_of_torques(document), read_texts("diagnosis.yaml")
+    findings, torques, texts = detailed(document), is_of_torques(document), read_texts("diagnosis.yaml")
     more: dict[str, Any] = {"torques": torques, "sensor": "sensors'" if torques else "sensor's"}
     if findings:
         main = findings[order(document)[0]]
@@ -154,7 +163,7 @@ def headline(document: Document) -> str:
                 **more,
                 "findings": findings,
                 "verdict": document["verdict"],
-                "cause": cause_of(main, torques),
+                "cause": cause_of(main),
                 "moved": plus_minus(measure.scale * main[measure.moves]),
                 "more": measure.scale * main[measure.moves] > before,
                 "before": plus_minus(before),
@@ -170,7 +179,7 @@ def headline(document: Document) -> str:
         **more,
         error=f"{' and '.join(sizes)} RMS",
         computed=not torques and is_computed(document),
-        declared=document["noise"]["declared_torque_Nm" if torques else "declared_position_m"] is not None,
+        declared=next(iter(document["noise"]["declared"].values())) is not None,
         near=is_nearly_significant(document["nearest"]),
     )
     faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
@@ -212,14 +221,15 @@ class Step(NamedTuple):
 def actions(document: Document) -> list[tuple[list[int], str]]:
     """What to do, each once, with the ranks of the findings that it is for."""
     ranks: dict[str, list[int]] = {}
+    findings = detailed(document)
     for rank, k in enumerate(order(document), 1):
-        ranks.setdefault(remedy_of(document["findings"][k], is_of_torques(document)).action, []).append(rank)
+        ranks.setdefault(remedy_of(findings[k]).action, []).append(rank)
     return [(held, action) for action, held in ranks.items()]
 
 
 def steps(document: Document, files: Files) -> list[Step]:
     """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
-    recording, findings, torques = files.recording, document["findings"], is_of_torques(document)
+    recording, findings, torques = files.recording, detailed(document), is_of_torques(document)
     named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")

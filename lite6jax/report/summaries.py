@@ -209,7 +209,7 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
         sentences.append(statements.refusal(document))
     if isinstance(found, Diagnosis) and found.torques is not None:
         what, beside = "the poses and torques of ", describe(found.torques)
-        sentences += [*beside.sentences, *map(statements.shared_statement, document["shared"])]
+        sentences += [*beside.sentences, *map(statements.agreement_statement, document["shared"])]
         notes += beside.notes
     return Description(f"Diagnosis of {what}a {document['model']['arm']}", tuple(sentences), tuple(notes))
 

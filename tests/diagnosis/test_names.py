@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.explanation import Case, explain
-from lite6jax.diagnosis.heldout import HeldOut
+from lite6jax.diagnosis.heldout import HeldOut, raises
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.report import statements
@@ -185,7 +185,7 @@ def judged(found, monkeypatch):
     def judge(before, after, some=FORTY > 0, refitted=True):
         noise = explanation.problem.noise[0]
         sizes = (before, after, before / noise, after / noise)
-        errors = HeldOut(*(size * FORTY for size in sizes), *np.zeros((4, 40)), some)
+        errors = HeldOut(*(np.stack([size * FORTY, 0 * FORTY]) for size in sizes), some)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.explain", lambda *given, **options: explanation)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: errors)
         if refitted:
@@ -264,7 +264,5 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, some, ke
 )
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
-    errors = HeldOut(
-        1e-4 * rows, position * 1e-4 * rows, rows, position * rows, rows, orientation * rows, rows, rows, rows > 0
-    )
-    assert errors.raised(rows > 0, 0, OPTIONS) == raised
+    before, after = np.stack([rows, rows]), np.stack([position * rows, orientation * rows])
+    assert raises(HeldOut(before, after, before, after, rows > 0), rows > 0, 0, OPTIONS) == raised
