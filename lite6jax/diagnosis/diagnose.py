@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, TypedDict, Unpack, final, overload
+from typing import Any, ClassVar, Literal, TypedDict, Unpack, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,6 @@ from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.results import PublicResult
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
@@ -67,38 +66,9 @@ Source = Recording | str | Path
 Nominal = Arm | str | Path | None
 
 
-class Contribution(NamedTuple):
-    """What a finding of poses moves, RMS over rows that are no outliers: m, and rad, None where it was not measured."""
-
-    position: float
-    orientation: float | None
-
-
-class Left(NamedTuple):
-    """What a model of poses leaves of the residuals, outliers excluded.
-
-    Attributes:
-        position: root mean square of held-out position errors per axis over the declared noise; None where that of
-            positions is not declared.
-        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
-        white: whether residuals of neighbouring rows are uncorrelated.
-        acts_at: the joint at which most of it acts; None where there is no such.
-    """
-
-    position: float | None
-    orientation: float | None
-    white: bool
-    acts_at: Concentration | None = None
-
-    @property
-    def over_noise(self) -> float | None:
-        """The larger ratio; None where no noise is declared."""
-        return max((ratio for ratio in (self.position, self.orientation) if ratio is not None), default=None)
-
-
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
+class Diagnosis(DomainDiagnosis[PoseProblem]):
     """The diagnosis of poses, and beside it that of the torques of the same recording where it has them.
 
     Attributes:
@@ -112,6 +82,10 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     torques: TorqueDiagnosis | None = None
     shared: tuple[Agreement, ...] = ()
     torques_refused: str | None = None
+
+    @property
+    def parts(self) -> tuple[DomainDiagnosis[Any], ...]:
+        return (self,) if self.torques is None else (self, self.torques)
 
     @property
     def before(self) -> Array:
@@ -144,7 +118,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         return scale * self.problem.noise[0]
 
     @cached_property
-    def moves(self) -> tuple[Contribution, ...]:
+    def moves(self) -> tuple[dict[str, Any], ...]:
         """What each finding moves beyond what the fitted frames and geometry would take up, were it not in the model.
 
         The displacement is that of the whole model, with the finding less without it. From it the weighted
@@ -168,12 +142,13 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
                 H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
                 moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
             displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
-            moves.append(Contribution(rms(displaced[:3]), rms(displaced[3:]) if problem.rows == 6 else None))
+            turned = {"moves_rms_rad": rms(displaced[3:])} if problem.rows == 6 else {}
+            moves.append({"moves_rms_m": rms(displaced[:3]), **turned})
         return tuple(moves)
 
     @cached_property
-    def left(self) -> Left:
-        """What the model leaves of the residuals."""
+    def over_noise(self) -> dict[str, float | None]:
+        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
         problem, fit, kept = self.problem, self.fit, ~self.outliers
         position, orientation = None, None
         if problem.declared_noise[0] is not None and kept.any():
@@ -182,7 +157,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         if problem.declared_noise[1] is not None and kept.any():
             freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
             orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
-        return Left(position, orientation, fit.noise.white, concentration(problem, fit, self.options.engine))
+        return {"position": position, "orientation": orientation}
+
+    @cached_property
+    def acts_at(self) -> Concentration | None:
+        """The joint at which most of what is left acts; None where there is no such."""
+        return concentration(self.problem, self.fit, self.options.engine)
 
     @cached_property
     def quality(self) -> Quality:
@@ -192,7 +172,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.left.over_noise
+        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.most_over_noise
         return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property
@@ -290,18 +270,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     @property
     def _leaves_noise(self) -> bool:
         # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
-        left = self.left
-        as_noise = left.white and (left.over_noise or 0.0) <= self.options.as_noise and self.quality.verdict != "bad"
-        return as_noise and (not self.findings or left.position is not None)
-
-    @property
-    def _over_noise(self) -> dict[str, float | None]:
-        return {"position": self.left.position, "orientation": self.left.orientation}
-
-    @property
-    def _acts_at(self) -> dict[str, Any] | None:
-        site = self.left.acts_at
-        return None if site is None else {"site": site.site, "share": site.share, "share_of_noise": site.expected}
+        if not self.fit.noise.white or (self.most_over_noise or 0.0) > self.options.as_noise:
+            return False
+        return self.quality.verdict != "bad" and (not self.findings or self.over_noise["position"] is not None)
 
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -316,10 +287,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             there = sizes[kept] if kept.any() else np.zeros(1)
             found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
         return found
-
-    def _contribution(self, k: int) -> dict[str, Any]:
-        position, orientation = self.moves[k]
-        return {"moves_rms_m": position} | ({} if orientation is None else {"moves_rms_rad": orientation})
 
     def _distinction(self, k: int, effect: Effect) -> str:
         labels = (self.findings[k].effect.label, effect.label)
@@ -431,6 +398,22 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
 # ------------------------------------------------------------------ of either domain, or of both
 
 
+def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Domain, ...]:
+    """The domains of a recording that are diagnosed, of all or of the one that is asked for.
+
+    Raises:
+        InputError: no such domain, or poses are asked for where there are torques alone.
+    """
+    require_domain(domain)
+    if not recording.numbers_per_sample and recording.has_torques:
+        if domain == "poses":
+            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
+        return ("torques",)
+    if domain is not None:
+        return (domain,)
+    return ("poses", "torques") if recording.has_torques else ("poses",)
+
+
 class _Given(TypedDict, total=False):
     """The other arguments of `diagnose`, for type checkers."""
 
@@ -503,20 +486,16 @@ def diagnose(
     recording = load_recording(recording, arm)
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
-    require_domain(domain)
-    if not recording.numbers_per_sample and recording.has_torques:
-        if domain == "poses":
-            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
-        domain = "torques"
+    domains = domains_of(recording, domain)
     kinematic, dynamic = by_domain(effects)
     given: dict[str, Any] = {"options": options, "progress": progress}
-    if domain == "torques":
+    if domains == ("torques",):
         if geometry != "declared" or factory is not None:
             named = "geometry" if geometry != "declared" else "factory"
             raise InputError(f"{named}: is of poses, and {recording.source} is diagnosed by its torques; leave it out")
         other = None if reference is None else load_recording(reference, arm)
         return diagnose_torques(recording, arm, reference=other, effects=dynamic, **given)
-    both = domain is None and recording.has_torques
+    both = "torques" in domains
     arm = arm or arm_of(recording) if both else arm
     other = None if reference is None else load_recording(reference, arm)
     of_poses = other if not both or other is None or not other.has_torques or other.numbers_per_sample else None

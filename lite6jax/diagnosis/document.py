@@ -231,19 +231,14 @@ def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[
     return {
         "arm": model.arm,
         "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
-        **_prismatic(model.sliding),
         "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
         "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
         "joint_limits": None if limits is None else np.asarray(limits).tolist(),
         "orientation": model.orientation,
-        "inertia": None
-        if masses is None
-        else {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
-        "reference_temperature_degC": model.reference_temperature,
+        "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
         "motion": model.motion,
         "accelerated": model.accelerated,
-        "effects": _effect_entries(model.physics.effects, model.physics.slices, model.values, covariances),
-        "uncertainty": _uncertainty_entry(model.uncertainty),
+        **_shared_entries(model, model.physics.effects, model.physics.slices, covariances),
     }
 
 
@@ -258,48 +253,41 @@ def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> 
         "T_joint_flange": arm.T_joint_flange.tolist(),
         "links": model.links.tolist(),
         **({"drives": drives} if drives else {}),
-        **_prismatic(arm.sliding),
         "payload_center": model.payload_center.tolist(),
         "gravity": model.gravity.tolist(),
         "joint_limits": arm.joint_limits.tolist(),
-        "reference_temperature_degC": model.reference_temperature,
-        "effects": _effect_entries(model.terms.terms, model.terms.slices, model.values, covariances),
-        "uncertainty": _uncertainty_entry(model.uncertainty),
+        **_shared_entries(model, model.terms.terms, model.terms.slices, covariances),
     }
 
 
-def _prismatic(sliding: Sequence[int]) -> dict[str, Any]:
-    return {"prismatic_joints": [joint + 1 for joint in sliding]} if sliding else {}
+def _shared_entries(
+    model: DiagnosedArm | DiagnosedMotors, effects: Sequence[Any], slices: Sequence[slice], covariances: Sequence[Array]
+) -> dict[str, Any]:
+    """What models of both domains have in one form."""
+    triples = zip(effects, slices, covariances, strict=True)
+    return {
+        **({"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}),
+        "reference_temperature_degC": model.reference_temperature,
+        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in triples],
+        "uncertainty": model.uncertainty and _uncertainty_entry(model.uncertainty),
+    }
 
 
-def _effect_entries(
-    effects: Sequence[Any], slices: Sequence[slice], values: Array, covariances: Sequence[Array]
-) -> list[dict[str, Any]]:
-    return [
-        effect_as_dict(effect, values[part], C) for effect, part, C in zip(effects, slices, covariances, strict=True)
-    ]
-
-
-def _uncertainty_entry(known: Uncertainty | None) -> dict[str, Any] | None:
-    if known is None:
-        return None
+def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
     C, typical = known.covariance, known.typical
+    recorded = known.recorded
+    ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
     return {
         "sites": [list(site) for site in known.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
         **{name: np.asarray(getattr(known, name), float).tolist() for name in ("left", "unseen", "noise")},
         "typical": None if typical is None else np.asarray(typical, float).tolist(),
-        "recorded": _recorded_entry(known.recorded),
-    }
-
-
-def _recorded_entry(recorded: RecordedRange) -> dict[str, Any]:
-    ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
-    return {
-        **{name: limits.tolist() for name, limits in ranges if limits is not None},
-        "joint_position_rad": recorded.positions.tolist(),
-        "spacing_rad": recorded.spacing,
-        "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        "recorded": {
+            **{name: limits.tolist() for name, limits in ranges if limits is not None},
+            "joint_position_rad": recorded.positions.tolist(),
+            "spacing_rad": recorded.spacing,
+            "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        },
     }
 
 
@@ -354,7 +342,7 @@ def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
         accelerated=model.accelerated,
         heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
         reference=None if read.against is None else ReferenceOrigin(*astuple(read.against)),
-        uncertainty=_uncertainty(model.uncertainty, found, joints, 2),
+        uncertainty=_uncertainty(model.uncertainty, found, joints),
         sliding=sliding,
     )
 
@@ -384,7 +372,7 @@ def _torque_model(read: TorqueDocument, effects: Sequence[Effect]) -> DiagnosedM
         values=values,
         reference_temperature=model.reference_temperature_degC,
         reference=ReferenceOrigin(*astuple(against)) if against is not None and against.basis == "rows" else None,
-        uncertainty=_uncertainty(model.uncertainty, found, arm.dof, arm.dof),
+        uncertainty=_uncertainty(model.uncertainty, found, arm.dof, torques=True),
     )
 
 
@@ -411,17 +399,17 @@ def _effects(
 
 
 def _uncertainty(
-    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, quantities: int
+    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool = False
 ) -> Uncertainty | None:
-    """The uncertainty of a model with effects, of predictions of so many quantities; None of a document without it."""
+    """The uncertainty of a model with effects; None of a document without it."""
     if known is None:
         return None
     sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
-    sizes["inertia"] = (joints, 10)
+    sizes = {"inertia": (joints, 10)} if torques else sizes
     if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in known.sites):
         raise ValueError("a site of its uncertainty is none of this arm")
     lists = [known.left, known.unseen, known.noise, *([] if known.typical is None else [known.typical])]
-    if any(len(part) != quantities for part in lists):
+    if any(len(part) != (joints if torques else 2) for part in lists):
         raise ValueError("its uncertainty is not one of this arm")
     size = len(known.sites) + sum(freed(effect).size for effect in effects)
     if len(known.covariance) != size * (size + 1) // 2:

@@ -1,5 +1,6 @@
 """The result of a diagnosis: findings, data faults, errors before and after, verdict, and its document."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,10 +17,12 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.estimation.concentration import Concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
+from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
@@ -147,7 +150,7 @@ class Against(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DomainDiagnosis(Generic[P]):
+class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
     Attributes:
@@ -183,6 +186,11 @@ class DomainDiagnosis(Generic[P]):
     searched_again: SearchedAgain | None = None
     against: Against | None = None
     separating: tuple[SeparatingPoses, ...] = ()
+
+    @property
+    def parts(self) -> "tuple[DomainDiagnosis[Any], ...]":
+        """Itself, and after poses the diagnosis of the torques of the same recording where there is one."""
+        return (self,)
 
     @property
     def fit(self) -> Fit:
@@ -237,9 +245,29 @@ class DomainDiagnosis(Generic[P]):
         return "explained" if found else "consistent"
 
     @property
+    @abstractmethod
     def recording(self) -> Recording:
         """As it was screened."""
-        raise NotImplementedError
+
+    @cached_property
+    @abstractmethod
+    def moves(self) -> tuple[dict[str, Any], ...]:
+        """What each finding moves, RMS over rows that are no outliers, by unit; of torques also the joints."""
+
+    @cached_property
+    @abstractmethod
+    def over_noise(self) -> dict[str, float | None]:
+        """What the model leaves over the declared noise, by group of channels; None where none is declared."""
+
+    @property
+    def most_over_noise(self) -> float | None:
+        """The largest of these ratios; None where no noise is declared."""
+        return max((ratio for ratio in self.over_noise.values() if ratio is not None), default=None)
+
+    @cached_property
+    def acts_at(self) -> Concentration | None:
+        """The joint at which most of what is left acts; None where there is no such, and of torques."""
+        return None
 
     @property
     def _too_few(self) -> bool:
@@ -247,44 +275,30 @@ class DomainDiagnosis(Generic[P]):
         return False
 
     @property
+    @abstractmethod
     def _leaves_noise(self) -> bool:
         """Whether what the model leaves is noise."""
-        raise NotImplementedError
 
     @property
-    def _over_noise(self) -> dict[str, float | None]:
-        """What the model leaves over the declared noise, by group of channels; None where none is declared."""
-        raise NotImplementedError
-
-    @property
-    def _acts_at(self) -> dict[str, Any] | None:
-        """The joint at which most of what is left acts; None where there is no such."""
-        return None
-
-    @property
+    @abstractmethod
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """The noise as declared, and as estimated from the residuals."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
         """Of held-out errors `(group, sample)`, on the rows kept."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding, by its name with its unit."""
-        raise NotImplementedError
 
-    def _contribution(self, k: int) -> dict[str, Any]:
-        """What a finding moves, by unit, and of torques at which joints."""
-        raise NotImplementedError
-
+    @abstractmethod
     def _distinction(self, k: int, effect: Effect) -> str:
         """The status of an alternative that explains nearly as much as a finding."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _own_parts(self) -> dict[str, Any]:
         """The model, and what of the document only this domain has."""
-        raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/3`: codes and numbers in SI units."""
@@ -298,7 +312,7 @@ class DomainDiagnosis(Generic[P]):
         faults, outliers = list(self.faults), self.outliers & self.problem.valid
         if outliers.any():
             faults.append(DataFault("outliers", tuple(self.recording.row[outliers].tolist())))
-        declared, estimated = self._noise
+        (declared, estimated), at = self._noise, self.acts_at
         return {
             "schema": SCHEMA,
             "domain": self.domain,
@@ -315,7 +329,11 @@ class DomainDiagnosis(Generic[P]):
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
             "before": self._statistics(self.errors.before, kept),
             "after": self._statistics(self.errors.after, kept),
-            "left": {"over_noise": self._over_noise, "white": self.fit.noise.white, "acts_at": self._acts_at},
+            "left": {
+                "over_noise": self.over_noise,
+                "white": self.fit.noise.white,
+                "acts_at": None if at is None else {"site": at.site, "share": at.share, "share_of_noise": at.expected},
+            },
             "noise": {"declared": declared, "estimated": estimated},
             "findings": [self._finding(k) for k in range(len(self.findings))],
             "withdrawn": None
@@ -357,18 +375,18 @@ class DomainDiagnosis(Generic[P]):
             **size,
             "p_value": finding.p_value,
             "log_likelihood_gain": finding.gain,
-            **self._contribution(k),
+            **self.moves[k],
             "confusable_with": [self._alternative(k, one) for one in alternatives],
         }
 
     def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
-        """An alternative with its status: found, rejected, separable by designed poses, undecided, or equivalent."""
+        """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
         effect = one.term
         assert isinstance(effect, Effect)
-        if effect in self.fit.terms.terms:
-            status = "found"
+        if one.gap >= self.options.engine.close:
+            status = "rejected"
         else:
-            status = "rejected" if one.gap >= self.options.engine.close else self._distinction(k, effect)
+            status = "found" if effect in self.fit.terms.terms else self._distinction(k, effect)
         numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
         known = {name: value for name, value in numbers.items() if value is not None}
         if "period_m" in known:  # what an order is of a prismatic joint

@@ -35,7 +35,6 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
-from lite6jax.results import PublicResult
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
@@ -45,7 +44,7 @@ Array = NDArray[np.floating]
 
 
 @final
-class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
+class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     """The diagnosis of torques."""
 
     domain: ClassVar[Domain] = "torques"
@@ -73,14 +72,16 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
         return (*super().confounded, *(effect for effect in fitted if isinstance(effect, FITTED)))
 
     @cached_property
-    def over_noise(self) -> Array | None:
-        """`(joint,)`, held-out errors, winsorised, over the declared noise as the filter leaves it."""
+    def over_noise(self) -> dict[str, float | None]:
+        """Of held-out errors of each joint, winsorised, over the declared noise as the filter leaves it."""
+        joints = [f"joint{j}" for j in range(1, self.problem.rows + 1)]
         if not self.problem.declared:
-            return None
+            return dict.fromkeys(joints)
         errors = (self.after / self.problem.sigma)[:, self.problem.valid]
         # spikes that pass the filter are outliers of the sensor, and not what the model leaves; 1.4826: std over median
         limit = self.options.engine.winsor * 1.4826 * np.median(np.abs(errors), 1, keepdims=True)
-        return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1))
+        ratios = np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1)).tolist()
+        return dict(zip(joints, ratios, strict=True))
 
     @cached_property
     def model(self) -> DiagnosedMotors:
@@ -101,14 +102,9 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
 
     @property
     def _leaves_noise(self) -> bool:
-        if self.over_noise is None:
+        if self.most_over_noise is None:
             return not self.findings and self.fit.noise.white and self.withdrawn is None
-        return bool((self.over_noise <= self.options.as_noise).all())
-
-    @property
-    def _over_noise(self) -> dict[str, float | None]:
-        ratios = [None] * self.problem.rows if self.over_noise is None else self.over_noise.tolist()
-        return {f"joint{j}": ratio for j, ratio in enumerate(ratios, 1)}
+        return self.most_over_noise <= self.options.as_noise
 
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -124,23 +120,30 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem], PublicResult):
             found |= by_kind(f"heldout_torque_{name}_Nm", np.abs(there), self.problem.data.arm.slides, of)
         return found | {"heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
 
-    def _moved(self, k: int) -> Array:
-        """`(joint, sample)` Nm that a finding adds."""
-        fit, finding = self.fit, self.findings[k]
-        columns = self.problem.columns([finding.effect], finding.values, (fit.terms, fit.values))
-        return np.tensordot(fit.values[fit.terms.slices[k]], columns, 1) * self.problem.sigma
+    @cached_property
+    def _added(self) -> list[Array]:
+        """`(joint, sample)` Nm of each finding, what it adds."""
+        problem, fit, added = self.problem, self.fit, []
+        for finding, numbers in zip(self.findings, fit.terms.slices, strict=True):
+            columns = problem.columns([finding.effect], finding.values, (fit.terms, fit.values))
+            added.append(np.tensordot(fit.values[numbers], columns, 1) * problem.sigma)
+        return added
+
+    @cached_property
+    def moves(self) -> tuple[dict[str, Any], ...]:
+        """What each finding moves, RMS at its joints, Nm and N, and these, from 1."""
+        slides, found = self.problem.data.arm.slides, []
+        for moved in self._added:
+            acts = np.abs(moved).max(1) > 0
+            where = acts if acts.any() else np.ones_like(acts)
+            sizes = by_kind("moves_rms_Nm", moved[where], slides[where], STATISTICS["rms"])
+            found.append({**sizes, "joints": (1 + np.flatnonzero(acts)).tolist()})
+        return tuple(found)
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         effect = self.findings[k].effect
         assert isinstance(effect, UnnamedTorque)
-        return {effect.own("peak_to_peak_Nm"): Estimate(float(np.ptp(self._moved(k), axis=1).max()), 0.0)}
-
-    def _contribution(self, k: int) -> dict[str, Any]:
-        moved, slides = self._moved(k), self.problem.data.arm.slides
-        acts = np.abs(moved).max(1) > 0
-        where = acts if acts.any() else np.ones_like(acts)
-        sizes = by_kind("moves_rms_Nm", moved[where], slides[where], STATISTICS["rms"])
-        return {**sizes, "joints": (1 + np.flatnonzero(acts)).tolist()}
+        return {effect.own("peak_to_peak_Nm"): Estimate(float(np.ptp(self._added[k], axis=1).max()), 0.0)}
 
     def _distinction(self, k: int, effect: Effect) -> str:
         return "undecided"

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import is_of_torques
-from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
@@ -39,7 +38,7 @@ _DPI = 120
 
 
 def diagnosis_page(
-    found: Diagnosis | TorqueDiagnosis,
+    found: DomainDiagnosis[Any],
     document: Document,
     source: str | None = None,
     figures: Mapping[str, Figure] | None = None,
@@ -59,9 +58,8 @@ def diagnosis_page(
         files = files or Files(Path(recorded))
     source = recorded if source is None else source
     figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
-    torques = found.torques if isinstance(found, Diagnosis) else None
     parts = [("", sections_of(Report(document, files, pictures=_pictures(found, document, figures))))]
-    if torques is not None:
+    for torques in found.parts[1:]:
         own = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
         shown = _pictures(torques, document["torques"], own)
         both = Section(statements.SHARED, [("bullets", statements.shared_statements(document))])
@@ -73,9 +71,7 @@ def diagnosis_page(
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 
 
-def _pictures(
-    found: Diagnosis | TorqueDiagnosis, document: Document, figures: Mapping[str, Figure]
-) -> dict[str, Picture]:
+def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
     torques, order = is_of_torques(document), ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"]["torques" if torques else "poses"]

@@ -14,7 +14,9 @@ from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
-from lite6jax.report import faults, ranking
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report import ranking
+from lite6jax.report.faults import fault_statement, ruled_out_statements
 from lite6jax.report.ranking import units
 from lite6jax.report.remedies import (
     component,
@@ -68,7 +70,11 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects get a `reason`. Torques beside poses get all of this too.
     """
-    stated, detailed = faults.with_statements(document), ranking.detailed(document)
+    stated, detailed = dict(document), ranking.detailed(document)
+    for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
+        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
+        pairs = zip(document[key], map(statement, faults), strict=True)
+        stated[key] = [{**entry, "statement": said} for entry, said in pairs]
     stated["findings"] = [
         {**finding, "statement": finding_statement(each, detailed)}
         for finding, each in zip(document["findings"], detailed, strict=True)
@@ -287,10 +293,9 @@ def rivals(finding: Entry, rejected: bool = False) -> list[str]:
 
     The nearest come first; on poses with their log evidence over its own.
     """
-    others = (rival for rival in distinct_rivals(finding) if rival["status"] != "found")
-    entries = [rival for rival in others if (rival["status"] == "rejected") == rejected]
+    entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
     if is_of_torques(finding):
-        return list(map(effect_title, entries))
+        return [effect_title(rival) for rival in entries if rival["status"] != "found"]
     return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_likelihood_gap'], 1, '+')})" for rival in entries]
 
 

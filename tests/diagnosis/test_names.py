@@ -131,10 +131,10 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
     diagnosis = diagnose_poses(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
     assert not diagnosis.findings
-    assert diagnosis.left.acts_at.site == "joint5"
+    assert diagnosis.acts_at.site == "joint5"
     document = diagnosis.to_dict()
     assert document["left"]["acts_at"]["share"] > 0.7
-    removed = f"every row removes {100 * diagnosis.left.acts_at.share:.0f} % of their sum of squares"
+    removed = f"every row removes {100 * diagnosis.acts_at.share:.0f} % of their sum of squares"
     assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
         statements.verdict_statement(document)
     )
@@ -154,7 +154,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
     small = f"joint_compliance:joint=3,compliance_rad_per_Nm={compliance}"
     diagnosis = diagnose_poses(with_effects(arm, scale, small).recording(static_motion(21, 200)))
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_scale:joint2"]
-    assert (diagnosis.left.over_noise or 0.0) <= OPTIONS.as_noise
+    assert (diagnosis.most_over_noise or 0.0) <= OPTIONS.as_noise
     assert diagnosis.verdict == verdict
     if compliance:
         effect, p_value = diagnosis.nearest

@@ -62,7 +62,7 @@ def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
             problem.position_errors(found.fit.nuisance, found.fit.terms, v) for v in (np.zeros_like(values), values)
         )
         moved = np.linalg.norm(alone - none, axis=0)[kept]
-        assert moves.position == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
+        assert moves["moves_rms_m"] == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
 
 
 def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
