@@ -40,9 +40,9 @@ from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
-FARTHEST = 1e4
+_FARTHEST = 1e4
 """m; a sensor stands no further from the arm, and nothing on a flange is larger."""
-LARGEST_MISFIT = 10.0
+_LARGEST_MISFIT = 10.0
 """Multiples of the range of a number of an effect, beyond which it is damaged; estimates scatter about the range."""
 
 Domain = Literal["poses", "torques"]
@@ -52,7 +52,7 @@ _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
 _BY_UNIT = {"m": LENGTH_LIMIT, "rad": ANGLE_LIMIT}
 _Length = Annotated[float, Meta(ge=-LENGTH_LIMIT, le=LENGTH_LIMIT)]
 _Angle = Annotated[float, Meta(ge=-ANGLE_LIMIT, le=ANGLE_LIMIT)]
-_Far = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+_Far = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
 _Mass = Annotated[float, Meta(ge=-LARGEST_MASS, le=LARGEST_MASS)]
 _Moment = Annotated[float, Meta(ge=-_LARGEST_MOMENT, le=_LARGEST_MOMENT)]
 _Acceleration = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
@@ -156,54 +156,6 @@ class TorqueDocument(msgspec.Struct, kw_only=True):
 
     model: TorqueModel
     against: Reference | None = None
-
-
-# ------------------------------------------------------------------ what types do not say
-
-
-def check_pose_model(model: PoseModel) -> None:
-    """Refuses transforms that are none, prismatic joints that the chain does not have, and negative masses.
-
-    The lengths of lists that depend on each other, and the effects of the model, are checked where they are read.
-
-    Raises:
-        InputError: the message begins with the place.
-    """
-    for name in ("T_sensor_base", "T_flange_tool"):
-        T = np.array(getattr(model, name), float)
-        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
-            raise InputError(f"model.{name} is no rigid transform")
-    prismatic = model.prismatic_joints
-    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
-        raise InputError("model.prismatic_joints are not joints of its chain in order")
-    if model.inertia is not None:
-        # the last mass contains by how much the payload is lighter than declared
-        masses, known = model.inertia.mass, model.uncertainty
-        lighter = known is not None and any(site[0] == "payload" for site in known.sites)
-        for i, mass in enumerate(masses):
-            if mass < 0 and not (lighter and i == len(masses) - 1):
-                raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
-
-
-def check_effect(effect: Effect, values: NDArray[np.floating], joints: int) -> None:
-    """Refuses an effect that an arm of so many joints does not have, or numbers far beyond what they can be.
-
-    Raises:
-        InputError: the message begins with the effect.
-    """
-    if effect.joints_needed > joints:
-        raise InputError(
-            f"{effect.label}: is of an arm of {effect.joints_needed} joints or more, and this one has {joints}"
-        )
-    for coordinate, value in zip(effect.coordinates, values, strict=True):
-        lower, upper = coordinate.lower, coordinate.upper
-        if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
-            slack = LARGEST_MISFIT * (upper - lower)
-        else:  # a coefficient of a curve
-            slack, lower, upper = 0.0, *(sign * _BY_UNIT.get(coordinate.unit, math.inf) for sign in (-1, 1))
-        if not lower - slack <= value <= upper + slack:
-            bounds = f"between {lower - slack:.6g} and {upper + slack:.6g}"
-            raise InputError(f"{effect.label}: {coordinate.name} is {value:.6g}, which is not {bounds}")
 
 
 SCHEMA = "lite6jax/diagnosis/3"
@@ -390,10 +342,25 @@ def _refuse_damage(source: str) -> Iterator[None]:
 def _effects(
     entries: Sequence[Any], kinds: Mapping[str, type[Effect]], joints: int, sliding: tuple[int, ...]
 ) -> tuple[tuple[Effect, ...], list[Array]]:
-    """The effects of a model of so many joints, and their numbers."""
+    """The effects of a model of so many joints, and their numbers.
+
+    Raises:
+        InputError: the arm does not have such an effect, or a number is far beyond what it can be.
+    """
     pairs = [effect_from_dict(entry, kinds) for entry in entries]
     for effect, values in pairs:
-        check_effect(effect, values, joints)
+        if effect.joints_needed > joints:
+            needed = f"is of an arm of {effect.joints_needed} joints or more, and this one has {joints}"
+            raise InputError(f"{effect.label}: {needed}")
+        for coordinate, value in zip(effect.coordinates, values, strict=True):
+            lower, upper = coordinate.lower, coordinate.upper
+            if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
+                slack = _LARGEST_MISFIT * (upper - lower)
+            else:  # a coefficient of a curve
+                slack, lower, upper = 0.0, *(sign * _BY_UNIT.get(coordinate.unit, math.inf) for sign in (-1, 1))
+            if not lower - slack <= value <= upper + slack:
+                bounds = f"between {lower - slack:.6g} and {upper + slack:.6g}"
+                raise InputError(f"{effect.label}: {coordinate.name} is {value:.6g}, which is not {bounds}")
         require_kind(effect, sliding)
     return tuple(effect for effect, _ in pairs), [values for _, values in pairs]
 
@@ -619,7 +586,20 @@ def _poses_in(document: Any) -> PoseDocument:
     if is_of_torques(document):
         raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
     read = check(document, PoseDocument)
-    check_pose_model(read.model)
+    model = read.model
+    for name in ("T_sensor_base", "T_flange_tool"):
+        T = np.array(getattr(model, name), float)
+        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
+            raise InputError(f"model.{name} is no rigid transform")
+    prismatic = model.prismatic_joints
+    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
+        raise InputError("model.prismatic_joints are not joints of its chain in order")
+    # the last mass contains by how much the payload is lighter than declared
+    masses, known = [] if model.inertia is None else model.inertia.mass, model.uncertainty
+    lighter = known is not None and any(site[0] == "payload" for site in known.sites)
+    for i, mass in enumerate(masses[:-1] if lighter else masses):
+        if mass < 0:
+            raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
     return read
 
 

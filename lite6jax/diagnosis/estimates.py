@@ -144,7 +144,6 @@ _PAIRS: tuple[tuple[str, Effect, TorqueEffect, float], ...] = (
 """The effects of both domains that are one quantity, and the sign of the second over the first."""
 
 
-# A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Agreement, ...]:
     """The quantities that a finding of either concerns, each as both see it."""

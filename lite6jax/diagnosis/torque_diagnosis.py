@@ -165,6 +165,8 @@ _FOLDS = 10
 """Of static postures at least."""
 
 
+# A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_torques(
     recording: Recording,
     arm: Arm | None = None,
@@ -189,7 +191,6 @@ def diagnose_torques(
     return _diagnose_against(recording, reference, arm or declared_arm_of(recording), alone)
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def _diagnose_alone(
     recording: Recording,
     arm: Arm | None,

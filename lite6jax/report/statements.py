@@ -17,7 +17,7 @@ from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
 from lite6jax.report.faults import fault_statement, ruled_out_statements
-from lite6jax.report.ranking import units
+from lite6jax.report.ranking import fill_about, units
 from lite6jax.report.remedies import (
     component,
     detail,
@@ -92,27 +92,6 @@ def with_statements(document: Document) -> dict[str, Any]:
     return stated
 
 
-def _fill(text: str, document: Document, **more: object) -> str:
-    """A text about a document."""
-    torques, near, declared = is_of_torques(document), document["nearest"], document["noise"]["declared"]
-    return fill(
-        text,
-        document,
-        torques=torques,
-        sensor="sensors'" if torques else "sensor's",
-        times=0.0 if torques else max(ratio or 0.0 for ratio in document["left"]["over_noise"].values()),
-        computed=not torques and ranking.is_computed(document),
-        size_declared=bool(next(iter(declared.values()))),
-        undeclared=" and ".join(
-            f"no {name.replace('_', '_noise_')}" for name, size in declared.items() if size is None
-        ),
-        near=near if ranking.is_nearly_significant(near) else None,
-        name_effect=effect_name,
-        **({"in_units": partial(each_with_unit, units=units(document))} if torques else {}),
-        **more,
-    )
-
-
 # ------------------------------------------------------------------ the recording and the verdict
 
 
@@ -135,8 +114,8 @@ def verdict_statement(document: Document) -> str:
             others = others if apart else sizes
             ends = dict.fromkeys(map(multiple, (min(others), max(others))))
             worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
-        ratios = _fill(_TEXTS["ratios"], document, **worst)
-    said = _fill(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
+        ratios = fill_about(_TEXTS["ratios"], document, **worst)
+    said = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
     where = left["acts_at"] if document["verdict"] in _LEFT_OVER else None
     return said if where is None else f"{said} {fill(_TEXTS['acts_at'], where)}"
 
@@ -191,19 +170,19 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
 
 def held_out_statement(document: Document) -> str:
     """How errors were held out, and what a quick diagnosis left out."""
-    return _fill(_TEXTS["held_out"], document)
+    return fill_about(_TEXTS["held_out"], document)
 
 
 def noise_statement(document: Document) -> str:
     """The noise estimated from the residuals beside the declared one."""
-    return _fill(_TEXTS["noise"], document)
+    return fill_about(_TEXTS["noise"], document)
 
 
 def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
     drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
     loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [said for text in _TEXTS["assumptions"] if (said := _fill(text, document, loaded=loaded))]
+    return [said for text in _TEXTS["assumptions"] if (said := fill_about(text, document, loaded=loaded))]
 
 
 # ------------------------------------------------------------------ findings
@@ -322,7 +301,7 @@ def untested(document: Document) -> list[Untested]:
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
         found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        found.append(Untested(_fill(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
+        found.append(Untested(fill_about(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
     return found
 
 
@@ -356,7 +335,7 @@ def what_to_record(document: Document) -> list[str]:
             parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
             steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-        said = _fill(asked["confounded"], document, steps=steps)
+        said = fill_about(asked["confounded"], document, steps=steps)
         lines += [said] if said else []
     return lines
 

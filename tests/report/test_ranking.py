@@ -93,7 +93,7 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
         "domain": "poses", "model": {"effects": []}, "source": "unknown",
         "verdict": verdict, "findings": [], "data_faults": [{"fault": "outliers"}],
         "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
-        "noise": {"declared": {"position_m": 2e-5}}, "nearest": None,
+        "noise": {"declared": {"position_m": 2e-5}}, "nearest": None, "left": {"over_noise": {"position": 1.0}},
     }  # fmt: skip
     assert ranking.headline(document) == says
     nearly = {**document, "nearest": {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}}
