@@ -68,6 +68,11 @@ class RecordedRange:
     velocities: Array | None = None
     accelerations: Array | None = None
 
+    def beyond(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """By how much quantities `(sample,)` are beyond what was recorded of them, as `beyond_range`, by phrase."""
+        known = {phrase: each for phrase, each in values.items() if phrase in self.drivers}
+        return {phrase: beyond_range(each, *self.drivers[phrase]) for phrase, each in known.items()}
+
 
 @final
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def diagnosis_page(
 def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
     torques, order = is_of_torques(document), ranking.order(document)
-    captions = read_texts("diagnosis.yaml")["captions"]["torques" if torques else "poses"]
+    captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     for rank, finding in enumerate(statements.findings_of(document), 1):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"

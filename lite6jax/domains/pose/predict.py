@@ -417,11 +417,7 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
     if known is None:
         return None, None, None
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
-    beyond = {
-        phrase: beyond_range(values, *recorded.drivers[phrase])
-        for phrase, values in change.driver_values().items()
-        if phrase in recorded.drivers
-    }
+    beyond = recorded.beyond(change.driver_values())
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
     estimated = estimated_variance(change, known.covariance) + change.unknown()
     variance, outside = widened(estimated, known, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions)

@@ -212,9 +212,7 @@ def _bars(
         over = beyond_range(state.T, limits[:, 0], limits[:, 1], sizes).T
         beyond |= {joint_driver(quantity, j + 1, bool(slides[j])).phrase: over[j] for j in range(len(over))}
     positions = list(beyond)[: len(slides)]
-    for phrase, values in driver_values(model.terms, dynamics).items():
-        if phrase in recorded.drivers:
-            beyond[phrase] = beyond_range(values, *recorded.drivers[phrase])
+    beyond |= recorded.beyond(driver_values(model.terms, dynamics))
     rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
     estimated = _estimated(model, known, bodies, dynamics, runs)
     variance, outside = widened(estimated, known, np.arange(model.dof), distance_to(rows, q), beyond, positions)
