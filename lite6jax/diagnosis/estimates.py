@@ -71,10 +71,7 @@ class Agreement:
 
 
 def compare_estimates(
-    of: Mapping[str, str],
-    estimates: Mapping[str, EffectEstimate | None],
-    sign: float = 1.0,
-    compared: int = 1,
+    of: Mapping[str, str], estimates: Mapping[str, EffectEstimate | None], sign: float = 1.0, compared: int = 1
 ) -> Agreement:
     """The comparison of two estimates, both being normal.
 

@@ -302,13 +302,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/3`: codes and numbers in SI units."""
-        settings, kept, nearest, again, withdrawn = (
-            self.recording.settings,
-            ~self.outliers,
-            self.nearest,
-            self.searched_again,
-            self.withdrawn,
-        )
+        settings, kept, nearest = self.recording.settings, ~self.outliers, self.nearest
+        again, withdrawn = self.searched_again, self.withdrawn
         faults, outliers = list(self.faults), self.outliers & self.problem.valid
         if outliers.any():
             faults.append(DataFault("outliers", tuple(self.recording.row[outliers].tolist())))
