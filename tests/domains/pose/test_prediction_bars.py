@@ -181,7 +181,7 @@ def test_what_is_left_adds_in_quadrature(arm):
 
 def test_what_held_out_rows_show_is_left(found):
     """A model that misses unseen rows by a tenth of a millimetre says so; one that does not has nothing left."""
-    worse = replace(found, after=np.full_like(found.after, 1e-4))
+    worse = replace(found, errors=found.errors._replace(after=np.full_like(found.errors.after, 1e-4)))
     left = worse.to_dict()["model"]["uncertainty"]["left"][0]
     assert left == pytest.approx(1e-4 / np.sqrt(7.8147), rel=0.2)
     assert found.to_dict()["model"]["uncertainty"]["left"][0] < NOISE[0]

@@ -140,7 +140,7 @@ def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     _, seen = diagnose_torques_against(warm, cold, arm)
     (difference,) = seen.effects
     assert difference.p_value is None
-    assert difference.there is None
+    assert difference.estimates["reference"] is None
     assert "the reference does not show it" in with_comparison(seen.to_dict())["differences"][0]["statement"]
 
 
