@@ -111,7 +111,8 @@ def document_of(verdict):
     """As much of a diagnosis as a row tells."""
     errors = {"heldout_position_rms_m": 0.5}
     return {
-        "schema": "lite6jax/diagnosis/2",
+        "schema": "lite6jax/diagnosis/3",
+        "domain": "poses",
         "verdict": verdict,
         "quality": {"verdict": "good"},
         "before": errors,

@@ -111,7 +111,7 @@ def test_a_verdict_that_nothing_is_left_is_false_where_something_is(verdict):
     assert grade([SOFT], right, verdict=verdict, left=1.29) == "right"
     assert grade([SOFT], right, verdict=verdict, left=1.31) == "misleading"
     assert grade([SOFT], right, verdict="partly_explained", left=1.31) == "right"
-    turned = a_document(right, verdict=verdict) | {"left": {"orientation_over_noise": 1.4}}
+    turned = a_document(right, verdict=verdict) | {"left": {"over_noise": {"orientation": 1.4}}}
     assert judgement.grade(TRUTH | {"hidden": [SOFT], "rows": 300}, turned).grade == "misleading"
 
 

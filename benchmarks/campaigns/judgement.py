@@ -207,7 +207,7 @@ def _left(truth: Row, diagnosis: Row) -> float:
     """What is left, per axis, over the noise that was declared: in positions or, where measured, in orientations."""
     position = diagnosis["after"].get("heldout_position_rms_m")
     ratios = [0.0 if position is None else position / math.sqrt(3) / truth["noise_m"]]
-    orientation = (diagnosis.get("left") or {}).get("orientation_over_noise")
+    orientation = diagnosis.get("left", {}).get("over_noise", {}).get("orientation")
     return max(*ratios, 0.0 if orientation is None else orientation)
 
 

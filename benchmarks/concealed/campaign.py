@@ -65,7 +65,7 @@ def score(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: flo
             "fault_found": truth["fault"].split(" ")[0] in row["faults"],
             "before_m": said["before"].get("heldout_position_rms_m"),
             "after_m": said["after"].get("heldout_position_rms_m"),
-            "estimated_noise_m": said["noise"].get("estimated_position_m"),
+            "estimated_noise_m": said["noise"].get("estimated", {}).get("position_m"),
             "nearest_effect": nearest.get("effect"),
             "nearest_site": nearest.get("site"),
             "nearest_p": nearest.get("p_value"),

@@ -147,11 +147,16 @@ class Diagnose:
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
             recording, search = self._prepare()
-            poses, torques = recording.numbers_per_sample and not self.torques, recording.has_torques and not self.poses
-            names = diagnosis_figures.NAMES["torques" if not poses else "both" if torques else "poses"]
+            names = diagnosis_figures.figure_names(diagnose.domains_of(recording, self._domain(recording)))
             command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
             with screen.stages() as follow:
                 return recording, search(progress=follow)
+
+    def _domain(self, recording: "recordings.Recording") -> "diagnosis_file.Domain | None":
+        """What is diagnosed of a recording, None for all: of a fleet poses, or of what has none the torques."""
+        if self.torques:
+            return "torques"
+        return "poses" if recording.numbers_per_sample and (self.poses or self.fleet) else None
 
     def _prepare(self) -> "tuple[recordings.Recording, Callable[..., Found]]":
         """The recording, and the search, which takes `progress`.
@@ -167,9 +172,8 @@ class Diagnose:
         effects = command.load_own_effects(self.effects)
         if recording.numbers_per_sample and not self.torques:
             arm = arm or source.arm_of(recording)
-        poses = recording.numbers_per_sample and (self.poses or self.fleet)
         given: dict[str, Any] = {
-            "domain": "torques" if self.torques else "poses" if poses else None,
+            "domain": self._domain(recording),
             "reference": source.load_recording(self.reference, arm, **assumed) if self.reference else None,
             "geometry": self.geometry,
             "effects": effects,
@@ -189,10 +193,7 @@ class Diagnose:
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if not (self.report or self.figures):
             return written
-        domain, beside = "torques", None
-        if isinstance(found, diagnose.Diagnosis):
-            domain, beside = "both" if found.torques else "poses", found.torques
-        drawn, most = {}, len(diagnosis_figures.NAMES[domain])
+        drawn, most = {}, len(diagnosis_figures.figure_names([part.domain for part in found.parts]))
         with screen.progress(2 * most + 1, "drawing") as advance:
             for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
                 drawn[each] = figure
@@ -202,10 +203,9 @@ class Diagnose:
                 written += figures.save(named, self.figures, self.force)
             advance(most)
             if self.report:
-                against = found.against or (beside and beside.against)
-                sides = (
-                    f"{self.source} against {self.reference.name}" if against and self.reference else str(self.source)
-                )
+                sides = str(self.source)
+                if self.reference and any(part.against for part in found.parts):
+                    sides += f" against {self.reference.name}"
                 files = ranking.Files(self.source, self.out, self.effects)
                 html = pages.diagnosis_page(found, document, sides, drawn, files)
                 written.append(write_atomically(self.report, html, self.force))

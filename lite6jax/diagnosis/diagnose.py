@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypedDict, Unpack, final, overload
+from typing import Any, ClassVar, Literal, TypedDict, Unpack, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,17 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
 from lite6jax.diagnosis.discrimination import differ, separating_poses
-from lite6jax.diagnosis.document import Domain, effect_entry, pose_model_entry, require_domain
-from lite6jax.diagnosis.estimates import Shared, compare_domains
+from lite6jax.diagnosis.document import Domain, pose_model_entry, require_domain
+from lite6jax.diagnosis.estimates import Agreement, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
-from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds, refitted_errors, verify
+from lite6jax.diagnosis.heldout import (
+    fold_count,
+    held_out_errors,
+    held_out_folds,
+    judge_poses,
+    refitted_errors,
+    verify,
+)
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
@@ -49,11 +56,9 @@ from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.results import PublicResult
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
-from lite6jax.search.state import Alternative
 from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
@@ -61,38 +66,9 @@ Source = Recording | str | Path
 Nominal = Arm | str | Path | None
 
 
-class Contribution(NamedTuple):
-    """What a finding of poses moves, RMS over rows that are no outliers: m, and rad, None where it was not measured."""
-
-    position: float
-    orientation: float | None
-
-
-class Left(NamedTuple):
-    """What a model of poses leaves of the residuals, outliers excluded.
-
-    Attributes:
-        position: root mean square of held-out position errors per axis over the declared noise; None where that of
-            positions is not declared.
-        orientation: the same of the fitted orientations; None where none were measured, or their noise is not declared.
-        white: whether residuals of neighbouring rows are uncorrelated.
-        acts_at: the joint at which most of it acts; None where there is no such.
-    """
-
-    position: float | None
-    orientation: float | None
-    white: bool
-    acts_at: Concentration | None = None
-
-    @property
-    def over_noise(self) -> float | None:
-        """The larger ratio; None where no noise is declared."""
-        return max((ratio for ratio in (self.position, self.orientation) if ratio is not None), default=None)
-
-
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
+class Diagnosis(DomainDiagnosis[PoseProblem]):
     """The diagnosis of poses, and beside it that of the torques of the same recording where it has them.
 
     Attributes:
@@ -101,9 +77,25 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         torques_refused: why the torques cannot be diagnosed, with the remedy; None where they are, or there are none.
     """
 
+    domain: ClassVar[Domain] = "poses"
+
     torques: TorqueDiagnosis | None = None
-    shared: tuple[Shared, ...] = ()
+    shared: tuple[Agreement, ...] = ()
     torques_refused: str | None = None
+
+    @property
+    def parts(self) -> tuple[DomainDiagnosis[Any], ...]:
+        return (self,) if self.torques is None else (self, self.torques)
+
+    @property
+    def before(self) -> Array:
+        """`(sample,)` m, held-out errors of positions with the nuisance alone."""
+        return self.errors.before[0]
+
+    @property
+    def after(self) -> Array:
+        """`(sample,)` m, held-out errors of positions with the effects."""
+        return self.errors.after[0]
 
     @property
     def recording(self) -> Recording:
@@ -126,7 +118,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         return scale * self.problem.noise[0]
 
     @cached_property
-    def moves(self) -> tuple[Contribution, ...]:
+    def moves(self) -> tuple[dict[str, Any], ...]:
         """What each finding moves beyond what the fitted frames and geometry would take up, were it not in the model.
 
         The displacement is that of the whole model, with the finding less without it. From it the weighted
@@ -150,12 +142,13 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
                 H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
                 moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
             displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
-            moves.append(Contribution(rms(displaced[:3]), rms(displaced[3:]) if problem.rows == 6 else None))
+            turned = {"moves_rms_rad": rms(displaced[3:])} if problem.rows == 6 else {}
+            moves.append({"moves_rms_m": rms(displaced[:3]), **turned})
         return tuple(moves)
 
     @cached_property
-    def left(self) -> Left:
-        """What the model leaves of the residuals."""
+    def over_noise(self) -> dict[str, float | None]:
+        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
         problem, fit, kept = self.problem, self.fit, ~self.outliers
         position, orientation = None, None
         if problem.declared_noise[0] is not None and kept.any():
@@ -164,7 +157,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         if problem.declared_noise[1] is not None and kept.any():
             freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
             orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
-        return Left(position, orientation, fit.noise.white, concentration(problem, fit, self.options.engine))
+        return {"position": position, "orientation": orientation}
+
+    @cached_property
+    def acts_at(self) -> Concentration | None:
+        """The joint at which most of what is left acts; None where there is no such."""
+        return concentration(self.problem, self.fit, self.options.engine)
 
     @cached_property
     def quality(self) -> Quality:
@@ -174,7 +172,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.left.over_noise
+        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.most_over_noise
         return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property
@@ -201,6 +199,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         effects, values = self._modelled
         physics = Physics(effects)
         against = None if self.against is None else self.against.to_dict()
+        stages = (self._statistics(each, ~self.outliers) for each in (self.errors.before, self.errors.after))
+        heldout = [each["heldout_position_rms_m"] for each in stages]
         model = DiagnosedArm(
             model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
             values=physics.join(values),
@@ -212,8 +212,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             reference_temperature=problem.recording.settings.reference_temperature_degC,
             motion=problem.recording.motion,
             accelerated=problem.motion.joint_acceleration is not None,
-            heldout_rms=(self._errors(0)["heldout_position_rms_m"], self._errors(1)["heldout_position_rms_m"]),
-            reference=None if against is None else ReferenceOrigin(against["file"], against["rigid"]),
+            heldout_rms=(heldout[0], heldout[1]),
+            reference=None if against is None else ReferenceOrigin(against["file"], against["basis"]),
             sliding=problem.arm.sliding,
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
@@ -243,7 +243,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             more.append(known.covariance[np.ix_(own, own)])
         return [finding.covariance for finding in self.findings] + more
 
-    def peak_to_peak(self, k: int) -> Estimate:
+    def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
 
         Of each driver the central 96 % count: few samples are beyond.
@@ -256,7 +256,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
         moved = finding.values @ functions
         apart = functions[:, np.argmax(moved)] - functions[:, np.argmin(moved)]
         variance = float(apart @ finding.covariance @ apart)
-        return Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
+        size = Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
+        end = finding.effect.component if finding.effect.unit == "1" else finding.effect.unit
+        return {f"peak_to_peak_{end}": size}
 
     @property
     def _too_few(self) -> bool:
@@ -268,67 +270,41 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
     @property
     def _leaves_noise(self) -> bool:
         # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
-        left = self.left
-        as_noise = left.white and (left.over_noise or 0.0) <= self.options.as_noise and self.quality.verdict != "bad"
-        return as_noise and (not self.findings or left.position is not None)
+        if not self.fit.noise.white or (self.most_over_noise or 0.0) > self.options.as_noise:
+            return False
+        return self.quality.verdict != "bad" and (not self.findings or self.over_noise["position"] is not None)
 
-    def _errors(self, stage: int) -> dict[str, float]:
-        """Statistics of the held-out errors before (0) or after (1)."""
-        kept, found = ~self.outliers, {}
-        turned = None if self.turned is None else self.turned[stage]
-        for name, unit, errors in (("position", "m", (self.before, self.after)[stage]), ("orientation", "rad", turned)):
-            if errors is not None:
-                there = errors[kept] if kept.any() else np.zeros(1)
-                found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
+    @property
+    def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        position, orientation = self.problem.declared_noise
+        turned = {"orientation_rad": orientation} if self.problem.rows == 6 else {}
+        return {"position_m": position, **turned}, {"position_m": self.estimated_noise}
+
+    def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        groups = (("position", "m"), ("orientation", "rad"))[: 2 if self.problem.rows == 6 else 1]
+        for (name, unit), sizes in zip(groups, errors, strict=False):
+            there = sizes[kept] if kept.any() else np.zeros(1)
+            found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
         return found
 
+    def _distinction(self, k: int, effect: Effect) -> str:
+        labels = (self.findings[k].effect.label, effect.label)
+        if any(item.effects == labels for item in self.separating):
+            return "separable"
+        if effect.periodic and labels[0] == labels[1]:
+            return "undecided"  # another order of the same wave
+        return "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
+
     def _own_parts(self) -> dict[str, Any]:
-        problem, left, withdrawn = self.problem, self.left, self.withdrawn
-        faults, outliers, acts_at = list(self.faults), self.outliers & problem.valid, left.acts_at
-        if outliers.any():
-            faults.append(DataFault("outliers", tuple(problem.recording.row[outliers].tolist())))
-        before, after = self._errors(0), self._errors(1)
+        problem = self.problem
         beside: dict[str, Any] = {} if self.torques_refused is None else {"torques_refused": self.torques_refused}
         if self.torques is not None:
             beside = {"torques": self.torques.to_dict(), "shared": [each.to_dict() for each in self.shared]}
-        heldout = {
-            "heldout_rms_before_m": before["heldout_position_rms_m"],
-            "heldout_rms_after_m": after["heldout_position_rms_m"],
-        }
         return {
-            "data_faults": [fault.to_dict() for fault in faults],
-            "before": before,
-            "after": after,
-            "left": {
-                "position_over_noise": left.position,
-                "orientation_over_noise": left.orientation,
-                "white": left.white,
-                "acts_at": None
-                if acts_at is None
-                else {"site": acts_at.site, "share": acts_at.share, "share_of_noise": acts_at.expected},
-            },
             "quality": self.quality.to_dict(),
-            "withdrawn": None
-            if withdrawn is None
-            else {
-                "effects": [effect_entry(finding.effect) for finding in withdrawn.findings],
-                "heldout_position_rms_m": {"before": withdrawn.before, "after": withdrawn.after},
-            },
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
-            "samples": problem.samples,
             "left_out": problem.recording.row[self.left_out].tolist(),
-            "heldout_rows": int((~self.outliers).sum()),
-            "pose_source": problem.recording.settings.pose_source,
-            "noise": {
-                "declared_position_m": problem.declared_noise[0],
-                "declared_orientation_rad": problem.declared_noise[1],
-                "estimated_position_m": self.estimated_noise,
-            },
-            "findings": [self._finding(k, heldout) for k in range(len(self.findings))],
-            "separating_poses": [
-                {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
-                for item in self.separating
-            ],
             "nuisance": {
                 "numbers": len(problem.frames),
                 "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
@@ -336,33 +312,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem], PublicResult):
             "model": pose_model_entry(self.model, self._covariances),
             **beside,
         }
-
-    def _finding(self, k: int, heldout: dict[str, float]) -> dict[str, Any]:
-        finding, size = self.findings[k], {}
-        effect = finding.effect
-        if isinstance(effect, Unnamed):
-            end = effect.component if effect.unit == "1" else effect.unit
-            sizes = {f"peak_to_peak_{end}": self.peak_to_peak(k)._asdict()}
-            size = {"peak_to_peak": sizes, "effective_parameters": finding.effective_parameters}
-        moves = {"moves_rms_m": self.moves[k].position, "moves_rms_rad": self.moves[k].orientation}
-        return finding.to_dict(size, moves | heldout, [self._alternative(k, one) for one in finding.alternatives])
-
-    def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
-        """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
-        effect, labels = one.term, (self.findings[k].effect.label, one.term.label)
-        assert isinstance(effect, Effect)
-        if one.gap >= self.options.engine.close:
-            status = "rejected"
-        elif effect in self.fit.terms.terms:
-            status = "found"
-        elif any(item.effects == labels for item in self.separating):
-            status = "separable"
-        elif effect.periodic and labels[0] == labels[1]:
-            status = "undecided"  # another order of the same wave
-        else:
-            status = "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
-        numbers = {key: getattr(effect, key) for key in ("order", "source_joint", "component") if hasattr(effect, key)}
-        return {**effect_entry(effect), **numbers, "log_likelihood_gap": one.gap, "status": status}
 
 
 # ------------------------------------------------------------------ the diagnosis of poses
@@ -407,8 +356,9 @@ def diagnose_poses(
         folds = held_out_folds(found.problem, options)
         errors = held_out_errors(replace(case, among=selection.considered), found.final_decisions, folds)
         kept, of_all = ~_outliers(selection, options), selection
-        verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
-        selection, errors = verified.selection, verified.errors
+        refitted = lambda spread: refitted_errors(of_all, spread, options)  # noqa: E731
+        verified = verify(of_all, errors, folds, kept, options, judge_poses, refitted)
+        selection = verified.selection
         with part(len(verified.folds) + 1, len(verified.folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)
@@ -424,19 +374,12 @@ def diagnose_poses(
         faults = (*faults, DataFault("no_joints", without_joints, {"clock_offset_s": problem.clock_offset}))
     return Diagnosis(
         problem=problem,
-        selection=selection,
-        findings=verified.findings,
-        before=errors.before,
-        after=errors.after,
         faults=faults,
         ruled_out=tuple(ruled_out.values()),
         options=options,
-        folds=tuple(verified.folds),
-        withdrawn=verified.withdrawn,
-        searched_again=verified.searched_again,
         outliers=_outliers(selection, options),
         separating=separating,
-        turned=(errors.angle_before, errors.angle_after) if problem.rows == 6 else None,
+        **verified._asdict(),
     )
 
 
@@ -453,6 +396,22 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
 
 
 # ------------------------------------------------------------------ of either domain, or of both
+
+
+def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Domain, ...]:
+    """The domains of a recording that are diagnosed, of all or of the one that is asked for.
+
+    Raises:
+        InputError: no such domain, or poses are asked for where there are torques alone.
+    """
+    require_domain(domain)
+    if not recording.numbers_per_sample and recording.has_torques:
+        if domain == "poses":
+            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
+        return ("torques",)
+    if domain is not None:
+        return (domain,)
+    return ("poses", "torques") if recording.has_torques else ("poses",)
 
 
 class _Given(TypedDict, total=False):
@@ -527,20 +486,16 @@ def diagnose(
     recording = load_recording(recording, arm)
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
-    require_domain(domain)
-    if not recording.numbers_per_sample and recording.has_torques:
-        if domain == "poses":
-            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
-        domain = "torques"
+    domains = domains_of(recording, domain)
     kinematic, dynamic = by_domain(effects)
     given: dict[str, Any] = {"options": options, "progress": progress}
-    if domain == "torques":
+    if domains == ("torques",):
         if geometry != "declared" or factory is not None:
             named = "geometry" if geometry != "declared" else "factory"
             raise InputError(f"{named}: is of poses, and {recording.source} is diagnosed by its torques; leave it out")
         other = None if reference is None else load_recording(reference, arm)
         return diagnose_torques(recording, arm, reference=other, effects=dynamic, **given)
-    both = domain is None and recording.has_torques
+    both = "torques" in domains
     arm = arm or arm_of(recording) if both else arm
     other = None if reference is None else load_recording(reference, arm)
     of_poses = other if not both or other is None or not other.has_torques or other.numbers_per_sample else None

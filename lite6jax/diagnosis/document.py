@@ -22,9 +22,9 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
-from lite6jax.domains.torque.predict import DiagnosedMotors, link_sites, with_free_numbers
-from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
+from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
 from lite6jax.effects.catalogue import TORQUE_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
@@ -40,9 +40,9 @@ from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
-FARTHEST = 1e4
+_FARTHEST = 1e4
 """m; a sensor stands no further from the arm, and nothing on a flange is larger."""
-LARGEST_MISFIT = 10.0
+_LARGEST_MISFIT = 10.0
 """Multiples of the range of a number of an effect, beyond which it is damaged; estimates scatter about the range."""
 
 Domain = Literal["poses", "torques"]
@@ -52,7 +52,7 @@ _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
 _BY_UNIT = {"m": LENGTH_LIMIT, "rad": ANGLE_LIMIT}
 _Length = Annotated[float, Meta(ge=-LENGTH_LIMIT, le=LENGTH_LIMIT)]
 _Angle = Annotated[float, Meta(ge=-ANGLE_LIMIT, le=ANGLE_LIMIT)]
-_Far = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+_Far = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
 _Mass = Annotated[float, Meta(ge=-LARGEST_MASS, le=LARGEST_MASS)]
 _Moment = Annotated[float, Meta(ge=-_LARGEST_MOMENT, le=_LARGEST_MOMENT)]
 _Acceleration = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
@@ -78,23 +78,19 @@ class Recorded(Strict):
     acceleration_range_rad_per_s2: _Ranges | None = None
 
 
-class PerAxis(Strict):
-    """A standard deviation per axis."""
+class UncertaintyEntry(Strict):
+    """How uncertain predictions are: fields of `Uncertainty`.
 
-    position_m: NonNegative
-    orientation_rad: NonNegative
-
-
-class PoseUncertainty(Strict):
-    """How uncertain predictions of poses are."""
+    Lists have a number for position (m) and orientation (rad) of poses, or for each joint (Nm, N of prismatic ones).
+    """
 
     sites: list[tuple[str, Count, Count]]
     covariance: list[float]
-    left: PerAxis
-    unseen: PerAxis
-    noise: PerAxis
+    left: list[NonNegative]
+    unseen: list[NonNegative]
+    noise: list[NonNegative]
     recorded: Recorded
-    typical: PerAxis | None = None
+    typical: list[NonNegative] | None = None
 
 
 class Inertia(Strict):
@@ -106,29 +102,44 @@ class Inertia(Strict):
     gravity: _Gravity
 
 
-class PoseModel(Strict):
-    """What predictions of poses need."""
+class Model(Strict, kw_only=True):
+    """What predictions of poses and of torques both need."""
 
     arm: str
     kinematics: _Chain
+    reference_temperature_degC: _Temperature  # noqa: N815 (the key)
+    effects: list[Any]
+    prismatic_joints: tuple[Number, ...] = ()
+    joint_limits: _Limits | None = None
+    uncertainty: UncertaintyEntry | None = None
+
+
+class PoseModel(Model, kw_only=True):
+    """What predictions of poses need."""
+
     T_sensor_base: _Transform
     T_flange_tool: _Transform
     orientation: bool
     inertia: Inertia | None
-    reference_temperature_degC: _Temperature  # noqa: N815 (the key)
     motion: Literal["static", "trajectory"]
-    effects: list[Any]
-    prismatic_joints: tuple[Number, ...] = ()
-    joint_limits: _Limits | None = None
     accelerated: bool = False
-    uncertainty: PoseUncertainty | None = None
 
 
-class PoseReference(msgspec.Struct):
-    """The reference that a diagnosis of poses is relative to."""
+class TorqueModel(Model, kw_only=True):
+    """What predictions of torques need; `drives` has the fields `DRIVE_FIELDS` of an arm."""
+
+    T_joint_flange: _Transform
+    links: list[_Link]
+    payload_center: _Point
+    gravity: _Gravity
+    drives: dict[str, list[float]] = msgspec.field(default_factory=dict)
+
+
+class Reference(msgspec.Struct):
+    """The reference that a diagnosis is relative to, and what its model contains: see `ReferenceOrigin`."""
 
     file: str
-    rigid: bool
+    basis: Basis
 
 
 class PoseDocument(msgspec.Struct, kw_only=True):
@@ -137,106 +148,22 @@ class PoseDocument(msgspec.Struct, kw_only=True):
     model: PoseModel
     before: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     after: dict[str, NonNegative] = msgspec.field(default_factory=dict)
-    against: PoseReference | None = None
-
-
-class TorqueUncertainty(Strict):
-    """How uncertain predictions of torques are."""
-
-    inertial: bool
-    covariance: list[float]
-    left_Nm: list[NonNegative]  # noqa: N815 (the key)
-    unseen_Nm: list[NonNegative]  # noqa: N815 (the key)
-    noise_Nm: list[NonNegative]  # noqa: N815 (the key)
-    recorded: Recorded
-
-
-class TorqueModel(Strict):
-    """What predictions of torques need; `drives` has the fields `DRIVE_FIELDS` of an arm."""
-
-    domain: Literal["torque"]
-    arm: str
-    kinematics: _Chain
-    T_joint_flange: _Transform
-    links: list[_Link]
-    payload_center: _Point
-    gravity: _Gravity
-    joint_limits: _Limits
-    reference_temperature_degC: _Temperature  # noqa: N815 (the key)
-    effects: list[Any]
-    prismatic_joints: tuple[Number, ...] = ()
-    uncertainty: TorqueUncertainty | None = None
-    drives: dict[str, list[float]] = msgspec.field(default_factory=dict)
-
-
-class TorqueReference(msgspec.Struct):
-    """The reference that a diagnosis of torques is compared with."""
-
-    file: str
-    by: Literal["rows", "effects"]
+    against: Reference | None = None
 
 
 class TorqueDocument(msgspec.Struct, kw_only=True):
     """What is read of a diagnosis of torques beside its report."""
 
     model: TorqueModel
-    against: TorqueReference | None = None
+    against: Reference | None = None
 
 
-# ------------------------------------------------------------------ what types do not say
-
-
-def check_pose_model(model: PoseModel) -> None:
-    """Refuses transforms that are none, prismatic joints that the chain does not have, and negative masses.
-
-    The lengths of lists that depend on each other, and the effects of the model, are checked where they are read.
-
-    Raises:
-        InputError: the message begins with the place.
-    """
-    for name in ("T_sensor_base", "T_flange_tool"):
-        T = np.array(getattr(model, name), float)
-        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
-            raise InputError(f"model.{name} is no rigid transform")
-    prismatic = model.prismatic_joints
-    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
-        raise InputError("model.prismatic_joints are not joints of its chain in order")
-    if model.inertia is not None:
-        # the last mass contains by how much the payload is lighter than declared
-        masses, known = model.inertia.mass, model.uncertainty
-        lighter = known is not None and any(site[0] == "payload" for site in known.sites)
-        for i, mass in enumerate(masses):
-            if mass < 0 and not (lighter and i == len(masses) - 1):
-                raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
-
-
-def check_effect(effect: Effect, values: NDArray[np.floating], joints: int) -> None:
-    """Refuses an effect that an arm of so many joints does not have, or numbers far beyond what they can be.
-
-    Raises:
-        InputError: the message begins with the effect.
-    """
-    if effect.joints_needed > joints:
-        raise InputError(
-            f"{effect.label}: is of an arm of {effect.joints_needed} joints or more, and this one has {joints}"
-        )
-    for coordinate, value in zip(effect.coordinates, values, strict=True):
-        lower, upper = coordinate.lower, coordinate.upper
-        if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
-            slack = LARGEST_MISFIT * (upper - lower)
-        else:  # a coefficient of a curve
-            slack, lower, upper = 0.0, *(sign * _BY_UNIT.get(coordinate.unit, math.inf) for sign in (-1, 1))
-        if not lower - slack <= value <= upper + slack:
-            bounds = f"between {lower - slack:.6g} and {upper + slack:.6g}"
-            raise InputError(f"{effect.label}: {coordinate.name} is {value:.6g}, which is not {bounds}")
-
-
-SCHEMA = "lite6jax/diagnosis/2"
+SCHEMA = "lite6jax/diagnosis/3"
+_BEFORE = "lite6jax/diagnosis/2"
 DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
 _ROUNDING = 1e-9
 """Of the largest covariance, by which rounding may make a variance of zero negative."""
-_AXES = ("position_m", "orientation_rad")
 RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
 """Of what was recorded; of poses the first alone."""
 
@@ -252,91 +179,67 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
 
 def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model of poses as values that JSON can hold, with covariances of the numbers of each effect."""
-    pairs = zip(model.physics.effects, model.physics.slices, covariances, strict=True)
-    limits, known = model.joint_limits, model.uncertainty
-    uncertainty = None
-    if known is not None:
-        left, unseen, noise = (_per_axis(part) for part in (known.left, known.unseen, known.noise))
-        uncertainty = {
-            "sites": [list(site) for site in known.sites],
-            "covariance": _lower_triangle(known.covariance),
-            "left": left,
-            "unseen": unseen,
-            "noise": noise,
-            "typical": None if known.typical is None else _per_axis(known.typical),
-            "recorded": _recorded_entry(known.recorded),
-        }
+    limits, masses = model.joint_limits, model.inertia
     return {
         "arm": model.arm,
         "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
-        **_prismatic(model.sliding),
         "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
         "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
         "joint_limits": None if limits is None else np.asarray(limits).tolist(),
         "orientation": model.orientation,
-        "inertia": None
-        if model.inertia is None
-        else {name: np.asarray(value).tolist() for name, value in model.inertia._asdict().items()},
-        "reference_temperature_degC": model.reference_temperature,
+        "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
         "motion": model.motion,
         "accelerated": model.accelerated,
-        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in pairs],
-        "uncertainty": uncertainty,
+        **_shared_entries(model, model.physics.effects, model.physics.slices, covariances),
     }
 
 
 def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model of torques as values that JSON can hold; arguments as of `pose_model_entry`."""
-    arm, known = model.arm, model.uncertainty
+    arm = model.arm
     declared = {field: getattr(arm, field) for field in DRIVE_FIELDS}
     drives = {field: values.tolist() for field, values in declared.items() if values is not None}
-    pairs = zip(model.terms.terms, model.terms.slices, covariances, strict=True)
-    uncertainty = None
-    if known is not None:
-        uncertainty = {
-            "inertial": bool(known.sites),
-            "covariance": _lower_triangle(known.covariance),
-            "left_Nm": np.asarray(known.left).tolist(),
-            "unseen_Nm": np.asarray(known.unseen).tolist(),
-            "noise_Nm": np.asarray(known.noise).tolist(),
-            "recorded": _recorded_entry(known.recorded),
-        }
     return {
-        "domain": "torque",
         "arm": arm.name,
         "kinematics": arm.kinematics.tolist(),
         "T_joint_flange": arm.T_joint_flange.tolist(),
         "links": model.links.tolist(),
         **({"drives": drives} if drives else {}),
-        **_prismatic(arm.sliding),
         "payload_center": model.payload_center.tolist(),
         "gravity": model.gravity.tolist(),
         "joint_limits": arm.joint_limits.tolist(),
-        "reference_temperature_degC": model.reference_temperature,
-        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in pairs],  # type: ignore[arg-type]
-        "uncertainty": uncertainty,
+        **_shared_entries(model, model.terms.terms, model.terms.slices, covariances),
     }
 
 
-def _prismatic(sliding: Sequence[int]) -> dict[str, Any]:
-    return {"prismatic_joints": [joint + 1 for joint in sliding]} if sliding else {}
+def _shared_entries(
+    model: DiagnosedArm | DiagnosedMotors, effects: Sequence[Any], slices: Sequence[slice], covariances: Sequence[Array]
+) -> dict[str, Any]:
+    """What models of both domains have in one form."""
+    triples = zip(effects, slices, covariances, strict=True)
+    return {
+        **({"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}),
+        "reference_temperature_degC": model.reference_temperature,
+        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in triples],
+        "uncertainty": model.uncertainty and _uncertainty_entry(model.uncertainty),
+    }
 
 
-def _per_axis(std: Sequence[float] | Array) -> dict[str, float]:
-    return dict(zip(_AXES, map(float, std), strict=True))
-
-
-def _lower_triangle(covariance: Array) -> list[float]:
-    return covariance[np.tril_indices(len(covariance))].tolist()
-
-
-def _recorded_entry(recorded: RecordedRange) -> dict[str, Any]:
+def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
+    C, typical = known.covariance, known.typical
+    recorded = known.recorded
     ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
     return {
-        **{name: limits.tolist() for name, limits in ranges if limits is not None},
-        "joint_position_rad": recorded.positions.tolist(),
-        "spacing_rad": recorded.spacing,
-        "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        "sites": [list(site) for site in known.sites],
+        "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
+        **{name: np.asarray(getattr(known, name), float).tolist() for name in ("left", "unseen", "noise")},
+        "typical": None if typical is None else np.asarray(typical, float).tolist(),
+        "recorded": {
+            **{name: limits.tolist() for name, limits in ranges if limits is not None},
+            "joint_position_rad": recorded.positions.tolist(),
+            "spacing_rad": recorded.spacing,
+            "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        },
     }
 
 
@@ -390,8 +293,8 @@ def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
         motion=model.motion,
         accelerated=model.accelerated,
         heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
-        reference=None if read.against is None else ReferenceOrigin(read.against.file, read.against.rigid),
-        uncertainty=_pose_uncertainty(model.uncertainty, found, joints),
+        reference=None if read.against is None else ReferenceOrigin(*astuple(read.against)),
+        uncertainty=_uncertainty(model.uncertainty, found, joints),
         sliding=sliding,
     )
 
@@ -420,8 +323,8 @@ def _torque_model(read: TorqueDocument, effects: Sequence[Effect]) -> DiagnosedM
         terms=terms,
         values=values,
         reference_temperature=model.reference_temperature_degC,
-        reference=(against.file, "rows") if against is not None and against.by == "rows" else None,
-        uncertainty=_torque_uncertainty(model.uncertainty, terms, values, arm.dof),
+        reference=ReferenceOrigin(*astuple(against)) if against is not None and against.basis == "rows" else None,
+        uncertainty=_uncertainty(model.uncertainty, found, arm.dof, torques=True),
     )
 
 
@@ -439,50 +342,52 @@ def _refuse_damage(source: str) -> Iterator[None]:
 def _effects(
     entries: Sequence[Any], kinds: Mapping[str, type[Effect]], joints: int, sliding: tuple[int, ...]
 ) -> tuple[tuple[Effect, ...], list[Array]]:
-    """The effects of a model of so many joints, and their numbers."""
+    """The effects of a model of so many joints, and their numbers.
+
+    Raises:
+        InputError: the arm does not have such an effect, or a number is far beyond what it can be.
+    """
     pairs = [effect_from_dict(entry, kinds) for entry in entries]
     for effect, values in pairs:
-        check_effect(effect, values, joints)
+        if effect.joints_needed > joints:
+            needed = f"is of an arm of {effect.joints_needed} joints or more, and this one has {joints}"
+            raise InputError(f"{effect.label}: {needed}")
+        for coordinate, value in zip(effect.coordinates, values, strict=True):
+            lower, upper = coordinate.lower, coordinate.upper
+            if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
+                slack = _LARGEST_MISFIT * (upper - lower)
+            else:  # a coefficient of a curve
+                slack, lower, upper = 0.0, *(sign * _BY_UNIT.get(coordinate.unit, math.inf) for sign in (-1, 1))
+            if not lower - slack <= value <= upper + slack:
+                bounds = f"between {lower - slack:.6g} and {upper + slack:.6g}"
+                raise InputError(f"{effect.label}: {coordinate.name} is {value:.6g}, which is not {bounds}")
         require_kind(effect, sliding)
     return tuple(effect for effect, _ in pairs), [values for _, values in pairs]
 
 
-def _pose_uncertainty(known: PoseUncertainty | None, effects: Sequence[Effect], joints: int) -> Uncertainty | None:
-    """The uncertainty of a model of poses; None of a document without it."""
+def _uncertainty(
+    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool = False
+) -> Uncertainty | None:
+    """The uncertainty of a model with effects; None of a document without it."""
     if known is None:
         return None
     sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
+    sizes = {"inertia": (joints, 10)} if torques else sizes
     if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in known.sites):
         raise ValueError("a site of its uncertainty is none of this arm")
-    C = _covariance(known.covariance, len(known.sites) + sum(freed(effect).size for effect in effects))
-    left, unseen, noise = (np.array(astuple(part)) for part in (known.left, known.unseen, known.noise))
-    typical = None if known.typical is None else np.array(astuple(known.typical))
-    return Uncertainty(tuple(known.sites), C, left, unseen, noise, _recorded(known.recorded, joints), typical)
-
-
-def _torque_uncertainty(
-    known: TorqueUncertainty | None, terms: Terms, values: Array, joints: int
-) -> Uncertainty | None:
-    """As `_pose_uncertainty`, of a model of torques."""
-    if known is None:
-        return None
-    sites = link_sites(joints) if known.inertial else ()
-    left, unseen, noise = (np.asarray(part, float) for part in (known.left_Nm, known.unseen_Nm, known.noise_Nm))
-    if any(part.shape != (joints,) for part in (left, unseen, noise)):
+    lists = [known.left, known.unseen, known.noise, *([] if known.typical is None else [known.typical])]
+    if any(len(part) != (joints if torques else 2) for part in lists):
         raise ValueError("its uncertainty is not one of this arm")
-    C = _covariance(known.covariance, len(sites) + with_free_numbers(terms, values)[0].size)
-    return Uncertainty(sites, C, left, unseen, noise, _recorded(known.recorded, joints))
-
-
-def _covariance(triangle: Sequence[float], size: int) -> Array:
-    """The covariance `(size, size)` of its lower triangle, row by row."""
-    if len(triangle) != size * (size + 1) // 2:
+    size = len(known.sites) + sum(freed(effect).size for effect in effects)
+    if len(known.covariance) != size * (size + 1) // 2:
         raise ValueError(f"its covariance is not one of {size} numbers")
     C = np.zeros((size, size))
-    C[np.tril_indices(size)] = triangle
+    C[np.tril_indices(size)] = known.covariance
     if (np.diagonal(C) < -_ROUNDING * np.abs(C).max(initial=0.0)).any():
         raise ValueError("a variance of its uncertainty is negative")
-    return C + np.tril(C, -1).T
+    C += np.tril(C, -1).T
+    left, unseen, noise, *typical = map(np.array, lists)
+    return Uncertainty(tuple(known.sites), C, left, unseen, noise, _recorded(known.recorded, joints), *typical)
 
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
@@ -573,9 +478,72 @@ def parse_document(path: str | Path) -> Any:
         raise InputError(f"{path}: is a recording and no diagnosis; give what `{made}` writes")
     text = read_text(path, _SIZE_LIMIT)
     try:
-        return msgspec.json.decode(text)
+        document = msgspec.json.decode(text)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
+    with _refuse_damage(str(path)):
+        return _upgraded(document)
+
+
+def _upgraded(document: Any) -> Any:
+    """A document of the schema before as one of this; any other as it is.
+
+    There each domain had a form of its own: units in other keys, and lists of joints in place of groups.
+    """
+    if not isinstance(document, dict) or document.get("schema") != _BEFORE:
+        return document
+    torques, left, model = document.get("domain") == "torque", document["left"], dict(document["model"])
+    noise: dict[str, dict[str, Any]] = {"declared": {}, "estimated": {}}
+    for name, size in document["noise"].items():
+        said, _, of = name.partition("_")
+        noise[said] |= {of: size} if of != "orientation_rad" or model["orientation"] else {}
+    known, withdrawn, against = model.get("uncertainty"), document["withdrawn"], document.get("against")
+    if torques:
+        del model["domain"]
+        joints = range(len(model["kinematics"]))
+        over_noise = {f"joint{j + 1}": left["torque_over_noise"] and left["torque_over_noise"][j] for j in joints}
+        withdrawn = {"effects": withdrawn, "before": {}, "after": {}} if withdrawn else None
+        if known is not None:
+            sites = [("inertia", j, k) for j in joints for k in range(10)] if known.pop("inertial") else []
+            known = {"sites": sites} | {name.removesuffix("_Nm"): part for name, part in known.items()}
+    else:
+        over_noise = {what: left[f"{what}_over_noise"] for what in ("position", "orientation")}
+        if withdrawn is not None:
+            rms = withdrawn["heldout_position_rms_m"]
+            errors = {stage: {"heldout_position_rms_m": rms[stage]} for stage in ("before", "after")}
+            withdrawn = {"effects": withdrawn["effects"], **errors}
+        if known is not None:
+            per_axis = {name: known[name] for name in ("left", "unseen", "noise", "typical")}
+            known |= {name: part and list(part.values()) for name, part in per_axis.items()}
+    if against is not None:
+        against = {**against, "basis": against.get("by") or ("rigid" if against["rigid"] else "flexible")}
+        if against["basis"] == "effects":
+            pairs = ((one, one["differs"]) for one in against["differences"])
+            against["differences"] = [
+                {**one, "agree": None if differs is None else not differs} for one, differs in pairs
+            ]
+    return {
+        "separating_poses": [],
+        **document,
+        "schema": SCHEMA,
+        "domain": "torques" if torques else "poses",
+        "source": document["torque_source" if torques else "pose_source"],
+        "heldout_rows": document["kept_samples" if torques else "heldout_rows"],
+        "left": {"over_noise": over_noise, "white": left["white"], "acts_at": left.get("acts_at")},
+        "noise": noise,
+        "withdrawn": withdrawn,
+        "findings": list(map(_upgraded_finding, document["findings"])),
+        "model": model | {"uncertainty": known},
+        **({} if against is None else {"against": against}),
+        **({"torques": _upgraded(document["torques"])} if "torques" in document else {}),
+    }
+
+
+def _upgraded_finding(finding: Mapping[str, Any]) -> dict[str, Any]:
+    sizes = {name: {"value": size, "std": 0.0} for name, size in finding.items() if name.startswith("peak_to_peak_")}
+    rivals = [{k: part for k, part in rival.items() if part is not None} for rival in finding["confusable_with"]]
+    kept = {name: part for name, part in finding.items() if part is not None and name not in sizes}
+    return kept | ({"peak_to_peak": sizes} if sizes else {}) | {"confusable_with": rivals}
 
 
 def check_document(document: Any, path: str | Path) -> None:
@@ -593,7 +561,7 @@ def check_document(document: Any, path: str | Path) -> None:
 
 def is_of_torques(document: Any) -> bool:
     """Whether a document is a diagnosis of torques alone."""
-    return _has_model(document) and document.get("domain") == "torque"
+    return isinstance(document, dict) and document.get("domain") == "torques"
 
 
 def find_torques(document: Any) -> dict[str, Any] | None:
@@ -618,12 +586,25 @@ def _poses_in(document: Any) -> PoseDocument:
     if is_of_torques(document):
         raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
     read = check(document, PoseDocument)
-    check_pose_model(read.model)
+    model = read.model
+    for name in ("T_sensor_base", "T_flange_tool"):
+        T = np.array(getattr(model, name), float)
+        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
+            raise InputError(f"model.{name} is no rigid transform")
+    prismatic = model.prismatic_joints
+    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
+        raise InputError("model.prismatic_joints are not joints of its chain in order")
+    # the last mass contains by how much the payload is lighter than declared
+    masses, known = [] if model.inertia is None else model.inertia.mass, model.uncertainty
+    lighter = known is not None and any(site[0] == "payload" for site in known.sites)
+    for i, mass in enumerate(masses[:-1] if lighter else masses):
+        if mass < 0:
+            raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
     return read
 
 
 def _torques_in(document: Any) -> TorqueDocument:
     torques = find_torques(document)
-    if torques is None:
+    if not _has_model(torques):
         raise _NoDiagnosisError("is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
     return check(torques, TorqueDocument)

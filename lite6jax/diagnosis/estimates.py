@@ -1,15 +1,18 @@
 """What a diagnosis of either domain says of one effect, and whether two agree."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
+from threadpoolctl import threadpool_limits
 
 from lite6jax.diagnosis.result import DomainDiagnosis
-from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset
+from lite6jax.domains.torque.composition import read_driver
+from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
 from lite6jax.estimation.least_squares import Fit, fit
@@ -35,11 +38,55 @@ class EffectEstimate(NamedTuple):
     parameters: dict[str, Estimate]
 
 
-def side_entry(said: EffectEstimate | None) -> dict[str, Any] | None:
-    """What one side says of a quantity, as values that JSON can hold."""
-    if said is None:
-        return None
-    return {"found": said.found, "parameters": {key: e._asdict() for key, e in said.parameters.items()}}
+@final
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Two estimates of one quantity, and whether they agree.
+
+    Attributes:
+        of: what, by codes: a `quantity` on which both domains depend; or `effect`, `site` and, of a nonparametric one,
+            `driver`.
+        estimates: by side: `poses` and `torques`, or `recording` and `reference`; None where a side does not show it.
+        p_value: of a difference as large; None where a side does not show the quantity.
+    """
+
+    of: Mapping[str, str]
+    estimates: Mapping[str, EffectEstimate | None]
+    p_value: float | None
+
+    @property
+    def agree(self) -> bool | None:
+        """Whether both say the same within their uncertainty; None where one of them says nothing."""
+        return None if self.p_value is None else self.p_value >= DISAGREE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        sides = {
+            side: None
+            if said is None
+            else {"found": said.found, "parameters": {key: e._asdict() for key, e in said.parameters.items()}}
+            for side, said in self.estimates.items()
+        }
+        return {**self.of, **sides, "p_value": self.p_value, "agree": self.agree}
+
+
+def compare_estimates(
+    of: Mapping[str, str], estimates: Mapping[str, EffectEstimate | None], sign: float = 1.0, compared: int = 1
+) -> Agreement:
+    """The comparison of two estimates, both being normal.
+
+    Args:
+        of: as of `Agreement`.
+        estimates: by side.
+        sign: of the second over the first.
+        compared: how many are compared, over which the p-value is family-wise.
+    """
+    one, other = estimates.values()
+    if one is None or other is None:
+        return Agreement(of, estimates, None)
+    off, together = one.values - sign * other.values, one.covariance + other.covariance
+    p_value = float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
+    return Agreement(of, estimates, min(1.0, compared * p_value))
 
 
 def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstimate | None:
@@ -82,19 +129,10 @@ def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Effect
     return EffectEstimate(found, values, covariance, parameters)
 
 
-def difference_p_value(one: EffectEstimate, other: EffectEstimate, sign: float = 1.0) -> float:
-    """Of a difference as large as theirs, both being normal; `sign` is that of the second over the first."""
-    off = one.values - sign * other.values
-    together = one.covariance + other.covariance
-    return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
-
-
 # ------------------------------------------------------------------ poses and torques of one recording
 
 
-Quantity = Literal["payload_mass", "gravity_direction", "clock_offset"]
-
-_PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
+_PAIRS: tuple[tuple[str, Effect, TorqueEffect, float], ...] = (
     ("payload_mass", PayloadError(), PayloadTorque(), 1.0),
     # poses state by what gravity is turned, torques by what the base is: the opposite
     ("gravity_direction", GravityDirection(), BaseTilt(), -1.0),
@@ -103,36 +141,89 @@ _PAIRS: tuple[tuple[Quantity, Effect, TorqueEffect, float], ...] = (
 """The effects of both domains that are one quantity, and the sign of the second over the first."""
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Shared:
-    """A quantity on which both domains depend, what each says of it, and the p-value of a difference as large.
-
-    A domain that does not show it says None. A finding of one at least concerns it.
-    """
-
-    quantity: Quantity
-    poses: EffectEstimate | None
-    torques: EffectEstimate | None
-    p_value: float | None
-
-    @property
-    def agree(self) -> bool | None:
-        """Whether both say the same within their uncertainty; None where one of them says nothing."""
-        return None if self.p_value is None else self.p_value >= DISAGREE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        said: dict[str, Any] = {"quantity": self.quantity, "p_value": self.p_value, "agree": self.agree}
-        return said | {"poses": side_entry(self.poses), "torques": side_entry(self.torques)}
-
-
-def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Shared, ...]:
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Agreement, ...]:
     """The quantities that a finding of either concerns, each as both see it."""
     found = []
     for quantity, kinematic, dynamic, sign in _PAIRS:
         if poses.has(kinematic) or torques.has(dynamic):
-            one, other = estimate_effect(poses, kinematic), estimate_effect(torques, dynamic)
-            p = None if one is None or other is None else difference_p_value(one, other, sign)
-            found.append(Shared(quantity, one, other, p))
+            both = {"poses": estimate_effect(poses, kinematic), "torques": estimate_effect(torques, dynamic)}
+            found.append(compare_estimates({"quantity": quantity}, both, sign))
     return tuple(found)
+
+
+# ------------------------------------------------------------------ torques of two recordings
+
+
+_VISIBLE = 1e-3
+"""Size of a torque over that of the most visible one, by unit of a direction of a function's numbers, from which rows
+show it."""
+
+
+def compare_effects(
+    found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]
+) -> tuple[Agreement, ...]:
+    """Each effect that either of two recordings shows, as both do; p-values are family-wise over all."""
+    shown: dict[tuple[object, ...], Effect] = {}
+    for finding in (*found.findings, *other.findings):
+        shown.setdefault(_function(finding.effect), finding.effect)
+    compared = []
+    for effect in shown.values():
+        of = {"effect": effect.name, "site": effect.site}
+        if isinstance(effect, UnnamedTorque):
+            of["driver"] = effect.driver
+            here, there = _curves(effect, found, other)
+        else:
+            here, there = estimate_effect(found, effect), estimate_effect(other, effect)
+        compared.append(compare_estimates(of, {"recording": here, "reference": there}, compared=len(shown)))
+    return tuple(compared)
+
+
+def _function(effect: Effect) -> tuple[object, ...]:
+    """What two findings have in common that are compared: the name, or the driver of a function without one."""
+    return (effect.site, effect.drivers) if effect.nonparametric else (effect.label,)
+
+
+def _curves(
+    effect: UnnamedTorque, found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]
+) -> tuple[EffectEstimate | None, EffectEstimate | None]:
+    """A function without a name as both results show it: its values on the rows whose drivers both have in range.
+
+    A result that has another function of the same drivers is fitted with this one in its place.
+    """
+    problem, own, its = found.problem, _driven(found, effect), _driven(other, effect)
+    common = np.zeros(problem.samples, bool)
+    if own is not None and its is not None:
+        low, high = its.min(1, keepdims=True), its.max(1, keepdims=True)
+        common = np.all((own >= low) & (own <= high), 0)
+    functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
+    if functions is None or not functions.any():
+        whole = np.eye(effect.size)
+        here, there = (_fitted_curve(each, effect, whole) if each.has(effect) else None for each in (found, other))
+        return here, there
+    # the directions that these rows show, each a root mean square of the torque along it
+    _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
+    seen = sizes > _VISIBLE * sizes[0]
+    along = sizes[seen, None] * V[seen]
+    return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
+
+
+def _driven(result: DomainDiagnosis[TorqueProblem], effect: UnnamedTorque) -> Array | None:
+    """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
+    data, dynamics = result.problem.data, result.problem.dynamics
+    values = [row for driver in effect.drivers if (row := read_driver(driver, dynamics)) is not None]
+    if len(values) < len(effect.drivers):
+        return None
+    return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
+
+
+def _fitted_curve(result: DomainDiagnosis[TorqueProblem], effect: UnnamedTorque, along: Array) -> EffectEstimate:
+    """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
+    at = result.fit
+    if not result.has(effect):
+        at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
+    numbers = at.terms.slices[at.terms.terms.index(effect)]
+    values, covariance = along @ at.values[numbers], along @ at.covariance[numbers, numbers] @ along.T
+    size = float(np.sqrt(values @ values))
+    std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
+    return EffectEstimate(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})

@@ -112,12 +112,12 @@ class Case:
 
     Attributes:
         recording: measured poses.
-        arm: the nominal arm; from the sidecar where not case.
+        arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
         options: thresholds.
         effects: a user's own candidates.
-        factory: the arm's calibration; from the sidecar where not case.
-        training: `(sample,)` bool, the rows that may be used; all where not case. Screening, clock, linearisation and
+        factory: the arm's calibration; from the sidecar where not given.
+        training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
             search use no other.
         thorough: as in `search`.
         among: as in `search`.

@@ -12,7 +12,7 @@ another model of the same effect; neither says that the effect is not there.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding, SearchedAgain, Withdrawn
+from lite6jax.diagnosis.result import Finding, HeldOut, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
@@ -74,27 +74,12 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
     return [np.any(blocks[number::count], 0) for number in range(count)]
 
 
-# ------------------------------------------------------------------ which findings hold
-
-
-class HeldOutErrors(Protocol):
-    """Errors on held-out rows, of poses or of torques: a tuple of arrays with the sample last."""
-
-    @property
-    def before(self) -> Array: ...
-    @property
-    def after(self) -> Array: ...
-    def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float: ...
-    def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool: ...
-    def without_effects(self) -> Any: ...
-
-
-E = TypeVar("E", bound=HeldOutErrors)
+# ------------------------------------------------------------------ errors on them
 
 
 def errors_of_folds(
-    errors: Callable[..., E], given: tuple[Any, ...], folds: Sequence[Mask], anywhere: bool = True
-) -> E:
+    errors: Callable[..., HeldOut], given: tuple[Any, ...], folds: Sequence[Mask], anywhere: bool = True
+) -> HeldOut:
     """The errors on all rows.
 
     Args:
@@ -103,16 +88,45 @@ def errors_of_folds(
         folds: which have each row once.
         anywhere: whether other processes may take a part.
     """
-    parts: list[Any] = work_on_folds(errors, given, folds, anywhere)
+    parts = work_on_folds(errors, given, folds, anywhere)
     order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
-    return parts[0]._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
+    return HeldOut._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
+
+
+def errors_of_selection(selection: Selection, held: Mask, sizes: Callable[[Any, Fit], tuple[Array, Array]]) -> HeldOut:
+    """The errors on the rows of a fold, by a model of the others.
+
+    Only these are kept: the problems of a fold, whose columns take a gigabyte of a real arm, end with it.
+
+    Args:
+        selection: of the other rows.
+        held: `(sample,)`, the rows of the fold.
+        sizes: of the errors of a fit of a problem, `(group, sample)` each: in SI units, and over their noise.
+    """
+    state = selection.state
+    pairs = zip(sizes(selection.reference, state.baseline), sizes(selection.problem, state.fit), strict=True)
+    errors = HeldOut(*(size for pair in pairs for size in pair), with_effects=np.full(held.size, bool(state.tested)))
+    return HeldOut._make(of_all[..., held] for of_all in errors)
+
+
+# ------------------------------------------------------------------ which findings hold
+
+
+class Judgement(NamedTuple):
+    """Whether errors on held-out rows reject effects, and the ratio of those with effects to those without."""
+
+    rejects: bool
+    ratio: float
+
+
+Judge = Callable[[HeldOut, Selection, Mask, Sequence[Mask], Options], Judgement]
 
 
 class Verification(NamedTuple):
-    """What holds on rows that were not used; attributes as of a diagnosis, with `errors` on `folds`."""
+    """What holds on rows that were not used: fields of a diagnosis."""
 
     selection: Selection
-    errors: Any
+    errors: HeldOut
     folds: Sequence[Mask]
     findings: tuple[Finding, ...]
     withdrawn: Withdrawn | None = None
@@ -121,11 +135,12 @@ class Verification(NamedTuple):
 
 def verify(
     selection: Selection,
-    errors: E,
+    errors: HeldOut,
     folds: Sequence[Mask],
     kept: Mask,
     options: Options,
-    refitted: Callable[[Sequence[Mask]], E],
+    judge: Judge,
+    refitted: Callable[[Sequence[Mask]], HeldOut],
 ) -> Verification:
     """The findings of a selection, unless both a search and a fit without some rows reject them.
 
@@ -135,6 +150,7 @@ def verify(
         folds: these.
         kept: `(sample,)`, the rows that count.
         options: thresholds.
+        judge: `judge_poses` or `judge_torques`.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
     """
     state, findings = selection.state, []
@@ -145,106 +161,72 @@ def verify(
         gain, std, share = tested.gain, tested.chosen_std, tested.input_share
         findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, others, std, share))
     found = tuple(findings)
-    if not found or not errors.rejects(selection, kept, folds, options):
+    searched = judge(errors, selection, kept, folds, options) if found else Judgement(False, 1.0)
+    if not searched.rejects:
         return Verification(selection, errors, folds, found)
     spread = spread_folds(folds, state.fit.noise, options)
     again = refitted(spread)
-    if again.rejects(selection, kept, spread, options):
-        sizes = (float(np.sqrt(np.mean(each[..., kept] ** 2))) for each in (errors.before, errors.after))
+    if judge(again, selection, kept, spread, options).rejects:
         # the nuisance alone, as it was fitted without the effects
         bare = replace(selection, problem=selection.reference, state=State(state.baseline, state.baseline))
-        return Verification(bare, errors.without_effects(), folds, (), Withdrawn(found, *sizes))
-    searched_again = SearchedAgain(len(folds), errors.ratio(selection, kept, folds))
-    return Verification(selection, again, spread, found, searched_again=searched_again)
+        return Verification(bare, errors.without_effects(), folds, (), Withdrawn(found, errors, kept))
+    return Verification(selection, again, spread, found, None, SearchedAgain(len(folds), searched.ratio))
 
 
 # ------------------------------------------------------------------ errors of poses
 
 
-class HeldOut(NamedTuple):
-    """Errors of poses on held-out rows, `(sample,)` each.
+def judge_poses(
+    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
+) -> Judgement:
+    """By whether effects raise the errors of rows that were not used, or describe none but those that were."""
+    numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
+    rejects = raises(errors, kept, numbers, options) or is_overfitted(errors, selection, kept, folds, options)
+    return Judgement(rejects, _ratio(errors.before[0, kept], errors.after[0, kept]))
 
-    Attributes:
-        before: m, of positions, with the nuisance alone.
-        after: m, of positions, with the effects that a search of the other rows selects, or that are fitted to them.
-        placed_before: of positions, over their noise, with the nuisance alone. A camera sees depth worse than the rest.
-        placed_after: likewise with the effects.
-        turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
-        turned_after: likewise with the effects.
-        angle_before: rad, of orientations, with the nuisance alone; zero where none were measured.
-        angle_after: likewise with the effects.
-        with_effects: bool, of rows without which there are effects.
+
+def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> bool:
+    """Whether effects of so many numbers raise the errors on rows that were not used.
+
+    Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
+    Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
+    the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
+    effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
     """
+    pairs = zip(errors.before_over_noise[:, kept], errors.after_over_noise[:, kept], strict=True)
+    position, turned = (_ratio(before, after) for before, after in pairs)
+    cost = 1 + 0.5 * numbers / (3 * kept.sum())
+    return position * turned > 1 or position > max(options.heldout_rise, cost)
 
-    before: Array
-    after: Array
-    placed_before: Array
-    placed_after: Array
-    turned_before: Array
-    turned_after: Array
-    angle_before: Array
-    angle_after: Array
-    with_effects: Mask
 
-    def without_effects(self) -> "HeldOut":
-        """The errors of the nuisance alone, before and after."""
-        return self._replace(
-            after=self.before,
-            placed_after=self.placed_before,
-            turned_after=self.turned_before,
-            angle_after=self.angle_before,
-        )
+def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
+    """Whether a model with effects describes the rows that it was fitted to, and no others.
 
-    def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
-        """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
-        state = selection.state
-        numbers = max(state.fit.parameters - state.baseline.parameters, 0.0)
-        return self.raised(kept, numbers, options) or self.overfitted(kept, selection, folds, options)
+    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
+    ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
+    remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
+    without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
+    Errors differ in size from fold to fold, so it is the geometric mean of the ratios over folds that counts.
+    """
+    (before, _), (after, _) = errors.before_over_noise, errors.after_over_noise
+    if (tried := kept & errors.with_effects).any():
+        kept = tried
+    held = [rows for fold in folds if (rows := fold & kept).any()]
+    if held:
+        logs = [np.log(max(_ratio(before[rows], after[rows]), 1e-300)) for rows in held]
+        if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
+            return False
 
-    def ratio(self, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> float:
-        """Of the root mean squares of position errors with effects and without, of the rows `kept`."""
-        return _ratio(self.before[kept], self.after[kept])
+    def times_fitted(of_all: Array, problem: Problem, fit: Fit) -> float:
+        """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
+        assert isinstance(problem, PoseProblem)
+        share = fit.freedom / (problem.rows * fit.training.sum())
+        fitted = np.sum(_pose_errors(problem, fit)[1][0, kept] ** 2) / share
+        return float(np.sqrt(np.sum(of_all[kept] ** 2) / max(fitted, 1e-300)))
 
-    def raised(self, kept: Mask, numbers: float, options: Options) -> bool:
-        """Whether effects of so many numbers raise the errors on rows that were not used.
-
-        Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
-        Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
-        the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
-        effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
-        """
-        position = _ratio(self.placed_before[kept], self.placed_after[kept])
-        turned = _ratio(self.turned_before[kept], self.turned_after[kept])
-        cost = 1 + 0.5 * numbers / (3 * kept.sum())
-        return position * turned > 1 or position > max(options.heldout_rise, cost)
-
-    def overfitted(self, kept: Mask, selection: Selection, folds: Sequence[Mask], options: Options) -> bool:
-        """Whether a model with effects describes the rows that it was fitted to, and no others.
-
-        Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
-        ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
-        remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
-        without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
-        Errors differ in size from fold to fold, so it is the geometric mean of the ratios over folds that counts.
-        """
-        if (tried := kept & self.with_effects).any():
-            kept = tried
-        held = [rows for fold in folds if (rows := fold & kept).any()]
-        if held:
-            logs = [np.log(max(_ratio(self.placed_before[rows], self.placed_after[rows]), 1e-300)) for rows in held]
-            if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
-                return False
-
-        def times_fitted(errors: Array, problem: Problem, fit: Fit) -> float:
-            """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
-            assert isinstance(problem, PoseProblem)
-            share = fit.freedom / (problem.rows * fit.training.sum())
-            fitted = np.sum(_sizes(problem, fit)[1][kept] ** 2) / share
-            return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
-
-        state = selection.state
-        before = times_fitted(self.placed_before, selection.reference, state.baseline)
-        return times_fitted(self.placed_after, selection.problem, state.fit) > max(options.heldout_excess, before)
+    state = selection.state
+    bare = times_fitted(before, selection.reference, state.baseline)
+    return times_fitted(after, selection.problem, state.fit) > max(options.heldout_excess, bare)
 
 
 def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> HeldOut:
@@ -260,7 +242,8 @@ def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
     """The errors on the rows of a fold, from a search of the others."""
-    return _errors(explain(replace(case, training=~held, thorough=False), decisions).selection, held)
+    found = explain(replace(case, training=~held, thorough=False), decisions)
+    return errors_of_selection(found.selection, held, _pose_errors)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
@@ -281,28 +264,21 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
         if selection.problem.preset[0].terms:
             problem = relinearise(selection.problem, engine, training)
         again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
-        return _errors(at_estimate(again, engine), held)
+        return errors_of_selection(at_estimate(again, engine), held, _pose_errors)
 
     return errors_of_folds(predicted, (), folds, anywhere=False)
 
 
-def _errors(selection: Selection, held: Mask) -> HeldOut:
-    """Of the held-out rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
-    problem, reference, state = selection.problem, selection.reference, selection.state
-    assert isinstance(reference, PoseProblem)
+def _pose_errors(problem: Any, fit: Fit) -> tuple[Array, Array]:
+    """`(2, sample)` each, of positions and orientations: in m and rad, and over their noise."""
     assert isinstance(problem, PoseProblem)
-    parts = zip(_sizes(reference, state.baseline), _sizes(problem, state.fit), strict=True)
-    errors = HeldOut(*(size for pair in parts for size in pair), with_effects=np.full(held.size, bool(state.tested)))
-    return HeldOut._make(of_all[held] for of_all in errors)
-
-
-def _sizes(problem: PoseProblem, fit: Fit) -> tuple[Array, ...]:
-    """`(sample,)` each, of the errors of a fit, in the order of `HeldOut`: positions in m and over their noise,
-    orientations over their noise and in rad; zero of what was not measured.
-    """
     rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    errors = unwhitened(rows, problem.measured.whitener)
-    return tuple(np.linalg.norm(part, axis=0) for part in (errors[:3], rows[:3], rows[3:], errors[3:]))
+    return _lengths(unwhitened(rows, problem.measured.whitener)), _lengths(rows)
+
+
+def _lengths(rows: Array) -> Array:
+    """`(2, sample)`, of the position and the orientation in `(row, sample)`; zero of what was not measured."""
+    return np.stack([np.linalg.norm(part, axis=0) for part in (rows[:3], rows[3:])])
 
 
 def _ratio(before: Array, after: Array) -> float:

@@ -1,25 +1,28 @@
 """The result of a diagnosis: findings, data faults, errors before and after, verdict, and its document."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar, final
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from lite6jax.diagnosis.discrimination import SeparatingPoses
-from lite6jax.diagnosis.document import SCHEMA, Verdict, effect_entry
+from lite6jax.diagnosis.document import SCHEMA, Domain, Verdict, effect_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.estimation.concentration import Concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
+from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
@@ -85,30 +88,28 @@ class Finding:
         covariance = np.asarray(block_diag(self.covariance, self.chosen_std**2))
         return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
-    def to_dict(
-        self, size: dict[str, Any], contribution: dict[str, Any], alternatives: list[dict[str, Any]]
-    ) -> dict[str, Any]:
-        """Codes and numbers.
 
-        Args:
-            size: of a nonparametric effect.
-            contribution: what it moves.
-            alternatives: as they are written.
-        """
-        nearest = (
-            {} if self.nearest is None else {"nearest": effect_entry(self.nearest[0]) | {"share": self.nearest[1]}}
-        )
-        return {
-            **effect_entry(self.effect),
-            "parameters": {name: estimate._asdict() for name, estimate in self.parameters.items()},
-            **size,
-            **nearest,
-            **({"payload_share": self.input_share} if self.input_share else {}),
-            "p_value": self.p_value,
-            "log_likelihood_gain": self.gain,
-            **contribution,
-            "confusable_with": alternatives,
-        }
+class HeldOut(NamedTuple):
+    """Errors on held-out rows, by group of channels: position and orientation of a pose, or the torque of each joint.
+
+    Attributes:
+        before: `(group, sample)`, with the nuisance alone: lengths in m and rad, of orientations zero where none were
+            measured; or Nm, N of prismatic joints.
+        after: likewise, with the effects that a search of the other rows selects, or that are fitted to them.
+        before_over_noise: as `before`, over the noise of each row. A camera sees depth worse than the rest.
+        after_over_noise: likewise with the effects.
+        with_effects: `(sample,)` bool, rows without which there are effects.
+    """
+
+    before: Array
+    after: Array
+    before_over_noise: Array
+    after_over_noise: Array
+    with_effects: Mask
+
+    def without_effects(self) -> "HeldOut":
+        """The errors of the nuisance alone, before and after."""
+        return self._replace(after=self.before, after_over_noise=self.before_over_noise)
 
 
 @final
@@ -116,12 +117,13 @@ class Finding:
 class Withdrawn:
     """Effects that were significant, and do not hold on rows that were not used.
 
-    RMS errors there, m or Nm, are larger than without them, or several times those on rows that they were fitted to.
+    The errors there, of the rows `kept`, are larger than without them, or several times those on rows that they were
+    fitted to.
     """
 
     findings: tuple[Finding, ...]
-    before: float
-    after: float
+    errors: HeldOut
+    kept: Mask
 
 
 @final
@@ -148,46 +150,47 @@ class Against(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DomainDiagnosis(Generic[P]):
+class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
-
-    Errors are of positions `(sample,)` in m, or of torques `(joint, sample)` in Nm (N of prismatic joints). What a
-    domain does not have is empty.
 
     Attributes:
         problem: the screened recording as an estimation problem, linearised where its model is.
         selection: the search's result: fits without and with the effects.
         findings: the effects, in the order of their numbers in `fit`.
-        before: held-out errors with the nuisance alone.
-        after: held-out errors with the effects that a search of the other blocks selects; where that rejected the
-            findings and these hold when they are fitted again, with the findings.
+        errors: on held-out rows, with the nuisance alone, and with the effects that a search of the other blocks
+            selects; where that rejected the findings and these hold when they are fitted again, with the findings.
         faults: of the data, in the order in which they were corrected.
         ruled_out: faults that were tested for and are not there.
         options: thresholds.
-        folds: `(sample,)` bool each, the rows that were held out together for `before` and `after`.
+        folds: `(sample,)` bool each, the rows that were held out together for `errors`.
+        outliers: `(sample,)` bool, outlying rows, of torques contacts, and rows without joints; statistics of `errors`
+            omit them.
         withdrawn: effects that were not kept, because they do not hold on held-out rows; None where there are none.
-        searched_again: errors where the search was repeated; None where `before` and `after` are these.
+        searched_again: errors where the search was repeated; None where `errors` are these.
         against: how the recording was compared with a reference; None where it was not.
-        outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
         separating: poses that separate findings from their alternatives.
-        turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
+
+    domain: ClassVar[Domain]
 
     problem: P
     selection: Selection
     findings: tuple[Finding, ...]
-    before: Array
-    after: Array
+    errors: HeldOut
     faults: tuple[DataFault, ...]
     ruled_out: tuple[DataFault, ...]
     options: Options
-    folds: tuple[Mask, ...]
+    folds: Sequence[Mask]
+    outliers: Mask
     withdrawn: Withdrawn | None = None
     searched_again: SearchedAgain | None = None
     against: Against | None = None
-    outliers: Mask = field(default_factory=lambda: np.zeros(0, bool))
     separating: tuple[SeparatingPoses, ...] = ()
-    turned: tuple[Array, Array] | None = None
+
+    @property
+    def parts(self) -> "tuple[DomainDiagnosis[Any], ...]":
+        """Itself, and after poses the diagnosis of the torques of the same recording where there is one."""
+        return (self,)
 
     @property
     def fit(self) -> Fit:
@@ -242,9 +245,29 @@ class DomainDiagnosis(Generic[P]):
         return "explained" if found else "consistent"
 
     @property
+    @abstractmethod
     def recording(self) -> Recording:
         """As it was screened."""
-        raise NotImplementedError
+
+    @cached_property
+    @abstractmethod
+    def moves(self) -> tuple[dict[str, Any], ...]:
+        """What each finding moves, RMS over rows that are no outliers, by unit; of torques also the joints."""
+
+    @cached_property
+    @abstractmethod
+    def over_noise(self) -> dict[str, float | None]:
+        """What the model leaves over the declared noise, by group of channels; None where none is declared."""
+
+    @property
+    def most_over_noise(self) -> float | None:
+        """The largest of these ratios; None where no noise is declared."""
+        return max((ratio for ratio in self.over_noise.values() if ratio is not None), default=None)
+
+    @cached_property
+    def acts_at(self) -> Concentration | None:
+        """The joint at which most of what is left acts; None where there is no such, and of torques."""
+        return None
 
     @property
     def _too_few(self) -> bool:
@@ -252,27 +275,69 @@ class DomainDiagnosis(Generic[P]):
         return False
 
     @property
+    @abstractmethod
     def _leaves_noise(self) -> bool:
         """Whether what the model leaves is noise."""
-        raise NotImplementedError
 
+    @property
+    @abstractmethod
+    def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The noise as declared, and as estimated from the residuals."""
+
+    @abstractmethod
+    def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
+        """Of held-out errors `(group, sample)`, on the rows kept."""
+
+    @abstractmethod
+    def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
+        """The range of a nonparametric finding, by its name with its unit."""
+
+    @abstractmethod
+    def _distinction(self, k: int, effect: Effect) -> str:
+        """The status of an alternative that explains nearly as much as a finding."""
+
+    @abstractmethod
     def _own_parts(self) -> dict[str, Any]:
-        """What of the document only this domain has, or has in another form."""
-        raise NotImplementedError
+        """The model, and what of the document only this domain has."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes and numbers in SI units."""
-        nearest, again, settings = self.nearest, self.searched_again, self.recording.settings
-        shared = {
+        """The document `lite6jax/diagnosis/3`: codes and numbers in SI units."""
+        settings, kept, nearest = self.recording.settings, ~self.outliers, self.nearest
+        again, withdrawn = self.searched_again, self.withdrawn
+        faults, outliers = list(self.faults), self.outliers & self.problem.valid
+        if outliers.any():
+            faults.append(DataFault("outliers", tuple(self.recording.row[outliers].tolist())))
+        (declared, estimated), at = self._noise, self.acts_at
+        return {
             "schema": SCHEMA,
+            "domain": self.domain,
             "verdict": self.verdict,
+            "samples": self.recording.samples,
+            "heldout_rows": int(kept.sum()),
             "heldout_blocks": block_count(self.folds),
             "searched_again": None if again is None else {"blocks": again.blocks, "heldout_ratio": again.ratio},
             "quick": self.options.quick,
             "date": settings.date,
             "instrument": settings.instrument,
-            "data_faults": [fault.to_dict() for fault in self.faults],
+            "source": settings.pose_source if self.domain == "poses" else settings.torque_source,
+            "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
+            "before": self._statistics(self.errors.before, kept),
+            "after": self._statistics(self.errors.after, kept),
+            "left": {
+                "over_noise": self.over_noise,
+                "white": self.fit.noise.white,
+                "acts_at": None if at is None else {"site": at.site, "share": at.share, "share_of_noise": at.expected},
+            },
+            "noise": {"declared": declared, "estimated": estimated},
+            "findings": [self._finding(k) for k in range(len(self.findings))],
+            "withdrawn": None
+            if withdrawn is None
+            else {
+                "effects": [effect_entry(finding.effect) for finding in withdrawn.findings],
+                "before": self._statistics(withdrawn.errors.before, withdrawn.kept),
+                "after": self._statistics(withdrawn.errors.after, withdrawn.kept),
+            },
             "nearest": None
             if nearest is None
             else {"effect": nearest[0].name, "site": nearest[0].site, "p_value": nearest[1]},
@@ -281,11 +346,49 @@ class DomainDiagnosis(Generic[P]):
                 for item in self.untestable
             ],
             "confounded": [effect_entry(effect) for effect in self.confounded],
+            "separating_poses": [
+                {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
+                for item in self.separating
+            ],
+            **({} if self.against is None else {"against": self.against.to_dict()}),
+            **self._own_parts(),
         }
-        against = {} if self.against is None else {"against": self.against.to_dict()}
-        return shared | self._own_parts() | against
+
+    def _finding(self, k: int) -> dict[str, Any]:
+        finding, size = self.findings[k], {}
+        if finding.effect.nonparametric:
+            ranges = {name: estimate._asdict() for name, estimate in self._peak_to_peak(k).items()}
+            size = {"peak_to_peak": ranges, "effective_parameters": finding.effective_parameters}
+        if finding.nearest is not None:
+            size["nearest"] = effect_entry(finding.nearest[0]) | {"share": finding.nearest[1]}
+        if finding.input_share:
+            size["payload_share"] = finding.input_share
+        alternatives = sorted(finding.alternatives, key=lambda one: one.gap)
+        return {
+            **effect_entry(finding.effect),
+            "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
+            **size,
+            "p_value": finding.p_value,
+            "log_likelihood_gain": finding.gain,
+            **self.moves[k],
+            "confusable_with": [self._alternative(k, one) for one in alternatives],
+        }
+
+    def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
+        """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
+        effect = one.term
+        assert isinstance(effect, Effect)
+        if one.gap >= self.options.engine.close:
+            status = "rejected"
+        else:
+            status = "found" if effect in self.fit.terms.terms else self._distinction(k, effect)
+        numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
+        known = {name: value for name, value in numbers.items() if value is not None}
+        if "period_m" in known:  # what an order is of a prismatic joint
+            del known["order"]
+        return {**effect_entry(effect), **known, "log_likelihood_gap": one.gap, "status": status}
 
 
-def block_count(folds: tuple[Mask, ...] | list[Mask]) -> int:
+def block_count(folds: Sequence[Mask]) -> int:
     """How many contiguous blocks of rows these sets have in all."""
     return sum(int(np.sum(np.diff(held.astype(int), prepend=0) > 0)) for held in folds)

@@ -9,10 +9,10 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.predict import DiagnosedArm, Prediction, predicted_poses, recording_of
+from lite6jax.domains.pose.predict import DiagnosedArm, Prediction, predicted_poses
 from lite6jax.domains.torque.predict import DiagnosedMotors, TorquePrediction, predicted_torques
 from lite6jax.errors import InputError, wrong_type
-from lite6jax.recordings import Recording, read_motion
+from lite6jax.recordings import Recording, assemble_motion, read_motion
 
 Motion = Recording | str | Path | ArrayLike
 
@@ -77,7 +77,7 @@ def predicted(
     else:
         if not (isinstance(motion, Sequence) or hasattr(motion, "__array__")):
             raise wrong_type("motion", motion, "a Recording, the path of its file, or an array of joint positions")
-        motion, remedy = recording_of(model, motion, **circumstances), "give time=…"
+        motion, remedy = assemble_motion(model, motion, **circumstances), "give time=…"
     if isinstance(model, DiagnosedArm):
         return predicted_poses(model, motion)
     if motion.time is None and motion.motion != "static":

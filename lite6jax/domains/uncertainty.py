@@ -7,7 +7,7 @@ range of its driver a nonparametric effect goes back to its prior, whose varianc
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,23 @@ DRIVEN = 0.25
 """Of the recorded range of a driver: so far beyond it what is left counts twice."""
 MARGIN = 0.02
 """Of a recorded range: a row within this of its ends is not outside."""
+
+
+Basis = Literal["rigid", "flexible", "rows", "effects"]
+
+
+class ReferenceOrigin(NamedTuple):
+    """The reference recording relative to which a model was estimated.
+
+    Attributes:
+        file: the recording's name.
+        basis: what the model contains. `rigid`: all, because the reference has no effects beyond a rigid arm;
+            `flexible`: of poses, the difference from a reference that has some; `rows`: of torques, the difference in
+            the same motion; `effects`: all that the recording shows, because the motions differ.
+    """
+
+    file: str
+    basis: Basis
 
 
 @final
@@ -50,6 +67,11 @@ class RecordedRange:
     drivers: dict[str, tuple[float, float]]
     velocities: Array | None = None
     accelerations: Array | None = None
+
+    def beyond(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """By how much quantities `(sample,)` are beyond what was recorded of them, as `beyond_range`, by phrase."""
+        known = {phrase: each for phrase, each in values.items() if phrase in self.drivers}
+        return {phrase: beyond_range(each, *self.drivers[phrase]) for phrase, each in known.items()}
 
 
 @final

@@ -11,6 +11,7 @@ from lite6jax.recordings.checks import (
 )
 from lite6jax.recordings.files import (
     Targets,
+    assemble_motion,
     read_motion,
     read_recording,
     read_targets,
@@ -43,6 +44,7 @@ __all__ = [
     "Recording",
     "RecordingSettings",
     "Targets",
+    "assemble_motion",
     "check_joint_scale",
     "check_position_scale",
     "check_torque_scale",

@@ -99,7 +99,7 @@ class DataFault:
         return replace(self, numbers={**self.numbers, **numbers})
 
     def to_dict(self) -> dict[str, Any]:
-        """As in `lite6jax/diagnosis/2`."""
+        """As in `lite6jax/diagnosis/3`."""
         return {"fault": self.code, "rows": list(self.rows), "numbers": dict(self.numbers)}
 
 

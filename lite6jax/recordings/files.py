@@ -32,6 +32,7 @@ from lite6jax.recordings.settings import (
 )
 from lite6jax.recordings.table import RawTable, make_arrays, tabulate
 from lite6jax.recordings.texts import open_text
+from lite6jax.recordings.units import require_radians
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
 
 LOGS = (".mcap", ".db3", ".bag")
@@ -258,6 +259,20 @@ def read_motion(path: str | Path, model: Any) -> Recording:
     if settings.motion is None and recording.motion != model.motion:
         settings = replace(settings, motion=model.motion)
     return declare_anew(recording, settings)
+
+
+def assemble_motion(model: Any, joint_position: ArrayLike, **arrays: Any) -> Recording:
+    """A motion to predict, of arrays as of `Recording.assembled`; settings are taken from the diagnosed recording.
+
+    Raises:
+        InputError: degrees, another number of joints than of the model, or arrays that do not fit together.
+    """
+    settings = RecordingSettings(motion=model.motion, reference_temperature_degC=model.reference_temperature)
+    recording = Recording.assembled(joint_position, settings=settings, source="motion", sliding=model.sliding, **arrays)
+    if recording.dof != model.dof:
+        raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
+    require_radians(recording.joint_position, model.joint_limits)
+    return recording
 
 
 def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording:

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
 from lite6jax.diagnosis.diagnose import Diagnosis
+from lite6jax.diagnosis.document import Domain
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
@@ -42,10 +44,10 @@ Array = NDArray[np.floating]
 
 PREFIX = "torque_"
 """Of the names of the figures of torques, beside those of poses."""
-_POSES = ("error_by_joint", "where", "orders", "findings")
-_TORQUES = ("error_by_joint", "over_time", "friction", "spectra", "findings")
-NAMES = {"poses": _POSES, "torques": _TORQUES, "both": (*_POSES, *(PREFIX + name for name in _TORQUES))}
-"""The figures that `drawings` may give of a diagnosis of poses, of torques or of both."""
+_NAMES: dict[Domain, tuple[str, ...]] = {
+    "poses": ("error_by_joint", "where", "orders", "findings"),
+    "torques": ("error_by_joint", "over_time", "friction", "spectra", "findings"),
+}
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {
@@ -64,8 +66,14 @@ _LOWEST = 1e-4
 """Nm, the shortest bar."""
 
 
+def figure_names(domains: Sequence[Domain]) -> list[str]:
+    """The figures that `drawings` may give of a diagnosis of these domains."""
+    beside = [PREFIX + name for domain in domains[1:] for name in _NAMES[domain]]
+    return [*_NAMES[domains[0]], *beside]
+
+
 def drawings(
-    found: Diagnosis | TorqueDiagnosis, title: str, document: Mapping[str, Any] | None = None
+    found: DomainDiagnosis[Any], title: str, document: Mapping[str, Any] | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
@@ -78,15 +86,15 @@ def drawings(
         yield "friction", friction(found, title)
         if found.problem.data.recording.motion != "static":
             yield "spectra", spectra(found, title)
-    else:
+    elif isinstance(found, Diagnosis):
         yield "error_by_joint", error_by_joint(found, title)
         yield "where", explained_map(found, title)
         yield "orders", order_spectrum(found, title)
     if found.findings:
         yield "findings", finding_figure(found, title, order=order)
-    if isinstance(found, Diagnosis) and found.torques is not None:
+    for torques in found.parts[1:]:
         own = None if document is None else document["torques"]
-        yield from ((PREFIX + name, figure) for name, figure in drawings(found.torques, title, own))
+        yield from ((PREFIX + name, figure) for name, figure in drawings(torques, title, own))
 
 
 # ------------------------------------------------------------------ of poses
@@ -323,7 +331,7 @@ _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "sc
 
 @rc_context(STYLE)
 def finding_figure(
-    found: Diagnosis | TorqueDiagnosis,
+    found: DomainDiagnosis[Any],
     title: str,
     chosen: Sequence[int] | None = None,
     order: Sequence[int] | None = None,

@@ -63,18 +63,6 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     return said
 
 
-def with_statements(document: Mapping[str, Any]) -> dict[str, Any]:
-    """A diagnosis as in its JSON file, with a `statement` added to each data fault, found or ruled out."""
-    sentences = (("data_faults", fault_statement), ("ruled_out", lambda fault: ruled_out_statements([fault])[0]))
-    return dict(document) | {
-        key: [
-            {**entry, "statement": sentence(DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]))}
-            for entry in document[key]
-        ]
-        for key, sentence in sentences
-    }
-
-
 def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause of an error, with a mark before those to be removed first."""
     yield Text(str(path), no_wrap=True, overflow="ignore")

@@ -20,9 +20,8 @@ from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Solution, write_solution
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import document_text
-from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
@@ -133,9 +132,8 @@ def _sensitivity(found: Sensitivity, title: str) -> Figures:
     return Figures({"by_joint": figures.sensitivity_by_joint(found, title), "workspace": over})
 
 
-@draw.register(Diagnosis)
-@draw.register(TorqueDiagnosis)
-def _diagnosis(found: Diagnosis | TorqueDiagnosis, title: str) -> Figures:
+@draw.register
+def _diagnosis(found: DomainDiagnosis, title: str) -> Figures:
     title = title or Path(found.recording.source).name
     return Figures(diagnosis_figures.drawings(found, title, found.to_dict()))
 
@@ -198,16 +196,12 @@ def _registration_table(found: Registration) -> Columns:
 _PARAMETER = ("of", "finding", "effect", "site", "driver", "parameter", "value", "std", "p_value")
 
 
-@tabulate.register(Diagnosis)
-@tabulate.register(TorqueDiagnosis)
-def _diagnosis_table(found: Diagnosis | TorqueDiagnosis) -> Columns:
+@tabulate.register
+def _diagnosis_table(found: DomainDiagnosis) -> Columns:
     """A row for each parameter of each finding; findings are numbered from 1."""
-    parts = (found, found.torques if isinstance(found, Diagnosis) else None)
     rows = [
-        (of, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
-        for part in parts
-        if part is not None
-        for of in ("torques" if isinstance(part, TorqueDiagnosis) else "poses",)
+        (part.domain, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
+        for part in found.parts
         for number, finding in enumerate(part.findings, 1)
         for driver in (", ".join(each.phrase for each in finding.effect.drivers) or "none",)
         for name, estimate in finding.parameters.items()
@@ -245,9 +239,8 @@ def _saved_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
     return (write_solution if path.suffix.lower() == ".json" else _saved)(solution, path, overwrite)
 
 
-@write.register(Diagnosis)
-@write.register(TorqueDiagnosis)
-def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
+@write.register
+def _saved_diagnosis(found: DomainDiagnosis, path: Path, overwrite: bool) -> Path:
     """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
     suffix = path.suffix.lower()
     _check_suffix(found, path, (".json", ".html", *_TABLES))

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.document import is_of_torques
-from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
@@ -39,7 +38,7 @@ _DPI = 120
 
 
 def diagnosis_page(
-    found: Diagnosis | TorqueDiagnosis,
+    found: DomainDiagnosis[Any],
     document: Document,
     source: str | None = None,
     figures: Mapping[str, Figure] | None = None,
@@ -59,9 +58,8 @@ def diagnosis_page(
         files = files or Files(Path(recorded))
     source = recorded if source is None else source
     figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
-    torques = found.torques if isinstance(found, Diagnosis) else None
     parts = [("", sections_of(Report(document, files, pictures=_pictures(found, document, figures))))]
-    if torques is not None:
+    for torques in found.parts[1:]:
         own = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
         shown = _pictures(torques, document["torques"], own)
         both = Section(statements.SHARED, [("bullets", statements.shared_statements(document))])
@@ -73,12 +71,10 @@ def diagnosis_page(
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 
 
-def _pictures(
-    found: Diagnosis | TorqueDiagnosis, document: Document, figures: Mapping[str, Figure]
-) -> dict[str, Picture]:
+def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
     torques, order = is_of_torques(document), ranking.order(document)
-    captions = read_texts("diagnosis.yaml")["captions"]["torques" if torques else "poses"]
+    captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     for rank, finding in enumerate(statements.findings_of(document), 1):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
@@ -195,9 +191,8 @@ def certificate(document: Document) -> Figure:
 def _subject(document: Document) -> list[tuple[str, str]]:
     torques = is_of_torques(document)
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
-    source = document["torque_source" if torques else "pose_source"]
-    instrument = document["instrument"] or _INSTRUMENTS.get(source, "not stated")
-    noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
+    instrument = document["instrument"] or _INSTRUMENTS.get(document["source"], "not stated")
+    noise = next(iter(document["noise"]["declared"].values()))
     if noise is not None:
         shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
         instrument += f"; declared noise {shown} (one standard deviation)"
@@ -212,11 +207,9 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
-    torques, findings = is_of_torques(document), statements.findings_of(document)
-    lines = []
+    torques, findings, lines = is_of_torques(document), statements.findings_of(document), []
     for rank, finding in enumerate(findings[:_MOST], 1):
-        chosen = any(key in finding for key in ("peak_to_peak_Nm", "peak_to_peak_N"))
-        numbers = {} if chosen else finding.get("peak_to_peak", finding["parameters"])
+        numbers = finding.get("peak_to_peak", finding["parameters"])
         said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
         said.append(f"moves {ranking.contribution(document, finding)} RMS")
         lines.append(f"{rank}. {finding['title']}: {'; '.join(said)}")

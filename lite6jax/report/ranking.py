@@ -4,6 +4,7 @@ Contributions are in mm, degrees, Nm or N.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +15,9 @@ from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
 from lite6jax.report.faults import fault_name
-from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.remedies import cause_of, effect_name, remedy_of
 from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import capital, plus_minus, torque_units
+from lite6jax.report.words import capital, each_with_unit, plus_minus, torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -44,12 +45,36 @@ def units(document: Document) -> tuple[str, ...]:
 def is_computed(document: Document) -> bool:
     """Whether no sensor measured the poses: the controller computed them from the joints."""
     found = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
-    return found or document.get("pose_source") == "controller_fk"
+    return found or document.get("source") == "controller_fk"
 
 
-def is_nearly_significant(nearest: Entry | None) -> bool:
-    """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
-    return nearest is not None and nearest["p_value"] < _NEARLY
+def fill_about(text: str, document: Document, **more: object) -> str:
+    """A text of `templates/diagnosis.yaml` about a document, and `more` numbers."""
+    torques, near, declared = is_of_torques(document), document["nearest"], document["noise"]["declared"]
+    missing = [f"no {name.replace('_', '_noise_')}" for name, size in declared.items() if size is None]
+    about: dict[str, object] = {
+        "torques": torques,
+        "sensor": "sensors'" if torques else "sensor's",
+        "times": 0.0 if torques else max(ratio or 0.0 for ratio in document["left"]["over_noise"].values()),
+        "computed": not torques and is_computed(document),
+        "size_declared": bool(next(iter(declared.values()))),
+        "undeclared": " and ".join(missing),
+        # documents do not hold the threshold below which the nearest effect leaves a verdict open
+        "near": near if near is not None and near["p_value"] < _NEARLY else None,
+        "name_effect": effect_name,
+    }
+    if torques:
+        about["in_units"] = partial(each_with_unit, units=units(document))
+    return fill(text, document, **(about | more))
+
+
+def detailed(document: Document) -> list[dict[str, Any]]:
+    """The findings, each with the `domain` and, as `where`, the fields of its effect, which the model has.
+
+    In the model, tolerances of joints come after them.
+    """
+    pairs = zip(document["findings"], document["model"]["effects"], strict=False)
+    return [{**finding, "where": effect["where"], "domain": document["domain"]} for finding, effect in pairs]
 
 
 # ------------------------------------------------------------------ contributions
@@ -142,37 +167,24 @@ def _main(document: Document, finding: Entry) -> Measure:
 
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
-    findings, torques, texts = document["findings"], is_of_torques(document), read_texts("diagnosis.yaml")
-    more: dict[str, Any] = {"torques": torques, "sensor": "sensors'" if torques else "sensor's"}
+    findings, torques, texts = detailed(document), is_of_torques(document), read_texts("diagnosis.yaml")
     if findings:
         main = findings[order(document)[0]]
         measure = _main(document, main)
         before, after = (_error_at(document[stage], document, measure, main) for stage in ("before", "after"))
-        return fill(
+        return fill_about(
             texts["headline"],
-            {
-                **more,
-                "findings": findings,
-                "verdict": document["verdict"],
-                "cause": cause_of(main, torques),
-                "moved": plus_minus(measure.scale * main[measure.moves]),
-                "more": measure.scale * main[measure.moves] > before,
-                "before": plus_minus(before),
-                "after": plus_minus(after),
-                "unit": measure.unit,
-                "of_arm": not torques and all(remedy_of(finding).of_arm for finding in findings),
-            },
+            document,
+            cause=cause_of(main),
+            moved=plus_minus(measure.scale * main[measure.moves]),
+            more=measure.scale * main[measure.moves] > before,
+            before=plus_minus(before),
+            after=plus_minus(after),
+            unit=measure.unit,
+            of_arm=not torques and all(remedy_of(finding).of_arm for finding in findings),
         )
     sizes = (measure.size_of(document["before"][measure.error]) for measure in measures_of(document))
-    said = fill(
-        texts["nothing_found"],
-        document,
-        **more,
-        error=f"{' and '.join(sizes)} RMS",
-        computed=not torques and is_computed(document),
-        declared=document["noise"]["declared_torque_Nm" if torques else "declared_position_m"] is not None,
-        near=is_nearly_significant(document["nearest"]),
-    )
+    said = fill_about(texts["nothing_found"], document, error=f"{' and '.join(sizes)} RMS")
     faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
     if not faults:
         return capital(said)
@@ -212,14 +224,15 @@ class Step(NamedTuple):
 def actions(document: Document) -> list[tuple[list[int], str]]:
     """What to do, each once, with the ranks of the findings that it is for."""
     ranks: dict[str, list[int]] = {}
+    findings = detailed(document)
     for rank, k in enumerate(order(document), 1):
-        ranks.setdefault(remedy_of(document["findings"][k], is_of_torques(document)).action, []).append(rank)
+        ranks.setdefault(remedy_of(findings[k]).action, []).append(rank)
     return [(held, action) for action, held in ranks.items()]
 
 
 def steps(document: Document, files: Files) -> list[Step]:
     """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
-    recording, findings, torques = files.recording, document["findings"], is_of_torques(document)
+    recording, findings, torques = files.recording, detailed(document), is_of_torques(document)
     named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")

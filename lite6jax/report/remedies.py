@@ -52,9 +52,10 @@ _OF_SLIDE = {
 _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
 
 
-def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
-    """The remedy of a finding of the document, that of a user's own effect where neither catalogue has it."""
-    found, exerted = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN), _exerted(entry)
+def remedy_of(entry: Entry) -> Remedy:
+    """The remedy of a finding with its `domain`, that of a user's own effect where neither catalogue has it."""
+    torques, exerted = entry["domain"] == "torques", _exerted(entry)
+    found = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
     if not torques and entry["site"] in ("sensor", "clock"):
         return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)
     if exerted == "force":
@@ -64,15 +65,15 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
     return found._replace(action=found.action.replace("{exerted}", exerted))
 
 
-def cause_of(entry: Entry, torques: bool = False) -> str:
+def cause_of(entry: Entry) -> str:
     """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
-    parameters = entry.get("parameters", {})
+    parameters, torques = entry.get("parameters", {}), entry["domain"] == "torques"
     if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
         mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))
         at = ", ".join(f"{1e3 * value:.0f}" for value in center)
         return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
     source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
-    return remedy_of(entry, torques).cause.format(
+    return remedy_of(entry).cause.format(
         place=place_of(entry["site"]) if torques else joined(_places(entry), "or"),
         source=f"joint {source:.0f}" if source else "another joint",
         effect=effect_name(entry["effect"]),

@@ -156,14 +156,14 @@ def _findings(report: Report, ranked: Iterable[Document]) -> Iterator[Block]:
 def _next_recording(document: Document) -> Iterator[Block]:
     if lines := statements.what_to_record(document):
         yield "bullets", lines
-    for item in document.get("separating_poses", ()):
+    for item in document["separating_poses"]:
         position = np.array(item["joint_position_rad"])
         scales, units = joint_units(ranking.sliding(document), position.shape[1])
         one, other = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
         yield "heading", f"Poses that separate {one} from {other} ({', '.join(dict.fromkeys(units))})"
         rows = [[str(k), *(fixed(float(value), 1) for value in row)] for k, row in enumerate(scales * position, 1)]
         yield "table", (["", *(f"q{joint}" for joint in range(1, position.shape[1] + 1))], rows)
-    if document.get("separating_poses"):
+    if document["separating_poses"]:
         yield "text", statements.NOT_CHECKED
 
 

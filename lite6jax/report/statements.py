@@ -11,10 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
-from lite6jax.report import faults, ranking
-from lite6jax.report.ranking import units
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report import ranking
+from lite6jax.report.faults import fault_statement, ruled_out_statements
+from lite6jax.report.ranking import fill_about, units
 from lite6jax.report.remedies import (
     component,
     detail,
@@ -27,6 +30,7 @@ from lite6jax.report.remedies import (
 )
 from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
+    NAMED,
     NAMED_OF_TORQUES,
     SCREEN,
     Quantity,
@@ -64,49 +68,28 @@ _MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to th
 def with_statements(document: Document) -> dict[str, Any]:
     """A diagnosis as in its JSON file: with a `statement` for each finding, data fault and comparison.
 
-    Untestable effects on poses get a `reason`. Torques beside poses get all of this too.
+    Untestable effects get a `reason`. Torques beside poses get all of this too.
     """
-    torques, stated = is_of_torques(document), faults.with_statements(document)
-    detailed = _detailed(document)
+    stated, detailed = dict(document), ranking.detailed(document)
+    for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
+        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
+        pairs = zip(document[key], map(statement, faults), strict=True)
+        stated[key] = [{**entry, "statement": said} for entry, said in pairs]
     stated["findings"] = [
-        {**finding, "statement": finding_statement(each, torques, detailed)}
+        {**finding, "statement": finding_statement(each, detailed)}
         for finding, each in zip(document["findings"], detailed, strict=True)
     ]
-    if not torques:
-        stated["untestable"] = [
-            {**entry, "reason": f"needs the {driver.phrase}: give {driver.remedy}"}
-            for entry in document["untestable"]
-            for driver in (driver_of(entry["driver"]),)
-        ]
+    drivers = [driver_of(entry["driver"]) for entry in document["untestable"]]
+    stated["untestable"] = [
+        {**entry, "reason": f"needs the {driver.phrase}: give {driver.remedy}"}
+        for entry, driver in zip(document["untestable"], drivers, strict=True)
+    ]
     if "against" in document:
         stated["against"] = with_comparison(document["against"])
     if "torques" in document:
         stated["torques"] = with_statements(document["torques"])
-        stated["shared"] = [{**entry, "statement": shared_statement(entry)} for entry in document["shared"]]
+        stated["shared"] = [{**entry, "statement": agreement_statement(entry)} for entry in document["shared"]]
     return stated
-
-
-def _fill(text: str, document: Document, **more: object) -> str:
-    """A text about a document."""
-    torques, near, noise, left = (is_of_torques(document), *(document[key] for key in ("nearest", "noise", "left")))
-    keys = {"torque_noise_Nm": "declared_torque_Nm"} if torques else {"position_noise_m": "declared_position_m"}
-    declared = [bool(noise[key]) for key in keys.values()]
-    if not torques and document["model"]["orientation"]:
-        keys["orientation_noise_rad"] = "declared_orientation_rad"
-    return fill(
-        text,
-        document,
-        torques=torques,
-        sensor="sensors'" if torques else "sensor's",
-        times=0.0 if torques else max(left[f"{what}_over_noise"] or 0.0 for what in ("position", "orientation")),
-        computed=not torques and ranking.is_computed(document),
-        size_declared=all(declared),
-        undeclared=" and ".join(f"no {name}" for name, key in keys.items() if noise[key] is None),
-        near=near if ranking.is_nearly_significant(near) else None,
-        name_effect=effect_name,
-        **({"in_units": partial(each_with_unit, units=units(document))} if torques else {}),
-        **more,
-    )
 
 
 # ------------------------------------------------------------------ the recording and the verdict
@@ -123,16 +106,17 @@ def verdict_statement(document: Document) -> str:
     torques, left, ratios = is_of_torques(document), document["left"], ""
     if document["verdict"] in _LEFT_OVER:
         worst: dict[str, object] = {}
-        if torques and left["torque_over_noise"] is not None:
-            joint, most = max(enumerate(left["torque_over_noise"], 1), key=lambda pair: pair[1])
-            others = [size for number, size in enumerate(left["torque_over_noise"], 1) if number != joint]
+        sizes = [ratio for ratio in left["over_noise"].values() if ratio is not None]
+        if torques and sizes:
+            joint, most = max(enumerate(sizes, 1), key=lambda pair: pair[1])
+            others = sizes[: joint - 1] + sizes[joint:]
             apart = bool(others) and most > _STANDS_OUT * max(others)
-            others = others if apart else left["torque_over_noise"]
+            others = others if apart else sizes
             ends = dict.fromkeys(map(multiple, (min(others), max(others))))
             worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
-        ratios = _fill(_TEXTS["ratios"], document, **worst)
-    said = _fill(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
-    where = None if torques or document["verdict"] not in _LEFT_OVER else left["acts_at"]
+        ratios = fill_about(_TEXTS["ratios"], document, **worst)
+    said = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
+    where = left["acts_at"] if document["verdict"] in _LEFT_OVER else None
     return said if where is None else f"{said} {fill(_TEXTS['acts_at'], where)}"
 
 
@@ -141,19 +125,16 @@ def cautions(document: Document) -> list[str]:
     effects that were not kept."""
     torques, withdrawn = is_of_torques(document), document["withdrawn"]
     if torques:
-        lines = [_TEXTS["estimated"]] if document["torque_source"] == "estimated" else []
-        given: dict[str, Any] = {"names": list(map(effect_title, withdrawn))}
+        lines = [_TEXTS["estimated"]] if document["source"] == "estimated" else []
     else:
         bad = quality_statement(document["quality"])
         lines = [*([COMPUTED] if ranking.is_computed(document) else []), *([] if bad is None else [bad])]
-        given = {} if withdrawn is None else {
-            "names": [
-                f"an effect without a name at {each['site']}" if each["effect"] == "unnamed" else effect_title(each)
-                for each in withdrawn["effects"]
-            ],
-            **{stage: 1e3 * size for stage, size in withdrawn["heldout_position_rms_m"].items()},
-        }  # fmt: skip
-    return [*lines, fill(_TEXTS["withdrawn"], {**given, "torques": torques})] if withdrawn else lines
+    if withdrawn is None:
+        return lines
+    given: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
+    if not torques:
+        given |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
+    return [*lines, fill(_TEXTS["withdrawn"], given)]
 
 
 def quality_statement(quality: Entry) -> str | None:
@@ -189,19 +170,19 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
 
 def held_out_statement(document: Document) -> str:
     """How errors were held out, and what a quick diagnosis left out."""
-    return _fill(_TEXTS["held_out"], document)
+    return fill_about(_TEXTS["held_out"], document)
 
 
 def noise_statement(document: Document) -> str:
     """The noise estimated from the residuals beside the declared one."""
-    return _fill(_TEXTS["noise"], document)
+    return fill_about(_TEXTS["noise"], document)
 
 
 def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
     drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
     loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [said for text in _TEXTS["assumptions"] if (said := _fill(text, document, loaded=loaded))]
+    return [said for text in _TEXTS["assumptions"] if (said := fill_about(text, document, loaded=loaded))]
 
 
 # ------------------------------------------------------------------ findings
@@ -213,34 +194,28 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
     Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `rivals` and
     `rejected` (effects that are not, and are, distinguished from it).
     """
-    torques, findings = is_of_torques(document), _detailed(document)
+    findings = ranking.detailed(document)
     return [
         {
             **findings[k],
             "title": capital(effect_title(findings[k])),
-            "statement": finding_statement(findings[k], torques, findings),
+            "statement": finding_statement(findings[k], findings),
             "place": k,
-            "rivals": rivals(findings[k], torques),
-            "rejected": rivals(findings[k], torques, rejected=True),
+            "rivals": rivals(findings[k]),
+            "rejected": rivals(findings[k], rejected=True),
         }
         for k in ranking.order(document)
     ]
 
 
-def _detailed(document: Document) -> list[dict[str, Any]]:
-    """The findings with the fields of their effects, which the model has; tolerances of joints come after them."""
-    pairs = zip(document["findings"], document["model"]["effects"], strict=False)
-    return [{**finding, "where": effect["where"]} for finding, effect in pairs]
-
-
-def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[Entry] = ()) -> str:
-    """A finding, with the fields of its effect as `where`, in a sentence, and what it is with those `beside`."""
-    where, unnamed = finding["where"], finding["effect"] == "unnamed"
+def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
+    """A finding, as `ranking.detailed` gives it, in a sentence, and what it is with those `beside`."""
+    where, unnamed, torques = finding["where"], finding["effect"] == "unnamed", is_of_torques(finding)
     named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
     if torques:
         moves = " and ".join(f"{significant(finding[key])} {words}" for key, words in _MOVES if key in finding)
     else:
-        turned = finding["moves_rms_rad"]
+        turned = finding.get("moves_rms_rad")
         turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
         moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
     said = fill(
@@ -253,7 +228,7 @@ def finding_statement(finding: Entry, torques: bool = False, beside: Iterable[En
         along="" if torques else component(where),
         drivers=with_articles(finding["driver"]),
         shape="" if torques or not unnamed else shape(where),
-        numbers=", ".join(str(size) for size in quantities(finding, torques) if size.std),
+        numbers=", ".join(str(size) for size in quantities(finding) if size.std),
         moves=moves,
         title=effect_title,
     )
@@ -278,15 +253,11 @@ def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
                 yield fill(_TEXTS["gear"], {"driving": driving, "driven": driven}, site=finding["site"])
 
 
-def quantities(finding: Entry, torques: bool = False) -> list[Quantity]:
+def quantities(finding: Entry) -> list[Quantity]:
     """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
-    estimates = finding["parameters"]
-    if torques and (key := next((key for key in finding if key.startswith("peak_to_peak_")), "")):
-        estimates = {key: {"value": float(f"{finding[key]:.3g}"), "std": 0.0}}
-    elif not torques:
-        estimates = finding.get("peak_to_peak", estimates)
-    known = (NAMED_OF_TORQUES,) if torques else ()
-    return [quantity(name, estimate, *known) for name, estimate in estimates.items()]
+    named = NAMED_OF_TORQUES if is_of_torques(finding) else NAMED
+    estimates = finding.get("peak_to_peak", finding["parameters"])
+    return [quantity(name, estimate, named) for name, estimate in estimates.items()]
 
 
 def p_value_statement(finding: Entry) -> str:
@@ -296,14 +267,14 @@ def p_value_statement(finding: Entry) -> str:
     return f"Family-wise {shown} over all effects, sites and orders searched."
 
 
-def rivals(finding: Entry, torques: bool = False, rejected: bool = False) -> list[str]:
+def rivals(finding: Entry, rejected: bool = False) -> list[str]:
     """The effects that the recording does not distinguish from a finding, or the nearest that explain clearly less.
 
     The nearest come first; on poses with their log evidence over its own.
     """
     entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
-    if torques:
-        return list(map(effect_title, entries))
+    if is_of_torques(finding):
+        return [effect_title(rival) for rival in entries if rival["status"] != "found"]
     return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_likelihood_gap'], 1, '+')})" for rival in entries]
 
 
@@ -330,14 +301,15 @@ def untested(document: Document) -> list[Untested]:
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
         found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        found.append(Untested(_fill(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
+        found.append(Untested(fill_about(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
     return found
 
 
 def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open and another one answers."""
     asked, lines, pairs, drivers = _TEXTS["record"], [], [], []
-    for finding in _detailed(document):
+    findings = ranking.detailed(document)
+    for finding in findings:
         one = {"one": effect_title(finding), "site": finding["site"]}
         waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
         if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
@@ -350,7 +322,7 @@ def what_to_record(document: Document) -> list[str]:
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in drivers_of(entry)]
     if pairs:
         lines.append(fill(asked["undecided"], {"pairs": pairs, "drivers": list(dict.fromkeys(drivers))}))
-    doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
+    doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(fill(asked["payload"], {"names": doubtful}))
     for group in untested(document):
@@ -363,7 +335,7 @@ def what_to_record(document: Document) -> list[str]:
             parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
             steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-        said = _fill(asked["confounded"], document, steps=steps)
+        said = fill_about(asked["confounded"], document, steps=steps)
         lines += [said] if said else []
     return lines
 
@@ -378,13 +350,13 @@ def _of_one_wave(finding: Entry, rival: Entry) -> bool:
 
 def with_comparison(comparison: Document) -> dict[str, Any]:
     """The comparison as in the JSON file, with a `statement` for each difference, each note and the whole."""
-    stated, file = {**comparison}, comparison["file"]
-    if "by" in comparison:
-        if "differences" in comparison:
-            stated["differences"] = [
-                {**each, "statement": _torque_difference(each)} for each in comparison["differences"]
-            ]
-        return {**stated, "statement": model_statement(file, comparison["by"])}
+    file, basis = comparison["file"], comparison["basis"]
+    stated = {**comparison, "statement": model_statement(file, basis)}
+    if basis == "rows":
+        return stated
+    if basis == "effects":
+        said = [{**each, "statement": agreement_statement(each)} for each in comparison["differences"]]
+        return stated | {"differences": said}
     stated["differences"], times = [], ("position_rms_before_m", "position_rms_after_m")
     chain = lambda used: f"{_TEXTS['chains'][used['kind']]} ({used['name']})"  # noqa: E731
     for ends, group in groupby(comparison["differences"], key=lambda entry: tuple(entry.get(at) for at in times)):
@@ -398,7 +370,7 @@ def with_comparison(comparison: Document) -> dict[str, Any]:
     stated["notes"] = [
         {**entry, "statement": fill(_TEXTS["notes"][entry["note"]], entry, file=file)} for entry in comparison["notes"]
     ]
-    return {**stated, "statement": model_statement(file, comparison["rigid"])}
+    return stated
 
 
 def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -> str:
@@ -407,32 +379,30 @@ def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -
     return fill(_TEXTS["against"]["headline"], comparison, in_units=in_units)
 
 
-def model_statement(file: str, of: str | bool) -> str:
-    """What a model that was estimated relative to a reference file contains.
+def model_statement(file: str, basis: Basis) -> str:
+    """What a model contains that was estimated relative to a reference file; arguments as of `ReferenceOrigin`."""
+    return fill(_TEXTS["against"][basis], {"file": file})
 
-    `of` is, of poses, whether it is rigid; of torques what was compared, `effects` or `rows`.
+
+def agreement_statement(entry: Entry) -> str:
+    """What two sides say of one quantity, and whether they agree: of two recordings, or of poses and torques.
+
+    Parameters without a standard deviation were chosen and not estimated: two recordings have them alike.
     """
-    kind = of if isinstance(of, str) else "rigid" if of else "flexible"
-    return fill(_TEXTS["against"][kind], {"file": file})
-
-
-def _torque_difference(entry: Entry) -> str:
-    """An effect that one of two recordings shows, as each shows it."""
-    title = capital(effect_title({"effect": entry["effect"], "site": entry["site"]}))
-    if "driver" in entry:
-        title = f"Unnamed effect at {entry['site']} over {entry['driver']}"
-    here, there = (_numbers(entry[side], chosen=False) for side in ("recording", "reference"))
-    return fill(_TEXTS["against"]["torque_difference"], entry, title=title, here=here, there=there)
-
-
-def _numbers(known: Entry | None, chosen: bool = True) -> str:
-    """The parameters that one side shows; those without a standard deviation were chosen and not estimated."""
-    parameters = {} if known is None else known["parameters"]
-    return ", ".join(
-        str(quantity(name, estimate, NAMED_OF_TORQUES))
-        for name, estimate in parameters.items()
-        if chosen or estimate["std"]
-    )
+    shared = "quantity" in entry
+    said = {
+        side: ", ".join(
+            str(quantity(name, estimate, NAMED_OF_TORQUES))
+            for name, estimate in (entry[side] or {"parameters": {}})["parameters"].items()
+            if shared or estimate["std"]
+        )
+        for side in (("poses", "torques") if shared else ("recording", "reference"))
+    }
+    if shared:
+        return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said=said)
+    over = f" over {entry['driver']}" if "driver" in entry else ""
+    title = f"Unnamed effect at {entry['site']}{over}" if over else capital(effect_title(entry))
+    return fill(_TEXTS["against"]["effect"], entry, title=title, said=said)
 
 
 # ------------------------------------------------------------------ what poses and torques share
@@ -445,12 +415,6 @@ def refusal(document: Document) -> str:
 
 def shared_statements(document: Document) -> list[str]:
     """What poses and torques say of each quantity on which both depend, and whether they agree."""
-    return [shared_statement(entry) for entry in document["shared"]] or [
+    return [agreement_statement(entry) for entry in document["shared"]] or [
         "No finding concerns a quantity on which both poses and torques depend."
     ]
-
-
-def shared_statement(entry: Entry) -> str:
-    """What both say of one quantity."""
-    said = {side: _numbers(entry[side]) for side in ("poses", "torques")}
-    return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said_of=said)

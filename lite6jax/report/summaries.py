@@ -15,8 +15,7 @@ from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
+from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
@@ -183,10 +182,9 @@ def _compensation(found: Compensation) -> Description:
     return _marked("Compensation", sentences, found.outside)._replace(notes=found.notes)
 
 
-@describe.register(Diagnosis)
-@describe.register(TorqueDiagnosis)
-def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
-    document, torques = found.to_dict(), isinstance(found, TorqueDiagnosis)
+@describe.register
+def _diagnosis(found: DomainDiagnosis) -> Description:
+    document, torques = found.to_dict(), found.domain == "torques"
     findings = statements.findings_of(document)
     hidden = len(findings) - _MOST_FINDINGS
     sentences = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
@@ -207,9 +205,9 @@ def _diagnosis(found: Diagnosis | TorqueDiagnosis) -> Description:
     what = "the torques of " if torques else ""
     if "torques_refused" in document:
         sentences.append(statements.refusal(document))
-    if isinstance(found, Diagnosis) and found.torques is not None:
-        what, beside = "the poses and torques of ", describe(found.torques)
-        sentences += [*beside.sentences, *map(statements.shared_statement, document["shared"])]
+    for part in found.parts[1:]:
+        what, beside = "the poses and torques of ", describe(part)
+        sentences += [*beside.sentences, *map(statements.agreement_statement, document["shared"])]
         notes += beside.notes
     return Description(f"Diagnosis of {what}a {document['model']['arm']}", tuple(sentences), tuple(notes))
 

@@ -223,7 +223,7 @@ def torque_scene(document: Document, model: DiagnosedMotors, recording: Recordin
     Raises:
         InputError: as `predict`, or it has no torques.
     """
-    measured, noise = recording.torques(), np.array(document["noise"]["estimated_torque_Nm"])
+    measured, noise = recording.torques(), np.array(document["noise"]["estimated"]["torque_Nm"])
     models = [(WITH, model)]
     if model.terms.terms:
         models.append((WITHOUT, replace(model, terms=Terms(), values=np.zeros(0))))

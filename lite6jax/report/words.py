@@ -197,7 +197,7 @@ _UNITS = (
     ("_kg", 1.0, "kg"),
 )
 """The end of a parameter's name, and the unit in which it is read; the first that fits."""
-_NAMED = {
+NAMED = {
     "scale": (1e6, "ppm"),
     "peak_to_peak_rad": (1e6, "µrad"),
     "peak_to_peak_scale": (1e6, "ppm"),
@@ -210,7 +210,7 @@ _NAMED = {
     "rest_rad": (180 / np.pi, "deg"),
 }
 """Whose names alone do not say how they are read."""
-NAMED_OF_TORQUES = {**_NAMED, "scale": (100.0, "%")}
+NAMED_OF_TORQUES = {**NAMED, "scale": (100.0, "%")}
 """The same, of effects on torques: the scale of a current is not known to ppm."""
 _STIFF = 3.0
 """Standard deviations that a compliance must be from zero for its inverse to mean something."""
@@ -235,7 +235,7 @@ class Quantity(NamedTuple):
         return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}{also}"
 
 
-def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = _NAMED) -> Quantity:
+def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = NAMED) -> Quantity:
     """A parameter by its name in the JSON file and its estimate, `value` and `std`; some names have special units."""
     fitting = (known for known in _UNITS if name.endswith(known[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))

@@ -76,18 +76,18 @@ def found(recording):
 
 
 def test_the_payload_is_compared(recording, found):
-    shared = {each.quantity: each for each in found.shared}
+    shared = {each.of["quantity"]: each.estimates for each in found.shared}
     payload = shared["payload_mass"]
-    assert payload.torques.found
-    assert not payload.poses.found
-    assert payload.agree
+    assert payload["torques"].found
+    assert not payload["poses"].found
+    assert found.shared[0].agree
     assert set(shared) == {"payload_mass"}
-    for known in (payload.poses, payload.torques):
+    for known in payload.values():
         estimate = known.parameters["mass_kg"]
         assert abs(estimate.value - (HELD - DECLARED)) < 4 * estimate.std < 1.0
     poses = diagnosed.diagnosed(recording, (JointCompliance(2), PayloadError()))
     (both_found,) = compare_domains(poses, found.torques)  # the compliance rests on the payload that was found
-    assert both_found.poses.found
+    assert both_found.estimates["poses"].found
     assert both_found.agree
 
 
@@ -98,10 +98,10 @@ def test_a_tilt_has_one_sign_in_both(recording, found):
     turned = replace(recording, settings=replace(declared, gravity_m_per_s2=tuple(tilted)))
     poses = diagnosed.diagnosed(turned, (JointCompliance(2), PayloadError(), GravityDirection()))
     torques = torque_diagnosed.diagnosed(turned, (ViscousFriction(2), PayloadTorque(), BaseTilt()))
-    tilt = next(each for each in compare_domains(poses, torques) if each.quantity == "gravity_direction")
-    assert abs(tilt.torques.values[1]) == pytest.approx(0.05, abs=0.02)
+    tilt = next(each for each in compare_domains(poses, torques) if each.of["quantity"] == "gravity_direction")
+    assert abs(tilt.estimates["torques"].values[1]) == pytest.approx(0.05, abs=0.02)
     assert tilt.agree
-    assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
+    assert np.sign(tilt.estimates["poses"].values[1]) == -np.sign(tilt.estimates["torques"].values[1])
 
 
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.explanation import Case, explain
-from lite6jax.diagnosis.heldout import HeldOut
+from lite6jax.diagnosis.heldout import HeldOut, raises
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.report import statements
@@ -131,10 +131,10 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
     diagnosis = diagnose_poses(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
     assert not diagnosis.findings
-    assert diagnosis.left.acts_at.site == "joint5"
+    assert diagnosis.acts_at.site == "joint5"
     document = diagnosis.to_dict()
     assert document["left"]["acts_at"]["share"] > 0.7
-    removed = f"every row removes {100 * diagnosis.left.acts_at.share:.0f} % of their sum of squares"
+    removed = f"every row removes {100 * diagnosis.acts_at.share:.0f} % of their sum of squares"
     assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
         statements.verdict_statement(document)
     )
@@ -154,7 +154,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
     small = f"joint_compliance:joint=3,compliance_rad_per_Nm={compliance}"
     diagnosis = diagnose_poses(with_effects(arm, scale, small).recording(static_motion(21, 200)))
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_scale:joint2"]
-    assert (diagnosis.left.over_noise or 0.0) <= OPTIONS.as_noise
+    assert (diagnosis.most_over_noise or 0.0) <= OPTIONS.as_noise
     assert diagnosis.verdict == verdict
     if compliance:
         effect, p_value = diagnosis.nearest
@@ -185,7 +185,7 @@ def judged(found, monkeypatch):
     def judge(before, after, some=FORTY > 0, refitted=True):
         noise = explanation.problem.noise[0]
         sizes = (before, after, before / noise, after / noise)
-        errors = HeldOut(*(size * FORTY for size in sizes), *np.zeros((4, 40)), some)
+        errors = HeldOut(*(np.stack([size * FORTY, 0 * FORTY]) for size in sizes), some)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.explain", lambda *given, **options: explanation)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: errors)
         if refitted:
@@ -264,7 +264,5 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, some, ke
 )
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
-    errors = HeldOut(
-        1e-4 * rows, position * 1e-4 * rows, rows, position * rows, rows, orientation * rows, rows, rows, rows > 0
-    )
-    assert errors.raised(rows > 0, 0, OPTIONS) == raised
+    before, after = np.stack([rows, rows]), np.stack([position * rows, orientation * rows])
+    assert raises(HeldOut(before, after, before, after, rows > 0), rows > 0, 0, OPTIONS) == raised

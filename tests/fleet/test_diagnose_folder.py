@@ -105,8 +105,8 @@ def test_documents_are_not_replaced_unasked(recordings, tmp_path):
 
 def test_rows_of_torques_and_of_both():
     torques = {
-        "domain": "torque",
-        "schema": "lite6jax/diagnosis/2",
+        "domain": "torques",
+        "schema": "lite6jax/diagnosis/3",
         "model": {},
         "verdict": "explained",
         "before": {"heldout_torque_rms_Nm": 2.0},
@@ -117,7 +117,7 @@ def test_rows_of_torques_and_of_both():
     }
     (row,) = make_row("a.csv", torques, "").to_pylist()
     assert (row["verdict"], row["torque_verdict"], row["before_torque_rms_Nm"]) == (None, "explained", 2.0)
-    both = torques | {"domain": None, "quality": {"verdict": "bad"}, "before": {"heldout_position_rms_m": 3.0}}
+    both = torques | {"domain": "poses", "quality": {"verdict": "bad"}, "before": {"heldout_position_rms_m": 3.0}}
     both |= {"after": {}, "torques": torques, "verdict": "unnamed"}
     (row,) = make_row("a.csv", both, "").to_pylist()
     assert (row["verdict"], row["torque_verdict"], row["before_position_rms_m"]) == ("unnamed", "explained", 3.0)

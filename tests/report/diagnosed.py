@@ -10,7 +10,7 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding
+from lite6jax.diagnosis.result import Finding, HeldOut
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kernels import orders_of, spectrum_deviations
@@ -73,12 +73,17 @@ def diagnosed(recording, effects, outliers=()):
     selection, findings = found_without_search(problem, effects, rivals, catalogue(6)[:2])
     wild = np.zeros(problem.samples, bool)
     wild[list(outliers)] = True
-    before, after = (
+    sizes = [
         np.linalg.norm(problem.position_errors(f.nuisance, f.terms, f.values), axis=0)
         for f in (selection.state.baseline, selection.state.fit)
-    )
-    folds = tuple(held_out_folds(problem, options))
-    return Diagnosis(problem, selection, findings, before, after, (), (), options, folds, outliers=wild)
+    ]
+    errors = held_out(*(np.stack([size, np.zeros_like(size)]) for size in sizes))
+    return Diagnosis(problem, selection, findings, errors, (), (), options, held_out_folds(problem, options), wild)
+
+
+def held_out(before, after):
+    """Errors `(group, sample)` on rows that were not used, of noise of unit size."""
+    return HeldOut(before, after, before, after, np.ones(before.shape[1], bool))
 
 
 def gear(joint):

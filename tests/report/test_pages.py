@@ -17,7 +17,7 @@ from lite6jax.cli import main
 from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.recordings import write_recording
 from lite6jax.report import ranking
-from lite6jax.report.diagnosis_figures import NAMES, drawings
+from lite6jax.report.diagnosis_figures import drawings, figure_names
 from lite6jax.report.figures import SUFFIXES
 from lite6jax.report.pages import certificate, diagnosis_page, write_certificate
 
@@ -88,8 +88,14 @@ def test_nothing_missing(clean, domain):
     found = clean if domain == "poses" else torques_diagnosed(torques_recorded(friction=False))
     drawn = dict(drawings(found, "run.csv"))
     names, said = {
-        "poses": (NAMES["poses"], "Consistent: the model of the arm and the sensor's noise explain the recording."),
-        "torques": (NAMES["torques"], "Consistent: the inverse dynamics of the declared arm and the sensors' noise"),
+        "poses": (
+            figure_names(["poses"]),
+            "Consistent: the model of the arm and the sensor's noise explain the recording.",
+        ),
+        "torques": (
+            figure_names(["torques"]),
+            "Consistent: the inverse dynamics of the declared arm and the sensors' noise",
+        ),
     }[domain]
     assert list(drawn) == [name for name in names if name != "findings"]
     html = diagnosis_page(found, documented(found), "run.csv", drawn)
@@ -111,7 +117,7 @@ def test_nothing_missing(clean, domain):
 @pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_both(tmp_path, recorded, motors, monkeypatch, capsys, domain):
     recording, effects = recorded(COMPLIANCE)
-    found, search, names = diagnosed(recording, effects), "lite6jax.diagnosis.diagnose.diagnose", NAMES[domain]
+    found, search, names = diagnosed(recording, effects), "lite6jax.diagnosis.diagnose.diagnose", figure_names([domain])
     if domain == "torques":
         recording, found = torques_recorded(), motors
     run = write_recording(recording, tmp_path / "<b>run.csv")

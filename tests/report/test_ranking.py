@@ -48,7 +48,7 @@ def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
 def test_a_payload_is_said_by_its_mass_and_its_centre():
     numbers = {"mass_kg": 0.6197, "x_m": 0.0309, "y_m": 0.0, "z_m": 0.07}
     entry = {"effect": "payload", "site": "payload", "parameters": {k: {"value": v} for k, v in numbers.items()}}
-    assert cause_of(entry, torques=True) == "0.62 kg more than declared hang on the flange, at (31, 0, 70) mm"
+    assert cause_of(entry | {"domain": "torques"}) == "0.62 kg more than declared hang on the flange, at (31, 0, 70) mm"
 
 
 def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
@@ -61,7 +61,7 @@ def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
             problem.position_errors(found.fit.nuisance, found.fit.terms, v) for v in (np.zeros_like(values), values)
         )
         moved = np.linalg.norm(alone - none, axis=0)[kept]
-        assert moves.position == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
+        assert moves["moves_rms_m"] == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
 
 
 def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
@@ -89,9 +89,10 @@ def test_the_first_sentence_is_the_cause_and_its_worth(compliant):
 )
 def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
     document = {
+        "domain": "poses", "model": {"effects": []}, "source": "unknown",
         "verdict": verdict, "findings": [], "data_faults": [{"fault": "outliers"}],
         "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
-        "noise": {"declared_position_m": 2e-5}, "nearest": None,
+        "noise": {"declared": {"position_m": 2e-5}}, "nearest": None, "left": {"over_noise": {"position": 1.0}},
     }  # fmt: skip
     assert ranking.headline(document) == says
     nearly = {**document, "nearest": {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}}
@@ -100,11 +101,11 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
     faulty = {**document, "data_faults": [{"fault": "swapped_joints"}]}
     assert ranking.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
     if verdict == "consistent":
-        assert ranking.headline({**document, "noise": {"declared_position_m": None}}) == (
+        assert ranking.headline({**document, "noise": {"declared": {"position_m": None}}}) == (
             "No effect is significant, and the error of 0.034 mm RMS looks like noise; declare position_noise_m to "
             "test this."
         )
-        for computed in ({"pose_source": "controller_fk"}, {"data_faults": [{"fault": "computed_pose"}]}):
+        for computed in ({"source": "controller_fk"}, {"data_faults": [{"fault": "computed_pose"}]}):
             assert ranking.headline({**document, **computed}) == (
                 "The poses are the controller's own computation: the arm's table reproduces them to 0.034 mm RMS."
             )
@@ -154,10 +155,11 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
 
 
 def test_a_prismatic_joint_has_a_screw_and_no_gear():
-    backlash = {"effect": "joint_backlash", "site": "joint3", "parameters": {"gap_m": {"value": 1e-3, "std": 1e-4}}}
+    at = {"domain": "poses", "site": "joint3"}
+    backlash = {**at, "effect": "joint_backlash", "parameters": {"gap_m": {"value": 1e-3, "std": 1e-4}}}
     assert cause_of(backlash) == "joint 3 has play in its screw, belt or rack"
     assert "Service the screw, the belt or the guide" in remedy_of(backlash).action
-    scale = {"effect": "joint_scale", "site": "joint3", "driver": "slide position of joint 3", "parameters": {}}
+    scale = {**at, "effect": "joint_scale", "driver": "slide position of joint 3", "parameters": {}}
     assert cause_of(scale) == "joint 3 moves by another length than its encoder says"
     assert cause_of(scale | {"driver": "position of joint 3"}) == "joint 3 turns by another angle than its encoder says"
 
@@ -205,11 +207,9 @@ def test_what_moves_both_kinds_is_said_in_both_units():
         slid.recorded(slid.friction), (PayloadTorque(), ViscousFriction(3, of_slide=True)), arm=slid.arm()
     )
     document = with_statements(found.to_dict())
-    payload, friction = document["findings"]
+    payload, friction = ranking.detailed(document)
     assert {"moves_rms_Nm", "moves_rms_N"} <= set(payload)
     assert re.search(r"contributes \S+ Nm RMS to the torque and \S+ N RMS to the force\.", payload["statement"])
     assert " Nm and " in contribution(document, payload)
     assert contribution(document, friction).endswith(" N")
-    assert remedy_of(friction, torques=True).action.startswith(
-        "Check the lubrication of the screw, the belt or the guide"
-    )
+    assert remedy_of(friction).action.startswith("Check the lubrication of the screw, the belt or the guide")

@@ -51,14 +51,13 @@ RULED_OUT = (
 
 def test_the_keys_of_a_diagnosis_are_documented(found, motors):
     of_poses = {*found.to_dict(), "inputs", "against", "torques", "torques_refused", "shared"}
-    of_torques = {*motors.to_dict(), "inputs", "against"} - {"schema", "domain"}
-    for page, title, keys in (
-        ("results", "The file of a diagnosis", of_poses),
-        ("torques", "The JSON file", of_torques),
-    ):
+    keys = []
+    for page, title in (("results", "The file of a diagnosis"), ("torques", "The JSON file")):
         text = (DOCS / f"{page}.md").read_text().partition(f"\n## {title}\n")[2].partition("\n## ")[0]
         first = [row.split("|")[1] for row in text.partition("\n###")[0].splitlines() if row.startswith("| `")]
-        assert {key for cell in first for key in re.findall(r"`(\w+)`", cell)} == keys
+        keys.append({key for cell in first for key in re.findall(r"`(\w+)`", cell)})
+    assert keys[0] == of_poses
+    assert set(motors.to_dict()) - of_poses <= keys[1] <= set(motors.to_dict()) | {"against"}
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +268,7 @@ def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_se
     assert found.verdict == "unexplained"
     assert re.search(r"are (9\d|1\d\d) times the declared noise", statements.verdict_statement(document))
     assert ranking.headline(document).endswith(" is not the noise of the poses alone, and nothing explains it.")
-    over = document["left"][{"position_noise_m": "position_over_noise"}.get(key, "orientation_over_noise")]
+    over = document["left"]["over_noise"][key.partition("_")[0]]
     assert over == pytest.approx(100, rel=0.2)
     as_declared = of_six_numbers(tmp_path, 2e-5, **{key: 2e-5})
     assert as_declared.verdict == "consistent"
@@ -277,7 +276,7 @@ def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_se
 
 def test_poses_of_the_controller_test_the_table_alone(compliant):
     document = documented(compliant)
-    none = {**document, "findings": [], "pose_source": "controller_fk"}
+    none = {**document, "findings": [], "source": "controller_fk"}
     none["model"] = {**document["model"], "effects": []}
     assert statements.verdict_statement({**none, "verdict": "consistent"}) == (
         "Consistent: the table of the arm reproduces what the controller computed from the joints."
@@ -290,9 +289,10 @@ def test_poses_of_the_controller_test_the_table_alone(compliant):
 def test_the_verdict_says_what_the_numbers_say(compliant):
     document = documented(compliant)
 
-    def verdict(code, declared=2e-5, position=1.0, orientation=None, white=True, rows=None):
-        noise = {"declared_position_m": declared, "declared_orientation_rad": None, "estimated_position_m": 2e-5}
-        left = {"position_over_noise": position, "orientation_over_noise": orientation, "white": white, "acts_at": None}
+    def verdict(code, declared=2e-5, position=1.0, orientation=None, white=True, rows=None, turned=False):
+        known = {"position_m": declared} | ({"orientation_rad": None} if turned else {})
+        noise = {"declared": known, "estimated": {"position_m": 2e-5}}
+        left = {"over_noise": {"position": position, "orientation": orientation}, "white": white, "acts_at": None}
         changed = {"verdict": code, "noise": noise, "left": left, "rows_needed": rows}
         return statements.verdict_statement({**document, **changed})
 
@@ -307,9 +307,12 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
         "noise and orientation errors are 8 times the declared noise."
     )
     for turned, said in ((False, "position_noise_m."), (True, "position_noise_m and no orientation_noise_rad.")):
-        document = {**document, "model": {**document["model"], "orientation": turned}}
-        assert verdict("consistent", declared=None).endswith(f"not tested, as the sidecar declares no {said}")
-        assert verdict("partly_explained", declared=None).endswith(f"because the sidecar declares no {said}")
+        assert verdict("consistent", declared=None, turned=turned).endswith(
+            f"not tested, as the sidecar declares no {said}"
+        )
+        assert verdict("partly_explained", declared=None, turned=turned).endswith(
+            f"because the sidecar declares no {said}"
+        )
     document = {**document, "findings": [], "nearest": None}
     assert verdict("undetermined", rows=document["samples"] + 30) == (
         "Undetermined: there are too few rows to tell whether something is missing. Record about 30 more poses."

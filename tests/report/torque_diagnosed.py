@@ -3,7 +3,7 @@
 from unittest.mock import patch
 
 import numpy as np
-from report.diagnosed import found_without_search
+from report.diagnosed import found_without_search, held_out
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
@@ -69,5 +69,5 @@ def diagnosed(recording, effects=(), faults=(), arm=LITE6):
     selection, findings = found_without_search(problem, effects, lambda _: rivals)
     folds = tuple(np.arange(problem.samples) * 5 // problem.samples == np.arange(5)[:, None])
     fits = selection.state.baseline, selection.state.fit
-    errors = [each.residuals.rows * problem.noise[:, None] for each in fits]
-    return TorqueDiagnosis(problem, selection, findings, *errors, faults, (), Options(), folds)
+    errors = held_out(*(each.residuals.rows * problem.noise[:, None] for each in fits))
+    return TorqueDiagnosis(problem, selection, findings, errors, faults, (), Options(), folds, ~problem.valid)

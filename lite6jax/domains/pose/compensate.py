@@ -20,12 +20,12 @@ from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, recording_of, require_model
+from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, require_model
 from lite6jax.effects.kinematic import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import ArmJoints, Recording, Targets, read_targets, sidecar_path
+from lite6jax.recordings import ArmJoints, Recording, Targets, assemble_motion, read_targets, sidecar_path
 from lite6jax.recordings.files import declare_anew, open_table, require_table
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
@@ -207,7 +207,7 @@ def _targets_of(
     if T.ndim == 3:
         position = T[:, :3, 3]
         quaternion = unit_quaternions(T[:, :3, :3])
-    recording = recording_of(model, q, position=position, quaternion=quaternion, **circumstances)
+    recording = assemble_motion(model, q, position=position, quaternion=quaternion, **circumstances)
     return Targets(recording, None if start is None else q)
 
 

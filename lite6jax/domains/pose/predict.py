@@ -6,7 +6,7 @@ Those are of the true pose from the predicted one. The sensor's noise is no part
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from lite6jax.domains.pose.columns import Deflections, columns_of, site_of
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,
+    ReferenceOrigin,
     Uncertainty,
     beyond_range,
     distance_to,
@@ -36,7 +37,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import Recording, RecordingSettings, require_radians
+from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
@@ -61,18 +62,6 @@ _ARGUMENTS = {
     "time": "time",
 }
 """The argument of `DiagnosedArm.pose` that provides a quantity which effects depend on."""
-
-
-class ReferenceOrigin(NamedTuple):
-    """The reference recording relative to which a model was estimated.
-
-    Attributes:
-        file: the recording's name.
-        rigid: whether it has no effects beyond a rigid arm.
-    """
-
-    file: str
-    rigid: bool
 
 
 _LEAVES = ("model", "values", "inertia", "joint_limits")
@@ -314,25 +303,6 @@ def deviation_columns(found: Any) -> dict[str, Array | NDArray[np.integer]]:
     return columns if found.outside is None else columns | {"outside": found.outside.astype(int)}
 
 
-def recording_of(model: Any, joint_position: ArrayLike, **arrays: Any) -> Recording:
-    """A recording of arrays, as `Recording.assembled`; temperature and kind of motion as in the diagnosed one.
-
-    The model is one of poses or of torques.
-
-    Raises:
-        InputError: degrees, another number of joints, or arrays that do not fit together.
-    """
-    settings = RecordingSettings(
-        motion=model.motion,
-        reference_temperature_degC=model.reference_temperature,
-    )
-    recording = Recording.assembled(joint_position, settings=settings, source="motion", sliding=model.sliding, **arrays)
-    if recording.dof != model.dof:
-        raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
-    require_radians(recording.joint_position, model.joint_limits)
-    return recording
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Derivatives:
@@ -447,11 +417,7 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
     if known is None:
         return None, None, None
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
-    beyond = {
-        phrase: beyond_range(values, *recorded.drivers[phrase])
-        for phrase, values in change.driver_values().items()
-        if phrase in recorded.drivers
-    }
+    beyond = recorded.beyond(change.driver_values())
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
     estimated = estimated_variance(change, known.covariance) + change.unknown()
     variance, outside = widened(estimated, known, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions)

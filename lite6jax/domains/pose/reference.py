@@ -100,7 +100,7 @@ class ReferenceComparison:
             "rows": self.rows,
             "matched_rows": self.matched,
             "reproduced": self.reproduced,
-            "rigid": self.rigid,
+            "basis": "rigid" if self.rigid else "flexible",
             "position_rms_m": float(np.sqrt(np.mean(self.distance**2))),
             "position_max_m": float(self.distance.max()),
             "left_position_rms_m": float(np.sqrt(np.mean(self.remaining**2))),

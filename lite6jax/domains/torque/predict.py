@@ -26,6 +26,7 @@ from lite6jax.domains.torque.composition import (
 from lite6jax.domains.torque.filtering import evenly_timed
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
+    ReferenceOrigin,
     Uncertainty,
     beyond_range,
     distance_to,
@@ -62,8 +63,7 @@ class DiagnosedMotors:
         values: `(terms.size,)`.
         reference_temperature: °C.
         uncertainty: from which standard deviations of predictions follow; None where the diagnosis does not say.
-        reference: the recording beyond which the effects were found, and that it was compared by `rows`; None where
-            they are all that there is.
+        reference: the recording beyond which the effects were found; None where they are all that there is.
     """
 
     arm: Arm
@@ -74,7 +74,7 @@ class DiagnosedMotors:
     values: Array
     reference_temperature: float
     uncertainty: Uncertainty | None = None
-    reference: tuple[str, str] | None = None
+    reference: ReferenceOrigin | None = None
 
     def __repr__(self) -> str:
         effects = ", ".join(str(getattr(term, "label", term)) for term in self.terms.terms) or "no effects"
@@ -212,9 +212,7 @@ def _bars(
         over = beyond_range(state.T, limits[:, 0], limits[:, 1], sizes).T
         beyond |= {joint_driver(quantity, j + 1, bool(slides[j])).phrase: over[j] for j in range(len(over))}
     positions = list(beyond)[: len(slides)]
-    for phrase, values in driver_values(model.terms, dynamics).items():
-        if phrase in recorded.drivers:
-            beyond[phrase] = beyond_range(values, *recorded.drivers[phrase])
+    beyond |= recorded.beyond(driver_values(model.terms, dynamics))
     rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
     estimated = _estimated(model, known, bodies, dynamics, runs)
     variance, outside = widened(estimated, known, np.arange(model.dof), distance_to(rows, q), beyond, positions)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,17 @@ class RowComparison:
     apart: Array
     from_model: Array
     recording: Recording
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers in SI units."""
+        return {
+            "file": self.file,
+            "basis": "rows",
+            "rows": self.rows,
+            "matched_rows": self.matched,
+            "apart_rms_by_joint_Nm": self.apart.tolist(),
+            "reference_rms_by_joint_Nm": self.from_model.tolist(),
+        }
 
 
 def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowComparison | None:

@@ -430,7 +430,7 @@ def test_register_as_it_is_typed(capsys, arm, tmp_path, orientation):
 
 
 def test_a_model_relative_to_a_reference_says_so(arm):
-    against = {"file": "gazebo.csv", "rigid": False, "statement": "The model is this arm's own."}
+    against = {"file": "gazebo.csv", "basis": "flexible", "statement": "The model is this arm's own."}
     relative = model_from_document(document(arm, []) | {"against": against})
     assert "the difference from gazebo.csv" in model_statement(*relative.reference)
     assert model_from_document(document(arm, [])).reference is None
@@ -443,8 +443,8 @@ def test_a_model_relative_to_a_reference_says_so(arm):
     ("content", "says"),
     [
         *((content, "is no JSON (") for content in ("{", "not json", "[" * 100_000)),
-        *((content, "is no diagnosis (lite6jax/diagnosis/2 with a model)") for content in ([], {}, 3)),
-        ({"schema": "lite6jax/diagnosis/3", "model": {}}, "is no diagnosis (lite6jax/diagnosis/2 with a model)"),
+        *((content, "is no diagnosis (lite6jax/diagnosis/3 with a model)") for content in ([], {}, 3)),
+        ({"schema": "lite6jax/diagnosis/4", "model": {}}, "is no diagnosis (lite6jax/diagnosis/3 with a model)"),
     ],
 )
 def test_a_file_that_is_no_diagnosis(tmp_path, content, says):

@@ -181,10 +181,10 @@ def test_what_is_left_adds_in_quadrature(arm):
 
 def test_what_held_out_rows_show_is_left(found):
     """A model that misses unseen rows by a tenth of a millimetre says so; one that does not has nothing left."""
-    worse = replace(found, after=np.full_like(found.after, 1e-4))
-    left = worse.to_dict()["model"]["uncertainty"]["left"]["position_m"]
+    worse = replace(found, errors=found.errors._replace(after=np.full_like(found.errors.after, 1e-4)))
+    left = worse.to_dict()["model"]["uncertainty"]["left"][0]
     assert left == pytest.approx(1e-4 / np.sqrt(7.8147), rel=0.2)
-    assert found.to_dict()["model"]["uncertainty"]["left"]["position_m"] < NOISE[0]
+    assert found.to_dict()["model"]["uncertainty"]["left"][0] < NOISE[0]
 
 
 def test_poses_without_noise_are_within_their_bars(arm, model):
@@ -305,8 +305,8 @@ def test_what_is_written_is_read(found, content, model):
         (lambda entry: entry["sites"].append(["link", 9, 0]), "a site of its uncertainty is none of this arm"),
         (lambda entry: entry["recorded"]["joint_range_rad"].pop(), "its recorded range is not one of this arm"),
         (
-            lambda entry: entry["left"].update(position_m=float("nan")),
-            "Expected `float`, got `null` - at `$.model.uncertainty.left.position_m`",
+            lambda entry: entry["left"].__setitem__(0, float("nan")),
+            "Expected `float`, got `null` - at `$.model.uncertainty.left[0]`",
         ),
         (lambda entry: entry.pop("left"), "`left`"),
     ],

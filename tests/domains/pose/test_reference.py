@@ -422,7 +422,7 @@ def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
         "it, and effects of run2.csv alone are in it with reversed sign."
     )
     assert document["verdict"] == "consistent"
-    assert document["noise"]["estimated_position_m"] == pytest.approx(np.sqrt(2) * 2e-5, rel=0.1)
+    assert document["noise"]["estimated"]["position_m"] == pytest.approx(np.sqrt(2) * 2e-5, rel=0.1)
     assert document["against"]["left_position_rms_m"] > 4e-5  # the physics that both have
 
 

@@ -232,7 +232,7 @@ def test_a_function_of_a_slide_without_a_name():
     assert (only.effect.name, only.effect.site) == ("unnamed", "joint3")
     assert only.effect.drivers == (Driver("slide position", 3),)
     (entry,) = found.to_dict()["findings"]
-    assert entry["peak_to_peak_N"] == pytest.approx(8, rel=0.2)
+    assert entry["peak_to_peak"]["peak_to_peak_N"]["value"] == pytest.approx(8, rel=0.2)
     assert {number.unit for number in only.effect.coordinates} == {"N"}
 
 
@@ -263,11 +263,12 @@ def test_the_ripple_of_a_screw_is_found_with_its_lead(on_a_screw):
         assert abs(estimate["value"] - value) < 3 * estimate["std"], name
         assert estimate["std"] < 0.1 * value
     assert ripple["driver"] == "slide position of joint 3"
-    said = finding_statement({**ripple, "where": {"of_slide": True}}, torques=True)
+    ripple |= {"where": {"of_slide": True}, "domain": "torques"}
+    said = finding_statement(ripple)
     assert re.match(r"Torque ripple of period (9\.99|10)\d* mm at joint3 is significant: period [\d.]+ ± ", said)
     assert re.search(r"it contributes 1\.\d+ N RMS to the force\.$", said)  # 3 / √2, less what the low pass keeps back
-    assert cause_of(ripple, torques=True) == "joint 3 cogs as it moves"
-    assert "Service the screw, the belt or the guide" in remedy_of(ripple, torques=True).action
+    assert cause_of(ripple) == "joint 3 cogs as it moves"
+    assert "Service the screw, the belt or the guide" in remedy_of(ripple).action
 
 
 def test_the_ripple_of_a_screw_stays_in_the_model_where_recordings_are_pooled(on_a_screw):
@@ -343,7 +344,7 @@ def test_two_recordings_of_one_motion_are_compared_in_each_unit():
     one, other = slid.recorded(slid.friction), slid.recorded(lambda dq: slid.friction(dq, coulomb=16.0))
     found = compare_rows(one, other, slid.arm())
     np.testing.assert_allclose(found.apart, [0, 0, 10], atol=1e-9)
-    said = comparison_headline({"file": "b.csv", "by": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
+    said = comparison_headline({"file": "b.csv", "basis": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
     assert "by 0 Nm, 0 Nm, 10 N RMS" in said
     late = replace(other, joint_position=other.joint_position + np.array([0, 0, 1e-3]))  # 1 mm is another state
     assert compare_rows(one, late, slid.arm()) is None

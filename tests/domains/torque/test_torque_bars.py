@@ -146,9 +146,9 @@ def test_variances_are_those_of_the_prediction(texts, inertial):
     ("damage", "message"),
     [
         (lambda u: u["covariance"].pop(), "covariance is not one of"),
-        (lambda u: u.update(left_Nm=[0.1]), "not one of this arm"),
+        (lambda u: u.update(left=[0.1]), "not one of this arm"),
         (lambda u: u["recorded"].update(joint_range_rad=[[1, 0]] * 6), "ends before it begins"),
-        (lambda u: u.update(noise_Nm=[-1.0] * 6), ">= 0.0"),
+        (lambda u: u.update(noise=[-1.0] * 6), ">= 0.0"),
     ],
 )
 def test_damaged_bars_are_refused(diagnosed, damage, message):

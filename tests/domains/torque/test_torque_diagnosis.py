@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from benchmarks.torque_trials.effects import FAMILIES, Joint
 from benchmarks.torque_trials.physics import rigid, torques
 from lite6jax.diagnosis.document import model_from_document, read_model, write_document
+from lite6jax.diagnosis.heldout import Judgement
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
@@ -83,12 +84,12 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(di
     ],
 )
 def test_the_joint_is_said_of_which_most_is_left(diagnosed, over_noise, said):
-    left = {"torque_over_noise": over_noise, "white": True}
+    left = {"over_noise": {f"joint{j}": ratio for j, ratio in enumerate(over_noise, 1)}, "white": True, "acts_at": None}
     document = diagnosed.to_dict() | {"verdict": "unexplained", "left": left}
     assert verdict_statement(document).endswith(f"no effect is significant. The held-out errors{said}")
     correlated = verdict_statement(document | {"left": left | {"white": False}})
     assert correlated.endswith(f"{said} Neighbouring samples of what is left are correlated.")
-    unknown = {"left": {"torque_over_noise": None, "white": True}}
+    unknown = {"left": left | {"over_noise": {"joint1": None}}}
     for changed in ({"verdict": "explained"}, unknown):
         assert "times" not in verdict_statement(document | changed)
 
@@ -105,7 +106,7 @@ def test_the_model_predicts_another_motion(diagnosed, tmp_path):
     assert np.sqrt(np.mean((predicted - truth)[10:-10] ** 2)) < 0.02
     assert np.sqrt(np.mean((torques(setup, (), motion) - truth) ** 2)) > 0.1
     document = json.loads(path.read_text())
-    assert document["domain"] == "torque"
+    assert document["domain"] == "torques"
     assert document["after"]["heldout_torque_rms_Nm"] < document["before"]["heldout_torque_rms_Nm"]
     assert "Nm·s/rad" in document["findings"][0]["statement"] + document["findings"][1]["statement"]
 
@@ -171,10 +172,11 @@ def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noi
 
 @pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
 def test_effects_are_withdrawn_where_searches_and_refits_without_them_reject_them(again, kept, monkeypatch):
-    def ratio(errors, selection, kept, folds):
-        return 1.2 if block_count(folds) == 2 else again
+    def judge(errors, selection, kept, folds, options):
+        ratio = 1.2 if block_count(folds) == 2 else again
+        return Judgement(ratio > 1, ratio)
 
-    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.HeldOutTorques.ratio", ratio)
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.judge_torques", judge)
     found = diagnose_torques(*recorded(FRICTION, seed=1), options=FEW)
     effects = {ViscousFriction(2), CoulombFriction(2)}
     assert {finding.effect for finding in found.findings} == (effects if kept else set())

@@ -164,7 +164,7 @@ def test_friction_at_rest_says_little_of_friction_in_motion(arm):
     assert set(said) == {CoulombFriction(1), ViscousFriction(1)}
     assert said[CoulombFriction(1)]["coulomb_Nm"].value == pytest.approx(0.6, abs=0.03)
     # nor does it say how large the noise is, which decides what is significant
-    assert found.to_dict()["noise"]["estimated_torque_Nm"][0] == pytest.approx(NOISE, rel=0.15)
+    assert found.to_dict()["noise"]["estimated"]["torque_Nm"][0] == pytest.approx(NOISE, rel=0.15)
 
 
 def test_a_quiet_rest_is_no_contact_and_leaves_the_motion_beside_it(arm):

@@ -13,7 +13,8 @@ from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.description import write_arm
 from lite6jax.diagnosis import torque_diagnosis
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.torque.reference import compare_rows
+from lite6jax.diagnosis.torque_diagnosis import EffectComparison
+from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
@@ -54,11 +55,11 @@ def test_of_the_same_motion_only_the_difference_is_found():
     assert finding.effect.label == "coulomb_friction:joint3"
     (estimate,) = finding.parameters.values()
     assert abs(estimate.value - 0.4) < 4 * estimate.std < 0.2
-    assert seen.rows is not None
-    assert seen.rows.matched > 0.95 * recording.samples
-    assert seen.rows.apart[2] == pytest.approx(0.4, abs=0.1)
-    assert seen.rows.from_model[1] > 0.2
-    assert seen.rows.from_model[0] < 0.02
+    assert isinstance(seen, RowComparison)
+    assert seen.matched > 0.95 * recording.samples
+    assert seen.apart[2] == pytest.approx(0.4, abs=0.1)
+    assert seen.from_model[1] > 0.2
+    assert seen.from_model[0] < 0.02
 
 
 def test_noise_of_both_counts():
@@ -80,16 +81,13 @@ def test_of_another_motion_what_each_shows_is_compared():
         source="folder/earlier.csv",
     )  # fmt: skip
     found, seen = diagnose_torques_against(recording, reference, arm, options=FEW)
-    assert seen.rows is None
+    assert isinstance(seen, EffectComparison)
     assert seen.file == "earlier.csv"
     assert {f.effect.label for f in found.findings} == {"viscous_friction:joint2", "coulomb_friction:joint3"}
-    said = {(each.effect.label): each for each in seen.effects}
-    assert said["coulomb_friction:joint3"].p_value < 1e-4
-    assert said["viscous_friction:joint2"].p_value > 0.0027
-    document = seen.to_dict()
-    assert [entry["differs"] for entry in document["differences"]] == [
-        entry["effect"] == "coulomb_friction" for entry in document["differences"]
-    ]
+    said = {(each["effect"], each["site"]): each for each in seen.to_dict()["differences"]}
+    assert said["coulomb_friction", "joint3"]["p_value"] < 1e-4
+    assert said["viscous_friction", "joint2"]["p_value"] > 0.0027
+    assert all(each["agree"] == (effect == "viscous_friction") for (effect, _), each in said.items())
 
 
 def sticky(q, v, size):
@@ -142,7 +140,7 @@ def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
     _, seen = diagnose_torques_against(warm, cold, arm)
     (difference,) = seen.effects
     assert difference.p_value is None
-    assert difference.there is None
+    assert difference.estimates["reference"] is None
     assert "the reference does not show it" in with_comparison(seen.to_dict())["differences"][0]["statement"]
 
 
@@ -168,7 +166,7 @@ def test_the_command_says_what_was_compared(tmp_path, capsys):
     assert "Reference gazebo.csv, " in flat(said)
     assert "Findings and model are the difference from gazebo.csv" in flat(said)
     against = json.loads(out.read_text())["against"]
-    assert (against["by"], against["file"]) == ("rows", "gazebo.csv")
+    assert (against["basis"], against["file"]) == ("rows", "gazebo.csv")
     code, said, _ = run(capsys, "predict", out, run_file, "--out", tmp_path / "p.csv")
     assert code == 0
     assert "the difference from gazebo.csv" in flat(said)
