@@ -60,6 +60,8 @@ _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _MOST = 0.5
 """The share of a variance from which it is most of it."""
+_NEAREST = 2
+"""Effects that a finding may be instead, for whose distinction the recording is said; more would vary everything."""
 _STANDS_OUT = 2.0
 """Times the others, at which one joint is named apart."""
 _MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
@@ -307,21 +309,22 @@ def untested(document: Document) -> list[Untested]:
 
 def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open and another one answers."""
-    asked, lines, pairs, drivers = _TEXTS["record"], [], [], []
+    asked, lines = _TEXTS["record"], []
     findings = ranking.detailed(document)
     for finding in findings:
         one = {"one": effect_title(finding), "site": finding["site"]}
         waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
         if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
             lines.append(fill(asked["orders"], one, orders=orders))
+        undecided = []
         for rival in distinct_rivals(finding):
             if rival["status"] in ("separable", "equivalent"):
                 lines.append(fill(asked[rival["status"]], one, other=effect_title(rival)))
             elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
-                pairs.append(f"{one['one']} from {effect_title(rival)}")
-                drivers += [f"the {driver}" for entry in (finding, rival) for driver in drivers_of(entry)]
-    if pairs:
-        lines.append(fill(asked["undecided"], {"pairs": pairs, "drivers": list(dict.fromkeys(drivers))}))
+                undecided.append(rival)
+        if near := undecided[:_NEAREST]:
+            drivers = dict.fromkeys(f"the {driver}" for entry in (finding, *near) for driver in drivers_of(entry))
+            lines.append(fill(asked["undecided"], one, others=[*map(effect_title, near)], drivers=[*drivers]))
     doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(fill(asked["payload"], {"names": doubtful}))
