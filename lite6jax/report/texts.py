@@ -21,6 +21,7 @@ from lite6jax.report.words import (
     number,
     plus_minus,
     rows_named,
+    significant,
 )
 
 
@@ -61,7 +62,7 @@ def _template(text: str) -> jinja2.Template:
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False)
     environment.filters |= {
-        "g": lambda value, digits=3: f"{value:.{digits}g}",
+        "g": significant,
         "mm": milli,
         "mm_vector": _vector,
         "joined": lambda parts, last="and": joined(map(str, parts), last),

@@ -56,8 +56,11 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits."""
-    return f"{value:.{digits}g}" if np.isfinite(value) else UNKNOWN
+    """A number to so many significant digits; without an exponent up to a million."""
+    if not np.isfinite(value):
+        return UNKNOWN
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if 10**digits <= abs(rounded) < 1e6 else f"{value:.{digits}g}"
 
 
 def milli(value: float, digits: int = 3) -> str:
