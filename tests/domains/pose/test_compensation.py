@@ -383,7 +383,7 @@ def written(recording, folder):
 
 
 def test_what_is_written_is_a_motion_that_predicts_the_targets(capsys, diagnosis, motion, poses, tmp_path):
-    asked, out = wanted(motion, poses), tmp_path / "joints.csv"
+    asked, out = wanted(motion, poses.copy()), tmp_path / "joints.csv"
     asked.position[FEW - 1, 1] = np.nan
     targets = written(asked, tmp_path)
     code, said, err = run(capsys, "compensate", diagnosis, targets, "--out", out)
