@@ -68,6 +68,8 @@ def diagnosis_page(
             ("Torques", sections_of(Report(document["torques"], pictures=shown, anchor="torque-"))),
             ("Both", [both]),
         ]
+    if "torques_refused" in document:
+        parts = [("Poses", parts[0][1]), ("Torques", [Section("", [("text", statements.refusal(document))])])]
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 
 

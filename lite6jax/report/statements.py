@@ -324,7 +324,9 @@ def what_to_record(document: Document) -> list[str]:
                 undecided.append(rival)
         if near := undecided[:_NEAREST]:
             drivers = dict.fromkeys(f"the {driver}" for entry in (finding, *near) for driver in drivers_of(entry))
-            lines.append(fill_about(asked["undecided"], document, **one, others=[*map(effect_title, near)], drivers=[*drivers]))
+            lines.append(
+                fill_about(asked["undecided"], document, **one, others=[*map(effect_title, near)], drivers=[*drivers])
+            )
     doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(fill(asked["payload"], {"names": doubtful}))

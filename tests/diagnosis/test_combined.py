@@ -22,6 +22,7 @@ from lite6jax.effects.kinematic import GravityDirection, JointCompliance, Payloa
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report import ranking
+from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
 from lite6jax.report.statements import with_statements
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
@@ -182,6 +183,7 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
         read_model(path, domain="torques")
     assert "are not diagnosed: " in alone.summary()
     assert any("has no masses" in str(part) for part in diagnosis_report(document, "run.csv"))
+    assert "has no masses" in diagnosis_page(alone, document)
 
 
 def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, monkeypatch):
