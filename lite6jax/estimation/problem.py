@@ -232,6 +232,11 @@ class Problem(LinearisedProblem, Protocol):
         ...
 
 
+def possible_ranges(problem: Problem, terms: "Sequence[Term]") -> tuple[tuple[float, ...], ...]:
+    """Of each term the ranges of its numbers that are possible in these data; infinite where all is."""
+    return tuple(tuple(upper - lower for lower, upper in problem.limits(term)) for term in terms)
+
+
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:
     """The family and the order of a term that is a wave of a fixed order; None of any other term."""
     for family in problem.periodic:

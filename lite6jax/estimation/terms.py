@@ -91,11 +91,12 @@ class Terms:
 
     Attributes:
         terms: in the order of their numbers.
-        bounded: whether the possible range of a number is the standard deviation of its prior, where it has none.
+        ranges: of each term, the ranges of its numbers that are the standard deviations of their priors, unless these
+            are narrower; empty for no such priors.
     """
 
     terms: tuple[Term, ...] = ()
-    bounded: bool = False
+    ranges: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def size(self) -> int:
@@ -117,14 +118,14 @@ class Terms:
     def precision(self) -> Array:
         """`(size,)`, one over the variance of each number's prior; zero where there is none."""
         spread = np.array([number.spread for term in self.terms for number in term.coordinates], float)
-        return (np.minimum(spread, self.range) if self.bounded else spread) ** -2.0
+        return (np.minimum(spread, join(self.ranges)) if self.ranges else spread) ** -2.0
 
     @cached_property
     def least_information(self) -> Array:
         """`(size,)`, the information of a coefficient of a function below which its possible range is its prior.
 
         At the end of its driver's range hardly a sample may show a coefficient of a function without a name. The range
-        is then one standard deviation, as where all terms are `bounded`. Zero for other numbers.
+        is then one standard deviation. Zero for other numbers.
         """
         functions = np.array([term.nonparametric for term in self.terms for _ in term.coordinates], bool)
         return np.where(functions, self.range**-2.0, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Problem, possible_ranges
 from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import State
@@ -34,7 +34,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         if still != free:
             released = _released(problem, fitted, still, options) if any(still) or uncertain else None
         if released is not None:
-            fitted, stds = _held(released, fitted, still)
+            fitted, stds = _held(problem, released, fitted, still)
     fitted = replace(fitted, covariance=fitted.covariance + between + of_inputs)
     variance = np.diagonal(fitted.covariance)  # zero of what no sample depends on
     shares = np.divide(np.diagonal(of_inputs), variance, out=np.zeros_like(variance), where=variance > 0)
@@ -52,9 +52,10 @@ def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
     # of a combination that no sample shows, a pseudo-inverse has no variance at all
     correlation = fitted.covariance[np.ix_(seen, seen)] / np.outer(std[seen], std[seen])
     determined = np.linalg.matrix_rank(correlation, options.rounding, hermitian=True) == seen.sum()
-    if determined and not np.any(std > fitted.terms.range):
+    ranges = possible_ranges(problem, fitted.terms.terms)
+    if determined and not np.any(std > join(ranges)):
         return fitted
-    terms = replace(fitted.terms, bounded=True)
+    terms = replace(fitted.terms, ranges=ranges)
     return fit(problem, terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
 
 
@@ -114,7 +115,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
-    released = Terms(tuple(terms), fitted.terms.bounded)
+    released = Terms(tuple(terms), possible_ranges(problem, terms) if fitted.terms.ranges else ())
     return fit(problem, released, options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
 
 
@@ -134,7 +135,7 @@ def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> boo
     return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
 
 
-def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
+def _held(problem: Problem, released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
     """The fit with the numbers that were free held at their estimates, and the standard deviation of each of these."""
     terms, kept, stds = [], np.ones(released.terms.size, bool), []
     for before, term, part, is_free in zip(
@@ -146,5 +147,5 @@ def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(kept, kept)]
-    held = Terms(tuple(terms), released.terms.bounded)
+    held = Terms(tuple(terms), possible_ranges(problem, terms) if released.terms.ranges else ())
     return replace(released, terms=held, values=released.values[kept], covariance=covariance), stds

@@ -180,12 +180,22 @@ def test_a_name_stands_beside_a_wandering_error_that_is_taken_for_noise(hidden):
         assert state.fit.values[0] == pytest.approx(5.0, abs=4 * np.sqrt(state.fit.covariance[0, 0]))
 
 
-def test_what_the_data_leave_open_is_held_by_its_bounds():
+class _Narrow(LinearProblem):
+    """In whose data u4 is between -1 and 1, whatever a term says that it can be."""
+
+    def limits(self, term):
+        return [(-1.0, 1.0)] if term.name == "u4" else super().limits(term)
+
+
+@pytest.mark.parametrize("by_data", [False, True])
+def test_what_the_data_leave_open_is_held_by_its_bounds(by_data):
     """By ridge regression in closed form; and what they determine is not touched."""
     rng = np.random.default_rng(6)
     problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
     problem.data["u4"] = 1e-3 * rng.normal(size=400)
-    bounded = Column("u4", coordinates=(Number(lower=-1.0, upper=1.0),))
+    if by_data:
+        problem = _Narrow(**{field.name: getattr(problem, field.name) for field in fields(problem)})
+    bounded = Column("u4", coordinates=(Number(lower=-1e6, upper=1e6) if by_data else Number(lower=-1.0, upper=1.0),))
     wide = Column("u2", coordinates=(Number(lower=-1e3, upper=1e3),))
     one, both = (fit(problem, Terms(model), OPTIONS) for model in ((wide,), (wide, bounded)))
     assert np.sqrt(both.covariance[1, 1]) > 20
