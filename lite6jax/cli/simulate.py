@@ -140,9 +140,8 @@ class Simulate:
             tool_known=self.tool == "known",
             seed=self.seed,
         )
-        recordings.write_recording(
-            measured.recording, self.out, self.force
-        )  # the large file first, where a disk is full
+        # the large file first: where a disk is full, nothing else is written
+        recordings.write_recording(measured.recording, self.out, self.force)
         if self.tolerance:
             factories.write_factory(declared, calibration, overwrite=self.force)
         screen.show(self._page(arm, physics, values, measured))

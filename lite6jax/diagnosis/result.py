@@ -98,7 +98,7 @@ class HeldOut(NamedTuple):
         after: likewise, with the effects that a search of the other rows selects, or that are fitted to them.
         before_over_noise: as `before`, over the noise of each row. A camera sees depth worse than the rest.
         after_over_noise: likewise with the effects.
-        with_effects: `(sample,)` bool, rows without which there are effects.
+        with_effects: `(sample,)` bool, whether the search without a row and its fold found effects.
     """
 
     before: Array

@@ -1,7 +1,6 @@
 """How uncertain a diagnosed model is: the covariance of all its numbers, what is left of it, where it was recorded."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,9 @@ from lite6jax.domains.torque.predict import driver_values, link_sites, shown_tor
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask, possible_ranges
+from lite6jax.estimation.problem import Mask, bound_alike
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
-from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
@@ -67,8 +65,7 @@ def uncertainty_of_poses(
         read = problem.measured.columns(tool, J[:, :3], turned)
         columns = np.concatenate([whitened(read, problem.measured.whitener), moved])
         effects = tuple(freed(effect) for effect in model.physics.effects)
-        ranges = possible_ranges(problem, effects) if fit.terms.ranges else ()
-        prior, known = Terms(effects, ranges).precision, problem.precision
+        prior, known = bound_alike(problem, effects, fit.terms).precision, problem.precision
         # what is no finding is within the tolerance of its joint
         no_finding = [effect not in fit.terms.terms for effect in model.physics.effects]
         prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
@@ -126,12 +123,11 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     `after` are held-out errors `(joint, sample)` Nm.
     """
     terms, values = with_free_numbers(fit.terms, fit.values)
-    if fit.terms.ranges:
-        terms = replace(terms, ranges=possible_ranges(problem, terms.terms))
+    prior = bound_alike(problem, terms.terms, fit.terms).precision
     columns = problem.nuisance_columns(fit.terms, fit.values)
     if terms.size:
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
-    C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, terms.precision]))
+    C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, prior]))
     moved = columns * problem.sigma
     estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
     left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))

@@ -193,13 +193,16 @@ class Body:
         """The samples, padded with the last one to `size`."""
         count = len(sample.time)
         extra = max(size - count, 0)
-        joints = [*sample[1:], self.temperature(sample.time) - 25.0, np.zeros_like(sample.position)]
-        joints[-1] = joints[-1] if acceleration is None else acceleration
-        position, velocity, direction, rise, ddq = (np.pad(values, ((0, extra), (0, 0)), "edge").T for values in joints)
+
+        def padded(values: Array) -> Array:
+            return np.pad(values, ((0, extra), (0, 0)), "edge").T
+
+        position, velocity, direction = map(padded, sample[1:])
+        rise = padded(self.temperature(sample.time) - 25.0)
         # the times of the padding increase, because times must be in order
         time = np.concatenate([sample.time, sample.time[-1] + SPACING_S * np.arange(1, extra + 1)])
         run = np.stack([np.zeros(len(time), int), np.full(len(time), count - 1)])
-        ddq = None if acceleration is None else ddq
+        ddq = None if acceleration is None else padded(acceleration)
         arrays: Any = (position, velocity, direction, time, run, rise.mean(0), np.full(len(time), payload), ddq, rise)
         return Motion(*arrays)
 

@@ -237,6 +237,11 @@ def possible_ranges(problem: Problem, terms: "Sequence[Term]") -> tuple[tuple[fl
     return tuple(tuple(upper - lower for lower, upper in problem.limits(term)) for term in terms)
 
 
+def bound_alike(problem: Problem, terms: "Sequence[Term]", other: Terms) -> Terms:
+    """The terms, with priors by their possible ranges if other terms have these."""
+    return Terms(tuple(terms), possible_ranges(problem, terms) if other.prior_ranges else ())
+
+
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:
     """The family and the order of a term that is a wave of a fixed order; None of any other term."""
     for family in problem.periodic:

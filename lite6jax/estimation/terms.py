@@ -91,12 +91,12 @@ class Terms:
 
     Attributes:
         terms: in the order of their numbers.
-        ranges: of each term, the ranges of its numbers that are the standard deviations of their priors, unless these
-            are narrower; empty for no such priors.
+        prior_ranges: of each term, the ranges of its numbers: the standard deviation of a number's prior is at most
+            its range. Empty where ranges are no priors.
     """
 
     terms: tuple[Term, ...] = ()
-    ranges: tuple[tuple[float, ...], ...] = ()
+    prior_ranges: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def size(self) -> int:
@@ -118,7 +118,7 @@ class Terms:
     def precision(self) -> Array:
         """`(size,)`, one over the variance of each number's prior; zero where there is none."""
         spread = np.array([number.spread for term in self.terms for number in term.coordinates], float)
-        return (np.minimum(spread, join(self.ranges)) if self.ranges else spread) ** -2.0
+        return (np.minimum(spread, join(self.prior_ranges)) if self.prior_ranges else spread) ** -2.0
 
     @cached_property
     def least_information(self) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem, possible_ranges
+from lite6jax.estimation.problem import Problem, bound_alike, possible_ranges
 from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import State
@@ -55,7 +55,7 @@ def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
     ranges = possible_ranges(problem, fitted.terms.terms)
     if determined and not np.any(std > join(ranges)):
         return fitted
-    terms = replace(fitted.terms, ranges=ranges)
+    terms = replace(fitted.terms, prior_ranges=ranges)
     return fit(problem, terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
 
 
@@ -115,7 +115,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
-    released = Terms(tuple(terms), possible_ranges(problem, terms) if fitted.terms.ranges else ())
+    released = bound_alike(problem, terms, fitted.terms)
     return fit(problem, released, options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
 
 
@@ -147,5 +147,5 @@ def _held(problem: Problem, released: Fit, fitted: Fit, free: list[bool]) -> tup
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(kept, kept)]
-    held = Terms(tuple(terms), possible_ranges(problem, terms) if released.terms.ranges else ())
+    held = bound_alike(problem, terms, released.terms)
     return replace(released, terms=held, values=released.values[kept], covariance=covariance), stds

@@ -230,8 +230,9 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
 
 def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: NDArray[np.integer]) -> RigidBodies:
     """The dynamics at some rows, each of which stands for those around it."""
-    ends = [np.searchsorted(samples.runs, samples.runs, side) for side in ("left", "right")]
-    motion = jax.tree.map(lambda leaf: leaf[..., rows], bodies.motion)._replace(run=np.stack([ends[0], ends[1] - 1]))
+    motion = jax.tree.map(lambda leaf: leaf[..., rows], bodies.motion)
+    first, end = (np.searchsorted(motion.run[0], motion.run[0], side) for side in ("left", "right"))
+    motion = motion._replace(run=np.stack([first, end - 1]))
     period = 1 / samples.rate
     dq, ddq = motion.joint_velocity, motion.joint_acceleration
     motion = motion._replace(direction=direction(dq, arm.slides, change=period * ddq))

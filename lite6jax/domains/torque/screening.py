@@ -315,8 +315,8 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     faults = []
     chosen = problem.data.recorded
     spread = 1 / chosen.cutoff + (_WRONG_IN_A_ROW - 1) / chosen.rate  # s, of a few wrong torques behind the low pass
-    recorded = problem.data.recording
-    assert recorded.time is not None
+    recording = problem.data.recording
+    assert recording.time is not None
     velocity = np.asarray(problem.data.motion.joint_velocity)[:, problem.data.filter.kept[problem.chosen]]
     for event in events:
         if time[event.stop - 1] - time[event.start] <= spread:
@@ -330,12 +330,12 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
             inside[event] = False  # friction turns at once, and the low pass of the motion takes a while
             continue
         step = 0.5 * float(np.median(np.diff(time)))
-        rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
+        rows = (recording.time >= time[event.start] - step) & (recording.time <= time[event.stop - 1] + step)
         rows &= chosen.runs == runs[event.start]
         numbers = {"joints": joints, "from_s": float(time[event.start]), "to_s": float(time[event.stop - 1])}
         off = np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max(1)
         worst = by_kind("largest_Nm", off, problem.data.arm.slides, np.max)
-        faults.append(DataFault("contact", row_numbers(recorded.row[rows]), numbers | worst))
+        faults.append(DataFault("contact", row_numbers(recording.row[rows]), numbers | worst))
     return inside, faults
 
 

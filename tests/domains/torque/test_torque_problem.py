@@ -110,22 +110,20 @@ def test_white_noise_stays_white_of_one_part_in_so_many():
 
 def test_torques_of_a_fast_recording_are_modelled_at_a_few_rows_for_each_one_that_is_kept():
     recording, arm = recorded(seed=5, velocity_noise=1e-4, rate=1000.0)
-    data, (every_row, recorded_filter, _) = (
-        torque_rows(recording, arm, recording.torques().T),
-        bodies_of(recording, arm),
-    )
+    data = torque_rows(recording, arm, recording.torques().T)
+    every_row, recorded_filter, _ = bodies_of(recording, arm)
     assert 5 <= data.filter.every < 10
     assert len(data.rows) * recorded_filter.every < 10 * recording.samples
     np.testing.assert_array_equal(data.time, recording.time[recorded_filter.kept])
-    velocity = np.asarray(every_row.motion.joint_velocity)
+    velocity, problem = np.asarray(every_row.motion.joint_velocity), torque_problem(data)
     for effect, values, torque in (
         (ViscousFriction(2), [0.7], 0.7 * velocity[1]),
         (CoulombFriction(2), [1.0], direction(velocity[1])),
         (CoulombFriction(2, None), [1.0, 0.05], direction(velocity[1], transition=0.05)),
         (CoupledFriction(2, 1), [0.0, 1.0], direction(velocity[0] + velocity[1])),
     ):
-        problem, terms = torque_problem(data), Terms((effect,))
-        shown = problem.torque(np.zeros(len(problem.precision)), terms, np.array(values))[1] - problem.rigid[1]
+        total = problem.torque(np.zeros(len(problem.precision)), Terms((effect,)), np.array(values))
+        shown = total[1] - problem.rigid[1]
         wanted = recorded_filter(torque[None])[0]
         assert np.sqrt(np.mean((shown - wanted) ** 2)) < 5e-3
 
