@@ -15,7 +15,7 @@ from lite6jax.domains.torque.predict import driver_values, link_sites, shown_tor
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask, bound_alike
+from lite6jax.estimation.problem import Mask, prior_precision
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.recordings.sequence import spread_rows
@@ -65,7 +65,7 @@ def uncertainty_of_poses(
         read = problem.measured.columns(tool, J[:, :3], turned)
         columns = np.concatenate([whitened(read, problem.measured.whitener), moved])
         effects = tuple(freed(effect) for effect in model.physics.effects)
-        prior, known = bound_alike(problem, effects, fit.terms).precision, problem.precision
+        prior, known = prior_precision(problem, effects), problem.precision
         # what is no finding is within the tolerance of its joint
         no_finding = [effect not in fit.terms.terms for effect in model.physics.effects]
         prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
@@ -123,7 +123,7 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     `after` are held-out errors `(joint, sample)` Nm.
     """
     terms, values = with_free_numbers(fit.terms, fit.values)
-    prior = bound_alike(problem, terms.terms, fit.terms).precision
+    prior = prior_precision(problem, terms.terms)
     columns = problem.nuisance_columns(fit.terms, fit.values)
     if terms.size:
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])

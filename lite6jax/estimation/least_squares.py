@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import LinearisedProblem, Mask
+from lite6jax.estimation.problem import LinearisedProblem, Mask, prior_precision
 from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
@@ -185,9 +185,9 @@ def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -
         about = about.relinearised(f.nuisance)
         again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
         gain = again.gain_over(f)
-        if gain <= 0:
+        if gain <= -options.same:  # by less, as displacements one after the other differ from their sum
             break
-        f = replace(again, converged=again.converged or gain < options.least_gain)
+        f = replace(again, converged=again.converged or abs(gain) < options.least_gain)
         if f.converged:
             break
     return f if f is fitted else replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
@@ -231,8 +231,7 @@ def _fitted(
     )
     training = np.ones(problem.samples, bool) if training is None else training
     noise = white_noise(problem.groups) if noise is None else noise
-    known = precision = np.concatenate([problem.precision, terms.precision])
-    least = np.concatenate([np.zeros(k), terms.least_information])
+    precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
     rounding = options.exact_rounding if exact else ROUNDING
 
     def residual(where: P, numbers: Array) -> Array:
@@ -262,8 +261,6 @@ def _fitted(
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
         parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
         H = gram(parts)
-        # not for all: along what a frame takes up of a function, a prior would let errors of exact derivatives through
-        precision = np.maximum(known, np.where(np.diagonal(H) < least, least, 0.0))
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
         full = -scaled_solve(H, gradient, rounding)

@@ -149,6 +149,10 @@ class LinearisedProblem(Protocol):
         """
         ...
 
+    def limits(self, term: Term) -> Sequence[tuple[float, float]]:
+        """The least and the most that each number of a term can be in these data."""
+        ...
+
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem about another nuisance, `(number,)` from here."""
         ...
@@ -215,10 +219,6 @@ class Problem(LinearisedProblem, Protocol):
         """Functions `(…, every sample)` as they reach the samples of this problem, through its filter if it has one."""
         ...
 
-    def limits(self, term: Term) -> Sequence[tuple[float, float]]:
-        """The least and the most that each number of a term can be in these data."""
-        ...
-
     def thinned(self, every: int) -> "Problem":
         """One in `every` samples."""
         ...
@@ -232,14 +232,18 @@ class Problem(LinearisedProblem, Protocol):
         ...
 
 
-def possible_ranges(problem: Problem, terms: "Sequence[Term]") -> tuple[tuple[float, ...], ...]:
-    """Of each term the ranges of its numbers that are possible in these data; infinite where all is."""
-    return tuple(tuple(upper - lower for lower, upper in problem.limits(term)) for term in terms)
+def prior_precision(problem: LinearisedProblem, terms: "Sequence[Term]") -> Array:
+    """`(number,)`, one over the variance of each number's prior about zero.
 
-
-def bound_alike(problem: Problem, terms: "Sequence[Term]", other: Terms) -> Terms:
-    """The terms, with priors by their possible ranges if other terms have these."""
-    return Terms(tuple(terms), possible_ranges(problem, terms) if other.prior_ranges else ())
+    Where nothing more is known of a number, it is equally likely anywhere within its limits [l, u] in these data, so
+    that its square is (l² + l u + u²) / 3 in the mean. What the data determine is hardly changed by this, and what they
+    leave open stays possible.
+    """
+    spread = np.array([number.spread for term in terms for number in term.coordinates], float)
+    limits = np.array([pair for term in terms for pair in problem.limits(term)], float).reshape(-1, 2)
+    lower, upper = np.where(np.isfinite(limits), limits, 0.0).T
+    mean_square = np.where(np.isfinite(limits).all(1), (lower**2 + lower * upper + upper**2) / 3, np.inf)
+    return 1 / np.minimum(spread**2, mean_square)
 
 
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:

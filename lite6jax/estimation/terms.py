@@ -91,12 +91,9 @@ class Terms:
 
     Attributes:
         terms: in the order of their numbers.
-        prior_ranges: of each term, the ranges of its numbers: the standard deviation of a number's prior is at most
-            its range. Empty where ranges are no priors.
     """
 
     terms: tuple[Term, ...] = ()
-    prior_ranges: tuple[tuple[float, ...], ...] = ()
 
     @cached_property
     def size(self) -> int:
@@ -113,27 +110,6 @@ class Terms:
     def typical(self) -> Array:
         """`(size,)`, the common size of each number."""
         return np.array([number.typical for term in self.terms for number in term.coordinates])
-
-    @cached_property
-    def precision(self) -> Array:
-        """`(size,)`, one over the variance of each number's prior; zero where there is none."""
-        spread = np.array([number.spread for term in self.terms for number in term.coordinates], float)
-        return (np.minimum(spread, join(self.prior_ranges)) if self.prior_ranges else spread) ** -2.0
-
-    @cached_property
-    def least_information(self) -> Array:
-        """`(size,)`, the information of a coefficient of a function below which its possible range is its prior.
-
-        At the end of its driver's range hardly a sample may show a coefficient of a function without a name. The range
-        is then one standard deviation. Zero for other numbers.
-        """
-        functions = np.array([term.nonparametric for term in self.terms for _ in term.coordinates], bool)
-        return np.where(functions, self.range**-2.0, 0.0)
-
-    @cached_property
-    def range(self) -> Array:
-        """`(size,)`, between the least and the most that each number can be; infinite where all is possible."""
-        return np.array([number.upper - number.lower for term in self.terms for number in term.coordinates], float)
 
     def part(self, values: Array, kept: Sequence[bool]) -> "tuple[Terms, Array]":
         """The terms that are kept, and their numbers out of `values` `(size,)`."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem, bound_alike, possible_ranges
+from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import State
@@ -19,11 +19,10 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     whole and stays within `whole_within` standard deviations. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
     (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). So they do for an input that may
-    be wrong without being found so, on which every number may depend in proportion. What the data leave open is held
-    by the range of what is possible: a model with a number far outside it would predict nonsense elsewhere.
+    be wrong without being found so, on which every number may depend in proportion.
     """
     options = replace(options, relinearisations=0)  # the problem is linearised at the estimate
-    fitted = _within_range(problem, state.fit, options)
+    fitted = state.fit
     between, of_inputs = _between_models(problem, fitted, options), _beside_inputs(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
     stds = [0.0] * len(free)
@@ -43,20 +42,6 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)
     )
     return replace(state, fit=fitted, tested=tested)
-
-
-def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
-    """The fit with the range of each number as its prior, where the data determine one, or a sum of some, less."""
-    std = np.sqrt(np.diagonal(fitted.covariance))
-    seen = std > 0
-    # of a combination that no sample shows, a pseudo-inverse has no variance at all
-    correlation = fitted.covariance[np.ix_(seen, seen)] / np.outer(std[seen], std[seen])
-    determined = np.linalg.matrix_rank(correlation, options.rounding, hermitian=True) == seen.sum()
-    ranges = possible_ranges(problem, fitted.terms.terms)
-    if determined and not np.any(std > join(ranges)):
-        return fitted
-    terms = replace(fitted.terms, prior_ranges=ranges)
-    return fit(problem, terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
 
 
 def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
@@ -115,8 +100,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
-    released = bound_alike(problem, terms, fitted.terms)
-    return fit(problem, released, options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
+    return fit(problem, Terms(tuple(terms)), options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
 
 
 def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
@@ -147,5 +131,4 @@ def _held(problem: Problem, released: Fit, fitted: Fit, free: list[bool]) -> tup
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(kept, kept)]
-    held = bound_alike(problem, terms, released.terms)
-    return replace(released, terms=held, values=released.values[kept], covariance=covariance), stds
+    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance), stds

@@ -9,6 +9,7 @@ from engine.linear_problem import Column, Decay, LinearProblem, Number, Process,
 from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import EngineOptions, documented
+from lite6jax.estimation.problem import prior_precision
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates
@@ -188,35 +189,36 @@ class _Narrow(LinearProblem):
 
 
 @pytest.mark.parametrize("by_data", [False, True])
-def test_what_the_data_leave_open_is_held_by_its_bounds(by_data):
+def test_what_the_data_leave_open_stays_possible(by_data):
     """By ridge regression in closed form; and what they determine is not touched."""
-    rng = np.random.default_rng(6)
-    problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
-    problem.data["u4"] = 1e-3 * rng.normal(size=400)
+    problem = linear_problem(np.random.default_rng(6), planted=lambda d: 0.8 * d["u2"])
+    problem.data["u4"] = 1e-3 * np.random.default_rng(7).normal(size=400)
     if by_data:
         problem = _Narrow(**{field.name: getattr(problem, field.name) for field in fields(problem)})
     bounded = Column("u4", coordinates=(Number(lower=-1e6, upper=1e6) if by_data else Number(lower=-1.0, upper=1.0),))
     wide = Column("u2", coordinates=(Number(lower=-1e3, upper=1e3),))
-    one, both = (fit(problem, Terms(model), OPTIONS) for model in ((wide,), (wide, bounded)))
-    assert np.sqrt(both.covariance[1, 1]) > 20
-    score = score_test(problem, one, OPTIONS).score([bounded])[0]
-    tested = [SelectedTerm(term, 0.0, score) for term in (wide, bounded)]
-    sure = final_estimates(problem, State(one, one, (tested[0],)), OPTIONS).fit
-    said = final_estimates(problem, State(one, both, tuple(tested)), OPTIONS).fit
-    assert abs(said.values[1]) < 1
-    assert 0.9 * 2 < np.sqrt(said.covariance[1, 1]) < 1.1 * 2  # the width of the prior
-    assert said.values[0] == pytest.approx(sure.values[0], abs=0.01 * np.sqrt(sure.covariance[0, 0]))
+    alone, both = (fit(problem, Terms(model), OPTIONS) for model in ((wide,), (wide, bounded)))
+    assert abs(both.values[1]) < 1
+    assert np.sqrt(both.covariance[1, 1]) == pytest.approx(1 / np.sqrt(3), rel=0.1)  # of an even distribution
+    assert both.values[0] == pytest.approx(alone.values[0], abs=0.01 * np.sqrt(alone.covariance[0, 0]))
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-1.0, 1.0), (0.0, 3.0), (-0.1, 2.0), (-np.inf, np.inf), (0.0, np.inf)])
+def test_a_prior_has_the_mean_square_of_a_number_that_is_equally_likely_within_its_limits(lower, upper):
+    problem = linear_problem(np.random.default_rng(6))
+    term = Column("u2", coordinates=(Number(lower=lower, upper=upper),))
+    (precision,) = prior_precision(problem, [term])
+    finite = np.isfinite([lower, upper]).all()
+    assert precision == pytest.approx(1 / np.mean(np.linspace(lower, upper, 100_001) ** 2) if finite else 0.0, rel=1e-3)
 
 
 def test_of_two_numbers_whose_sum_alone_is_seen_each_is_as_uncertain_as_its_bounds():
-    """The sum is known, and the difference by the prior N(0, 2 · 2²) alone."""
+    """The sum is known, and the difference by the prior N(0, 2 / 3) alone."""
     problem = linear_problem(np.random.default_rng(6), planted=lambda d: 0.8 * d["u2"])
     problem.data["u4"] = problem.data["u2"]
     model = tuple(Column(name, coordinates=(Number(lower=-1.0, upper=1.0),)) for name in ("u2", "u4"))
-    fitted = fit(problem, Terms(model), OPTIONS)
-    state = State(fit(problem, Terms(), OPTIONS), fitted, tuple(map(SelectedTerm, model)))
-    said = final_estimates(problem, state, OPTIONS).fit
-    np.testing.assert_allclose(np.sqrt(np.diagonal(said.covariance)), np.sqrt(8) / 2, rtol=0.1)
+    said = fit(problem, Terms(model), OPTIONS)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(said.covariance)), np.sqrt(2 / 3) / 2, rtol=0.1)
     of_sum = np.sqrt(said.covariance.sum())
     assert of_sum < 0.1
     assert said.values.sum() == pytest.approx(0.8, abs=4 * of_sum)

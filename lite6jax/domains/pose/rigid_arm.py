@@ -112,6 +112,10 @@ class NuisanceProblem:
         """None, of no terms."""
         return
 
+    def limits(self, term: Term) -> list[tuple[float, float]]:
+        """Of no terms."""
+        return []
+
 
 @final
 @dataclass(frozen=True, eq=False)
