@@ -18,7 +18,7 @@ from scipy.special import chdtrc, fdtrc
 from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Problem, prior_precision
 from lite6jax.estimation.projection import (
     Equations,
     Explained,
@@ -29,10 +29,12 @@ from lite6jax.estimation.projection import (
     part_of_span,
     unit_rows,
 )
-from lite6jax.estimation.terms import Factored, Term
+from lite6jax.estimation.terms import Factored, Term, Terms
 
 Array = NDArray[np.floating]
 
+_MANY, _UNDETERMINED = 20, 1e-4
+"""Coefficients of a process from which it is worth while, and the information over that of the prior that is none."""
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
 
@@ -298,10 +300,12 @@ class ScoreTest:
         """
         basis, residual = self._measured
         white = _white(self.fit, site, self.scale)
-        with_site, with_basis, with_residual = (
-            np.stack([np.sum(one * other, -2) for one in white]) for other in (white, basis, residual)
-        )
-        return with_site, with_basis, with_residual
+        acting = np.flatnonzero(np.any(white, (0, 2)))
+        rows = slice(acting.min(initial=self.problem.rows), acting.max(initial=-1) + 1)  # no copy of the basis
+        white = white[:, rows]
+        with_site = np.einsum("ars,brs->abs", white, white)
+        with_basis = np.stack([np.einsum("rs,krs->ks", one, basis[:, rows]) for one in white])
+        return with_site, with_basis, np.einsum("ars,rs->as", white, residual[rows])
 
     def of_rows(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
         """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
@@ -490,9 +494,10 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
         options: thresholds.
     """
     columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale)
+    columns, precision, owners = _determined(problem, fit.terms, columns, fit.scale[0])
     acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
-    precision, stated = np.concatenate([problem.precision, fit.terms.precision]), _stated(problem)
+    stated = _stated(problem)
     known = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
     prior = np.zeros((len(columns), len(known)))
     prior[known, np.arange(len(known))] = np.sqrt(precision[known]) * fit.scale[0]
@@ -501,9 +506,39 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
     del columns  # with hundreds of terms these are half a gigabyte each
     rows = unit_rows(rows if seen.all() else rows[seen])
     span = orthonormal(rows, options.rounding)
-    sizes = [len(problem.precision), *(term.size for term in fit.terms.terms)]
-    owners = np.repeat(np.arange(-1, len(fit.terms.terms)), sizes)
     return Spanned(span, rows @ span.T, owners[seen], acting[seen])
+
+
+def _determined(
+    problem: Problem, terms: Terms, columns: Array, noise: float
+) -> tuple[Array, Array, NDArray[np.integer]]:
+    """Columns without those combinations of a process's coefficients of which the data say nothing beside the prior.
+
+    A rotation of coefficients of one variance leaves their prior as it is. Of the 120 of a spectrum half may count.
+
+    Args:
+        problem: the data.
+        terms: of a model.
+        columns: `(number, row, sample)`, of its nuisance and its terms.
+        noise: in units of which the columns are.
+
+    Returns:
+        the columns, the precision of their priors, and the place of the term that each is of; -1 of the nuisance.
+    """
+    precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
+    first = len(problem.precision)
+    kept, of_prior, owners = [columns[:first]], [precision[:first]], [np.full(first, -1)]
+    for k, (term, at) in enumerate(zip(terms.terms, terms.slices, strict=True)):
+        part, own = columns[first:][at], precision[first:][at]
+        if term.size > _MANY and _has_prior(term):
+            flat = part.reshape(len(part), -1)
+            eigenvalues, V = np.linalg.eigh(flat @ flat.T)
+            V = V[:, eigenvalues > _UNDETERMINED * noise**2 * own]
+            part, own = np.tensordot(V.T, part, 1), own[: V.shape[1]]
+        kept.append(part)
+        of_prior.append(own)
+        owners.append(np.full(len(part), k))
+    return np.concatenate(kept), np.concatenate(of_prior), np.concatenate(owners)
 
 
 def _acting(problem: Problem, columns: Array) -> NDArray[np.bool_]:
@@ -520,13 +555,11 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     training = fit.training
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
-    prior = np.zeros(len(problem.precision) + fit.terms.size)
-    prior[: len(problem.precision)] = np.sqrt(problem.precision)
-    prior[len(problem.precision) :] = np.sqrt(fit.terms.precision)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
     columns = linear_columns(problem, fit.terms, fit.values) / fit.scale[fit.residuals.groups, None]
+    columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
     found = noise_model(
-        rows[:, training], columns[..., training], prior, problem.groups, run[training], options, fit.noise
+        rows[:, training], columns, np.sqrt(precision), problem.groups, run[training], options, fit.noise
     )
     return found if found.white else replace(found, starts=run_starts(run))
 

@@ -59,16 +59,19 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        thorough: whether terms are exchanged, and what may replace them, is confounded or nearest is determined.
+        thorough: whether terms are exchanged, of many samples in the first search alone, and what may replace them, is
+            confounded or nearest is determined.
         among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
-    strides = [_stride(int(training.sum()), size) for size in (options.first_samples, options.most_samples)]
+    valid = int(problem.valid.sum())  # without held-out samples the search goes the same way
+    strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
     found: Selection | None = None
     for every in dict.fromkeys(strides):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
-        found = _selected(_begun(*some, training[::every], options, found), options, thorough, among)
+        begun = _begun(*some, training[::every], options, found)
+        found = _selected(begun, options, thorough and found is None, among)
     if strides[-1] > 1:
         found = at_estimate(_begun(problem, reference, training, options, found), options)
     assert found is not None
