@@ -478,11 +478,8 @@ class _Weighed:
                 each = self._of_splines(name, pull, information, left, freedom)
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
-            for i in some:
-                component, k = at[i][:2]
-                for name in ("wave", "play"):
-                    if self._scan.suits(name, (k,)):
-                        found.append(self.of_kernel(component, (k,), name))
+            others = ((at[i][0], (at[i][1],), name) for i in some for name in ("wave", "play"))
+            found += self._of_all([one for one in others if self._scan.suits(one[2], one[1])])
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
 
@@ -516,20 +513,20 @@ class _Weighed:
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel, where one exceeds `least`."""
         plain = [self._plain(k) for k in range(len(self._scan.quantities))]
+        short = [(component, (a, b), f"{plain[a]}*{plain[b]}") for component, a, b in self._shortlist(singles)]
+        first = sorted((one for one in self._of_all(short) if one.net > least or not least), key=lambda one: -one.net)
+        every = (one.process[:2] for one in first[:_REFINED])
+        asked = [(*pair, kernel) for pair in every for kernel in PAIRS if self._scan.suits(kernel, pair[1])]
+        return _best_of_each(self._of_all(asked))
+
+    def _of_all(self, asked: Sequence[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
+        """Processes by component, quantities and kernel, all of one component and kernel in one call."""
         alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
-        components = {id(one): one for one in self.components}
-        for component, *which in self._shortlist(singles):
-            alike.setdefault((id(component), "*".join(plain[k] for k in which)), []).append(tuple(which))
-        first = [
-            (found, components[at], which)
-            for (at, kernel), members in alike.items()
-            for found, which in zip(self._of_kernels(components[at], members, kernel), members, strict=True)
-            if found.net > least or not least
-        ]
-        first.sort(key=lambda item: -item[0].net)
-        return _best_of_each(
-            [one for _, component, which in first[:_REFINED] for one in self.kernels_of(component, which)]
-        )
+        components = {id(component): component for component, *_ in asked}
+        for component, which, kernel in asked:
+            alike.setdefault((id(component), kernel), []).append(which)
+        each = (self._of_kernels(components[at], members, kernel) for (at, kernel), members in alike.items())
+        return [one for some in each for one in some]
 
     def _plain(self, k: int) -> str:
         """The kernel as which a quantity of a pair is first weighed."""
