@@ -27,7 +27,7 @@ class Coordinate(NamedTuple):
         name: with its unit, such as `compliance_rad_per_Nm`.
         unit: such as `rad/Nm`; `1` for a ratio.
         typical: the size that real arms show, by which a fit scales it.
-        spread: standard deviation of its prior about zero; infinite where there is none.
+        spread: standard deviation of its prior about zero; infinite where its limits alone are one.
         lower: the least value that is physically possible.
         upper: the largest value that is physically possible.
         linear: whether the deflection is proportional to it.

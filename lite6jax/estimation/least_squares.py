@@ -185,9 +185,9 @@ def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -
         about = about.relinearised(f.nuisance)
         again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
         gain = again.gain_over(f)
-        if gain <= -options.same:  # by less, as displacements one after the other differ from their sum
+        if gain <= 0:
             break
-        f = replace(again, converged=again.converged or abs(gain) < options.least_gain)
+        f = replace(again, converged=again.converged or gain < options.least_gain)
         if f.converged:
             break
     return f if f is fitted else replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)

@@ -233,16 +233,17 @@ class Problem(LinearisedProblem, Protocol):
 
 
 def prior_precision(problem: LinearisedProblem, terms: "Sequence[Term]") -> Array:
-    """`(number,)`, one over the variance of each number's prior about zero.
+    """`(number,)`, one over the variance of each number's normal prior of zero mean; zero where there is none.
 
-    Where nothing more is known of a number, it is equally likely anywhere within its limits [l, u] in these data, so
-    that its square is (l² + l u + u²) / 3 in the mean. What the data determine is hardly changed by this, and what they
-    leave open stays possible.
+    Its variance is (l² + l u + u²) / 3, the mean square of a number that is equally likely anywhere within its limits
+    [l, u] in these data, or the square of its `spread` where that is less. What the data determine is hardly changed by
+    this, and what they leave open stays possible. A number without limits, or that cannot be zero, has no such prior.
     """
     spread = np.array([number.spread for term in terms for number in term.coordinates], float)
     limits = np.array([pair for term in terms for pair in problem.limits(term)], float).reshape(-1, 2)
-    lower, upper = np.where(np.isfinite(limits), limits, 0.0).T
-    mean_square = np.where(np.isfinite(limits).all(1), (lower**2 + lower * upper + upper**2) / 3, np.inf)
+    bounded = np.all(np.isfinite(limits), axis=1)
+    lower, upper = np.where(bounded[:, None], limits, 0.0).T
+    mean_square = np.where(bounded & (lower * upper <= 0), (lower**2 + lower * upper + upper**2) / 3, np.inf)
     return 1 / np.minimum(spread**2, mean_square)
 
 

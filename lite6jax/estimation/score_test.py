@@ -34,7 +34,7 @@ from lite6jax.estimation.terms import Factored, Term, Terms
 Array = NDArray[np.floating]
 
 _MANY, _UNDETERMINED = 20, 1e-4
-"""Coefficients of a process from which it is worth while, and the information over that of the prior that is none."""
+"""A process of more coefficients is reduced to the combinations whose information is this share of their prior's."""
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
 
@@ -515,12 +515,13 @@ def _determined(
     """Columns without those combinations of a process's coefficients of which the data say nothing beside the prior.
 
     A rotation of coefficients of one variance leaves their prior as it is. Of the 120 of a spectrum half may count.
+    Names count as without priors: what they may explain is outside all that they can.
 
     Args:
         problem: the data.
         terms: of a model.
         columns: `(number, row, sample)`, of its nuisance and its terms.
-        noise: in units of which the columns are.
+        noise: its standard deviation in the unit of the columns.
 
     Returns:
         the columns, the precision of their priors, and the place of the term that each is of; -1 of the nuisance.
@@ -530,7 +531,9 @@ def _determined(
     kept, of_prior, owners = [columns[:first]], [precision[:first]], [np.full(first, -1)]
     for k, (term, at) in enumerate(zip(terms.terms, terms.slices, strict=True)):
         part, own = columns[first:][at], precision[first:][at]
-        if term.size > _MANY and _has_prior(term):
+        if not _has_prior(term):
+            own = np.zeros_like(own)
+        elif term.size > _MANY:
             flat = part.reshape(len(part), -1)
             eigenvalues, V = np.linalg.eigh(flat @ flat.T)
             V = V[:, eigenvalues > _UNDETERMINED * noise**2 * own]

@@ -17,7 +17,7 @@ class Number(Protocol):
 
     Attributes:
         typical: the size that it commonly has, in its unit.
-        spread: the standard deviation of its prior about zero, in its unit; infinite where there is no prior.
+        spread: the standard deviation of its prior about zero, in its unit; infinite where its limits alone are one.
         lower: the least that is possible, in its unit.
         upper: the most that is possible.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import longest_time
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import State
 
@@ -55,13 +55,16 @@ def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np
 
 def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
     """What the covariance of the numbers gains as inputs may be wrong: by how much each would shift them, squared."""
-    gained, time = np.zeros_like(fitted.covariance), longest_time(problem, fitted, options)
-    for term in problem.inputs(fitted.terms):
-        other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
-        if _is_confounded(problem, other, options):
+    gained, inputs = np.zeros_like(fitted.covariance), problem.inputs(fitted.terms)
+    if not inputs:
+        return gained
+    test = score_test(problem, fitted, options)
+    for term, alone in zip(inputs, test.explained(inputs), strict=True):
+        if alone.confounded:
             continue
+        other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
         difference = other.values[own] - fitted.values
-        gain = other.gain_over(fitted) / time - 0.5 * term.size * np.log(fitted.freedom)
+        gain = other.gain_over(fitted) / test.time - 0.5 * term.size * np.log(fitted.freedom)
         probability = options.wrong_input / (
             options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
         )
@@ -74,15 +77,6 @@ def added(problem: Problem, fitted: Fit, term: Term, values: np.ndarray, options
     terms = Terms((*fitted.terms.terms, term))
     start = np.concatenate([fitted.values, values])
     return fit(problem, terms, options, start, fitted.nuisance, fitted.training, fitted.noise)
-
-
-def _is_confounded(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
-    """Whether of the square of each column of the last term, `confounded` at most is outside the span of the others."""
-    part, model = fitted.terms.slices[-1], (fitted.terms, fitted.values)
-    columns = problem.columns(fitted.terms.terms[-1:], fitted.values[part], model)
-    root = np.sqrt(np.where(fitted.training, fitted.residuals.row_weight, 0.0))
-    alone = np.sum((fitted.noise.whitened(columns) * root) ** 2, (1, 2))
-    return bool((options.confounded * alone * np.diagonal(fitted.covariance)[part] > 1).all())
 
 
 def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:

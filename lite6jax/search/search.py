@@ -59,19 +59,19 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        thorough: whether terms are exchanged, of many samples in the first search alone, and what may replace them, is
-            confounded or nearest is determined.
+        thorough: whether terms are exchanged, as soon as there are any, and whether alternatives, what is confounded
+            and what is nearest are determined.
         among: the processes to choose from, of another search of the same recording; all where not given.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
-    valid = int(problem.valid.sum())  # without held-out samples the search goes the same way
+    valid = int(problem.valid.sum())  # so that a search with held-out samples takes the same strides
     strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
     found: Selection | None = None
     for every in dict.fromkeys(strides):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
         begun = _begun(*some, training[::every], options, found)
-        found = _selected(begun, options, thorough and found is None, among)
+        found = _selected(begun, options, thorough and (found is None or not found.state.tested), among)
     if strides[-1] > 1:
         found = at_estimate(_begun(problem, reference, training, options, found), options)
     assert found is not None
