@@ -515,7 +515,7 @@ def _determined(
     """Columns without those combinations of a process's coefficients of which the data say nothing beside the prior.
 
     A rotation of coefficients of one variance leaves their prior as it is. Of the 120 of a spectrum half may count.
-    Names count as without priors: what they may explain is outside all that they can.
+    The numbers of names count as free, without the priors of their limits.
 
     Args:
         problem: the data.

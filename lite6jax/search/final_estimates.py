@@ -33,9 +33,9 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         if still != free:
             released = _released(problem, fitted, still, options) if any(still) or uncertain else None
         if released is not None:
-            fitted, stds = _held(problem, released, fitted, still)
+            fitted, stds = _held(released, fitted, still)
     fitted = replace(fitted, covariance=fitted.covariance + between + of_inputs)
-    variance = np.diagonal(fitted.covariance)  # zero of what no sample depends on
+    variance = np.diagonal(fitted.covariance)  # zero of what neither a sample nor a limit determines
     shares = np.divide(np.diagonal(of_inputs), variance, out=np.zeros_like(variance), where=variance > 0)
     tested = tuple(
         replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
@@ -113,7 +113,7 @@ def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> boo
     return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
 
 
-def _held(problem: Problem, released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
+def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
     """The fit with the numbers that were free held at their estimates, and the standard deviation of each of these."""
     terms, kept, stds = [], np.ones(released.terms.size, bool), []
     for before, term, part, is_free in zip(
