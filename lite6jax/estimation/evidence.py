@@ -120,11 +120,11 @@ class Marginal:
     def sums(self, column: Array) -> Sums:
         """Of a site's column `(row, sample)`."""
         test, rows = self.test, np.flatnonzero(np.any(column, 1))
-        (weight,), (inside,), (pull,) = test.over_rows(column[None])
+        weight, inside, pull = test.over_rows(column)
         unit = 1 / test.scale[0]
         pull = pull - (test.basis @ test.residual) @ inside
         left, freedom = self._of_groups(np.any(column, 1))
-        found = Sums(weight[0] * unit**2, pull * unit, inside * unit, left, freedom)
+        found = Sums(weight * unit**2, pull * unit, inside * unit, left, freedom)
         if test.fit.noise.white or len(rows) != 1:
             return found
         here = test.left_of_rows[rows[0]]

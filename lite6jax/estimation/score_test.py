@@ -8,7 +8,7 @@ is far from zero. Either becomes family-wise by the factor that `multiplicity` g
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple, final
 
 import numpy as np
@@ -19,17 +19,8 @@ from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, prior_precision
-from lite6jax.estimation.projection import (
-    Equations,
-    Explained,
-    equations_of,
-    explained_by,
-    orthonormal,
-    outside,
-    part_of_span,
-    unit_rows,
-)
-from lite6jax.estimation.terms import Factored, Term, Terms
+from lite6jax.estimation.projection import orthonormal, outside, part_of_span, unit_rows
+from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
 
@@ -185,11 +176,11 @@ class ScoreTest:
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
-        if not terms:
-            return []
-        columns = self.problem.columns(terms, beside=(self.fit.terms, self.fit.values))
-        ends = np.cumsum([0, *(term.size for term in terms)])
-        return self.score_columns([columns[a:b] for a, b in pairwise(ends)])
+        found = list[Score]()
+        for part in bounded_parts(terms, self.problem.rows * self.problem.samples):
+            columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
+            found += self.score_columns(np.split(columns, np.cumsum([term.size for term in part])[:-1]))
+        return found
 
     def score_columns(self, groups: Sequence[Array]) -> list[Score]:
         """A score for each group of columns `(number, row, sample)`."""
@@ -200,112 +191,43 @@ class ScoreTest:
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
-    def explained(self, terms: Sequence[Term]) -> list[Explained]:
-        """The gain of each term, without its test."""
-        return explained_by(self.equations(terms), self.options.confounded)
-
-    def equations(self, terms: Sequence[Term]) -> list[Equations]:
-        """The normal equations of each term beside the fitted model."""
-        found: dict[int, Equations] = {}
-        alike: dict[tuple[int, int], list[tuple[int, Factored]]] = {}
-        # whitening autocorrelated noise mixes the samples of a column, which then is no product of site and function
-        if self.fit.noise.white:
-            for k, term in enumerate(terms):
-                if (factored := self.problem.factored(term)) is not None:
-                    alike.setdefault((id(factored.site), len(factored.functions)), []).append((k, factored))
-        sums: dict[int, tuple[Array, Array, Array]] = {}  # many functions share a site
-        for (at, _), members in alike.items():
-            _, first = members[0]
-            if at not in sums:
-                sums[at] = self.over_rows(first.site)
-            at_once = max(_NUMBERS // max(first.functions.size, 1), 1)
-            for part in (members[i : i + at_once] for i in range(0, len(members), at_once)):
-                functions = np.stack([one.functions for _, one in part])
-                found |= zip((k for k, _ in part), self._of_site(functions, sums[at]).each(), strict=True)
-        dense = [k for k in range(len(terms)) if k not in found]
-        found |= zip(dense, self._of_columns([terms[k] for k in dense]), strict=True)
-        return [found[k] for k in range(len(terms))]
-
-    def _of_columns(self, terms: Sequence[Term]) -> list[Equations]:
-        """The equations of terms by their full columns."""
-        found = dict[int, Equations]()
-        for part in _of_bounded_size(terms, self.problem.rows * self.problem.samples):
-            columns = self.problem.columns([terms[k] for k in part], beside=(self.fit.terms, self.fit.values))
-            ends = np.cumsum([0, *(terms[k].size for k in part)])
-            acts = np.any(columns, axis=2)
-            alike: dict[tuple[int, bytes], list[tuple[int, int]]] = {}
-            for k, (a, b) in zip(part, pairwise(ends), strict=True):
-                alike.setdefault((int(b - a), acts[a:b].any(0).tobytes()), []).append((k, int(a)))
-            for (size, where), members in alike.items():
-                rows = np.flatnonzero(np.frombuffer(where, bool))
-                groups = np.stack([columns[a : a + size, rows] for _, a in members])
-                found |= zip((k for k, _ in members), self._of_groups(groups, rows).each(), strict=True)
-        return [found[k] for k in range(len(terms))]
-
     def gains(self, column: Array, functions: Array) -> Array:
-        """The gains `(group,)` of many groups of functions at one site.
+        """The gains in log-likelihood `(group,)` of many groups of functions at one site, without their tests.
 
         Args:
             column: `(row, sample)`, how residuals change with the site's deflection.
             functions: `(group, number, sample)`, deflections.
         """
-        return np.array([one.gain for one in self.explained_by(column, functions)])
-
-    def explained_by(self, column: Array, functions: Array) -> list[Explained]:
-        """What each of such groups would explain; arguments as of `gains`."""
         if self.fit.noise.white:
-            equations = self._of_site(functions, self.over_rows(column[None]))
-        else:
+            weight, basis, residual = self.over_rows(column)
+            gram, inside = (functions * weight) @ functions.swapaxes(1, 2), functions @ basis.T
+            score = functions @ residual
+        else:  # whitening mixes the samples of a column, which then is no product of site and function
             rows = np.flatnonzero(column.any(1))
-            equations = self._of_groups(functions[:, :, None] * column[rows], rows)
-        return equations.explained(self.options.confounded)
+            white = _white(self.fit, functions[:, :, None] * column[rows], self.scale, rows)
+            flat = white.reshape(*functions.shape[:2], -1)
+            basis, residual = self.of_rows(rows)
+            gram, inside, score = flat @ flat.swapaxes(1, 2), flat @ basis.T, flat @ residual
+        norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+        information = (gram - inside @ inside.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None])
+        eigenvalues, V = np.linalg.eigh(information)
+        least = self.options.confounded
+        inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
+        along = np.einsum("gji,gj->gi", V, (score - inside @ self._inside) / norms)
+        return 0.5 * np.sum(inverse * along**2, 1)
 
-    def _of_groups(self, groups: Array, rows: NDArray[np.integer]) -> Equations:
-        """The equations of groups of columns `(group, number, row, sample)` that act on some rows."""
-        shape = groups.shape[:2]
-        flat = _white(self.fit, groups, self.scale, rows).reshape(shape[0] * shape[1], -1)
-        basis, residual = self.of_rows(rows)
-        inside = (flat @ basis.T).reshape(*shape, -1)
-        score = (flat @ residual).reshape(shape) - inside @ self._inside
-        flat = flat.reshape(*shape, -1)
-        return equations_of(score, flat @ flat.swapaxes(1, 2), inside)
+    def over_rows(self, column: Array) -> tuple[Array, Array, Array]:
+        """Sums over the rows of each sample of products of a whitened column `(row, sample)`.
 
-    def _of_site(self, functions: Array, sums: tuple[Array, Array, Array]) -> Equations:
-        """The equations of many groups of functions at one site, in white noise.
-
-        Args:
-            functions: `(group, function, sample)`.
-            sums: of the site, as `over_rows` gives them.
-        """
-        weights, basis, residual = sums
-        groups, n = functions.shape[:2]
-        size = len(weights) * n
-        gram = np.empty((groups, size, size))
-        for a, b in product(range(len(weights)), repeat=2):
-            here, there = slice(a * n, a * n + n), slice(b * n, b * n + n)
-            if b < a:
-                gram[:, here, there] = gram[:, there, here].swapaxes(1, 2)
-            else:
-                gram[:, here, there] = (functions * weights[a, b]) @ functions.swapaxes(1, 2)
-        flat = functions.reshape(groups * n, -1)
-        inside = np.concatenate([(flat @ one.T).reshape(groups, n, -1) for one in basis], 1)
-        score = np.concatenate([(flat @ one).reshape(groups, n) for one in residual], 1)
-        return equations_of(score - inside @ self._inside, gram, inside)
-
-    def over_rows(self, site: Array) -> tuple[Array, Array, Array]:
-        """Sums over the rows of each sample of products of a site's whitened columns `(component, row, sample)`.
-
-        With one another `(component, component, sample)`, with the basis `(component, k, sample)`, and with the
-        residual `(component, sample)`.
+        With itself `(sample,)`, with the basis `(k, sample)`, and with the residual `(sample,)`.
         """
         basis, residual = self._measured
-        white = _white(self.fit, site, self.scale)
-        acting = np.flatnonzero(np.any(white, (0, 2)))
+        white = _white(self.fit, column, self.scale)
+        acting = np.flatnonzero(np.any(white, 1))
         rows = slice(acting.min(initial=self.problem.rows), acting.max(initial=-1) + 1)  # no copy of the basis
-        white = white[:, rows]
-        with_site = np.einsum("ars,brs->abs", white, white)
-        with_basis = np.stack([np.einsum("rs,krs->ks", one, basis[:, rows]) for one in white])
-        return with_site, with_basis, np.einsum("ars,rs->as", white, residual[rows])
+        white = white[rows]
+        with_basis = np.einsum("rs,krs->ks", white, basis[:, rows])
+        return np.sum(white**2, 0), with_basis, np.sum(white * residual[rows], 0)
 
     def of_rows(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
         """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
@@ -578,16 +500,15 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
     return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
 
 
-def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[int]]:
-    """Which terms are scored at once, so that their columns of this length do not take too much memory."""
-    parts: list[list[int]] = []
-    numbers = _NUMBERS
-    for k, term in enumerate(terms):
+def bounded_parts(terms: Sequence[Term], length: int) -> list[list[Term]]:
+    """Terms in parts, so that the columns of each part, of this length, do not take too much memory."""
+    parts, numbers = list[list[Term]](), _NUMBERS
+    for term in terms:
         numbers += term.size * length
         if numbers > _NUMBERS:
             parts.append([])
             numbers = term.size * length
-        parts[-1].append(k)
+        parts[-1].append(term)
     return parts
 
 

@@ -26,7 +26,7 @@ from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, Quantity
-from lite6jax.estimation.score_test import ScoreTest
+from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
 
@@ -60,8 +60,6 @@ _FINEST, _GAINED = 5, 0.1
 """Rounds of ratios, each an eighth of the one before, and the gain below which no further one follows."""
 _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
-_NUMBERS = 1 << 22
-"""Of columns that are formed at once: 32 MB."""
 _KEPT = 1 << 27
 """Of features of pairs that are kept: 1 GB. The likeliest pairs are weighed beside each model anew."""
 _AT_ONCE = 100
@@ -411,7 +409,7 @@ class _Weighed:
     def of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
         best: dict[str, Ranked] = {}
-        for some in _of_bounded_size(terms, self._problem.rows * self._problem.samples):
+        for some in bounded_parts(terms, self._problem.rows * self._problem.samples):
             columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
             each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
             each = [own if term.linear else self._at_estimate(term, own) for term, own in zip(some, each, strict=True)]
@@ -668,18 +666,6 @@ def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
     near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
     first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
     return [first, *(one for one in ordered if one is not first)]
-
-
-def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
-    """Terms in parts, so that the columns of each part do not take too much memory."""
-    parts, numbers = list[list[Term]](), _NUMBERS
-    for term in terms:
-        numbers += term.size * length
-        if numbers > _NUMBERS:
-            parts.append([])
-            numbers = term.size * length
-        parts[-1].append(term)
-    return parts
 
 
 def _best_of_each(found: Sequence[Ranked]) -> list[Ranked]:

@@ -183,8 +183,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     selector = Selector(problem, options.rough)
     state = selector.with_alternatives(state)
     candidates = problem.candidates
-    explained = score_test(selection.reference, state.baseline, options).explained(candidates)
-    confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
+    scores = score_test(selection.reference, state.baseline, options).score(candidates)
+    confounded = tuple(term for term, one in zip(candidates, scores, strict=True) if one.confounded)
     left = selector.scan.named(selector.test(state))
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))

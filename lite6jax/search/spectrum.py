@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.evidence import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
-from lite6jax.estimation.projection import Explained
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
 
@@ -28,13 +27,13 @@ class Line(NamedTuple):
     Attributes:
         family: which.
         order: of its angle.
-        explained: exactly, at that order.
+        gain: in log-likelihood, exactly, at that order.
         searched: the logarithm of the number of orders that it is the best of.
     """
 
     family: PeriodicFamily
     order: float
-    explained: Explained
+    gain: float
     searched: float
 
     @property
@@ -76,9 +75,9 @@ def lines(test: ScoreTest) -> list[Line]:
         peaks = orders[_peaks(test, family, orders, gains)[: options.kept_lines]]
         best = _best(test, family, np.unique(np.concatenate([low, peaks])))
         order = _refined(test, family, best, orders[1] - orders[0])
-        explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
-        found.append(Line(family, order, explained, float(log_orders_of(family, order, options))))
-    return sorted(found, key=lambda line: -line.explained.gain)
+        gain, searched = _gain(test, family, order), float(log_orders_of(family, order, options))
+        found.append(Line(family, order, gain, searched))
+    return sorted(found, key=lambda line: -line.gain)
 
 
 def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: float) -> list[tuple[float, float]]:

@@ -9,7 +9,6 @@ from engine.linear_problem import Column, Driver, LinearProblem, Process, linear
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 
 WHEEL = Process("wheel", (Driver("angle"),), (-9.0, 9.0), "fine")
@@ -48,17 +47,3 @@ def test_a_process_of_many_numbers_is_fitted_as_with_dense_columns(noise):
     np.testing.assert_allclose(one.values, other.values, rtol=0, atol=1e-9)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-8, atol=1e-12)
     assert one.parameters == pytest.approx(other.parameters, abs=1e-6)
-
-
-@pytest.mark.parametrize("noise", [None, NoiseModel((Autocorrelation(0.9, 0.5),) * 2, np.array([0, 1]))])
-def test_terms_explain_what_their_dense_columns_do(noise):
-    problem = linear_problem(np.random.default_rng(4), planted=lambda d: 0.3 * d["u2"] ** 2 + 0.2 * d["u1"])
-    options, model = EngineOptions(), Terms((Column("u1"),))
-    tests = [score_test(each, fit(each, model, options, noise=noise), options) for each in (problem, dense(problem))]
-    of_u2 = Process("x", (Driver("u2"),), (-3.0, 3.0), "cubic")
-    terms = [Column("u1"), of_u2, Process("y", (Driver("u3"),), (-3.0, 3.0), "line"), WHEEL, Column("u4")]
-    found, others = (test.explained(terms) for test in tests)
-    assert [one.size for one in found] == [one.size for one in others]
-    assert found[0].confounded
-    assert found[1].gain > 10
-    np.testing.assert_allclose([one.gain for one in found], [one.gain for one in others], rtol=1e-9, atol=1e-9)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, truth, with_effects
-from engine.explained import assert_same_gains
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
@@ -111,12 +110,6 @@ def test_a_column_twice_counts_once(arm, still):
     one, two = evidence.score_columns([column, np.concatenate([column, 3 * column])])
     assert (one.size, two.size) == (1, 1)
     assert two.gain == pytest.approx(one.gain, rel=1e-9)
-
-
-def test_the_gain_alone_is_that_of_the_score(arm, still):
-    case = pose_problem(Made(arm.folder, ("joint_backlash:joint=3,gap_rad=1e-4",), seed=4, frame=True).recording(still))
-    evidence = against_nothing(case)
-    assert_same_gains(evidence, _known(case))
 
 
 def test_the_last_joint_does_not_show_in_positions_of_the_flange(arm, still):
