@@ -37,7 +37,7 @@ from lite6jax.estimation.evidence import Marginal, log_orders, of_process
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
-from lite6jax.search.scan import Scan
+from lite6jax.search.scan import Scan, Weighed
 from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]
@@ -149,7 +149,7 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         for k, share in zip(which, weigh.of(component.column, functions), strict=True):
             if scan.may_act(component.site, k):
                 put(component.site, _column(component.site, scan.quantities[k].driver), share)
-    for one in scan.ranked(test):
+    for one in Weighed(scan, test).ranked():
         if len(one.process) and len(one.process[1]) == 2:
             component, which, kernel, rolloff = one.process
             (share,) = weigh.of(component.column, scan.features(which, kernel, rolloff)[None])

@@ -13,10 +13,10 @@ them, at every component of every site. The cost is −ln of the prior probabili
 A site's own quantities have 0.6 of the probability together, all of them 0.4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import groupby, product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -126,14 +126,18 @@ class Scan:
     """What is tried in one problem; the features of its quantities are computed once.
 
     Attributes:
+        names: all terms with a formula.
+        quantities: what processes may depend on.
+        among: the processes to choose from; None where that is all.
         considered: the processes that were among the likeliest of a scan, each as its likeliest kernel.
     """
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         """Tries all processes, or those `among` which it is to choose."""
-        self.problem, self.options, self._among = problem, options, among
+        self.problem, self.options, self.among = problem, options, among
         self.considered = set[_Considered]()
         self.quantities = list(problem.quantities)
+        self.phrases = [one.driver.phrase for one in self.quantities]
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
         self._products: dict[tuple[Any, ...], Array] = {}
@@ -250,99 +254,71 @@ class Scan:
         weights = np.concatenate([0.6 ** np.minimum(np.arange(len(part)), 3) for part in parts])
         return np.concatenate(parts), start, weights
 
-    # -------------------------------------------------------------- what is likeliest
+    @cached_property
+    def processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
+        """Those that are tried, where it is not all of them."""
+        components = {(one.site, one.name): one for one in self.problem.components}
+        place = {phrase: k for k, phrase in enumerate(self.phrases)}
+        return [
+            (components[site, name], tuple(place[phrase] for phrase in phrases), kernel, rolloff)
+            for site, name, phrases, kernel, rolloff in sorted(self.among or ())
+            if (site, name) in components and all(phrase in place for phrase in phrases)
+        ]
 
-    def ranked(self, test: ScoreTest, rows: Mask | None = None, least: float = 0.0) -> list[Ranked]:
-        """All that is worth its cost, and the best that is not, the likeliest first.
+    def has_numbers(self, term: Term) -> bool:
+        """Whether a name is one of several that differ in a number that is tried."""
+        return sum(one.label == term.label for one in self.names) > 1
 
-        Args:
-            test: of the model beside which all is weighed.
-            rows: `(row,)`, on some of which a site must act; all where not given.
-            least: log odds below which nothing is asked for.
-        """
-        weighed, white = _Weighed(self, test, rows), test.fit.noise.white
+
+@final
+class Weighed:
+    """What is tried, beside one model, of what acts on some rows."""
+
+    def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
+        """Beside the model of a test, of sites that act on some `(row,)`; on any where these are not given."""
+        self._scan, self._test, self._marginal = scan, test, Marginal(test)
+        every = scan.problem.components
+        self.components = [one for one in every if rows is None or np.any(one.column[rows])]
+        self._problem, self._options, self._rows = scan.problem, scan.options, slice(None) if rows is None else rows
+        self._known: dict[int, Sums] = {}
+
+    def ranked(self, least: float = 0.0) -> list[Ranked]:
+        """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
+        scan, white = self._scan, self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        found = [*weighed.named(), *weighed.waves()]
-        if self._among is None:
-            found += weighed.spectra()
-            singles = weighed.singles(max([least, *(one.net - self.options.close for one in found)]))
-            found += [*singles, *weighed.pairs(singles, 0.0 if white else least)]
+        found = [*self.named(), *self.waves()]
+        if scan.among is None:
+            found += self.spectra()
+            singles = self.singles(max([least, *(one.net - self._options.close for one in found)]))
+            found += [*singles, *self.pairs(singles, 0.0 if white else least)]
         else:
-            there = (one for one in self._processes if one[0] in weighed.components)
-            few = (weighed.of_kernel(*one, exact=one[2] == "spectrum") for one in there)
+            there = (one for one in scan.processes if one[0] in self.components)
+            few = (self.of_kernel(*one, exact=one[2] == "spectrum") for one in there)
             found += (one for one in few if one.gain > 0)
         found.sort(key=lambda one: -one.net)
         likely = [one for one in found if one.process][:_CONSIDERED]
-        self.considered |= {(*one.key, *one.process[2:]) for one in likely}
+        scan.considered |= {(*one.key, *one.process[2:]) for one in likely}
         if white:
             return _in_order(found)
         exact, best = list[Ranked](), 0.0
         for one in found[:_EXACT]:
             if one.net < max(least, best / _UNDERRATED):
                 break
-            exact.append(weighed.exact(one))
+            exact.append(self.exact(one))
             best = max(best, exact[-1].net)
         return _in_order([one for one in exact if one.gain > 0])
 
-    @cached_property
-    def _processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
-        components = {(one.site, one.name): one for one in self.problem.components}
-        place = {one.driver.phrase: k for k, one in enumerate(self.quantities)}
-        return [
-            (components[site, name], tuple(place[phrase] for phrase in phrases), kernel, rolloff)
-            for site, name, phrases, kernel, rolloff in sorted(self._among or ())
-            if (site, name) in components and all(phrase in place for phrase in phrases)
-        ]
-
-    def together(self, test: ScoreTest, term: Term) -> list[Pair]:
-        """A name that has a number which is tried, each time with another name of its site, the likeliest pair first.
-
-        Either alone may take another number: a spring and a play add up to a wider play.
-        """
-        return _Weighed(self, test).together(term)
-
-    def as_is(self, test: ScoreTest, name: Term) -> Ranked | None:
-        """A name with the number that it has; None where it says nothing."""
-        return next(iter(_Weighed(self, test).of_terms([name])), None)
-
-    def usual(self, test: ScoreTest) -> list[Ranked]:
+    def usual(self) -> list[Ranked]:
         """The names that nearly every problem has, the likeliest first."""
-        return sorted(_Weighed(self, test).named(usual=True), key=lambda one: -one.net)
+        return sorted(self.named(usual=True), key=lambda one: -one.net)
 
-    def named(self, test: ScoreTest) -> list[Ranked]:
+    def names_and_waves(self) -> list[Ranked]:
         """Names and waves alone, the likeliest first."""
-        weighed = _Weighed(self, test)
-        return _in_order([*weighed.named(), *weighed.waves()])
+        return _in_order([*self.named(), *self.waves()])
 
-    def has_numbers(self, term: Term) -> bool:
-        """Whether a name is one of several that differ in a number that is tried."""
-        return sum(one.label == term.label for one in self.names) > 1
-
-    def like(self, test: ScoreTest, term: Term) -> Ranked | None:
-        """A name with the likeliest of the numbers that are tried for it; None where it says nothing there."""
-        return _Weighed(self, test).like(term)
-
-    def alike(self, test: ScoreTest, component: Component, which: tuple[int, ...]) -> Ranked | None:
-        """The likeliest kernel of given quantities at a component; None where they say nothing there."""
-        found = _Weighed(self, test).kernels_of(component, which, exact=True)
-        return max(found, key=lambda one: one.net, default=None)
-
-    def same(
-        self, test: ScoreTest, component: Component, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...]
-    ) -> Ranked:
-        """A process of given quantities and kernel."""
-        return _Weighed(self, test).of_kernel(component, which, kernel, rolloff, exact=True)
-
-
-class _Weighed:
-    """A scan beside one model, of what acts on some rows."""
-
-    def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
-        self._scan, self._test, self._marginal = scan, test, Marginal(test)
-        every = scan.problem.components
-        self.components = [one for one in every if rows is None or np.any(one.column[rows])]
-        self._problem, self._options, self._rows = scan.problem, scan.options, slice(None) if rows is None else rows
-        self._known: dict[int, Sums] = {}
+    def as_is(self, name: Term) -> Ranked | None:
+        """A name with the number that it has; None where it says nothing."""
+        return next(iter(self.of_terms([name])), None)
 
     def named(self, usual: bool = False) -> list[Ranked]:
         """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
@@ -367,7 +343,10 @@ class _Weighed:
         return found[0] if found else None
 
     def together(self, term: Term) -> list[Pair]:
-        """As `Scan.together`."""
+        """A name that has a number which is tried, each time with another name of its site, the likeliest pair first.
+
+        Either alone may take another number: a spring and a play add up to a wider play.
+        """
         same = [one for one in self._scan.names if one.label == term.label]
         same = [*same, *self._near(term)]
         others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
@@ -380,10 +359,7 @@ class _Weighed:
         evidence = self._marginal.of_names([np.concatenate([own[a], beside[b]]) for a, b in pairs])
         found = []
         for (a, b), one in zip(pairs, evidence, strict=True):
-            first, second = (
-                self._ranked(one, self._scan.cost_of_name(term), term.site, (term.label,), "", lambda term=term: term)
-                for term in (same[a], others[b])
-            )
+            first, second = (_of_term(one, self._scan.cost_of_name(term), term) for term in (same[a], others[b]))
             found.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
         return sorted(found, key=lambda pair: -pair.net)
 
@@ -416,8 +392,7 @@ class _Weighed:
             acting = [k for k, own in enumerate(each) if np.any(own[:, self._rows])]
             weighed = self._marginal.of_names([each[k] for k in acting]) if acting else []
             for term, evidence in zip((some[k] for k in acting), weighed, strict=True):
-                cost = self._scan.cost_of_name(term)
-                one = self._ranked(evidence, cost, term.site, (term.label,), "", lambda term=term: term)
+                one = _of_term(evidence, self._scan.cost_of_name(term), term)
                 if one.gain > 0 and (term.label not in best or one.net > best[term.label].net):
                     best[term.label] = one
         return list(best.values())
@@ -441,8 +416,7 @@ class _Weighed:
             (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
             own = self._scan.cost_of_name(line.term) if named else KINDS + np.log(families) + line.searched
-            order = f"{line.term.label} {line.order:.3g}"
-            found.append(self._ranked(evidence, float(own), line.term.site, (order,), "", lambda line=line: line.term))
+            found.append(_of_term(evidence, float(own), line.term, f"{line.term.label} {line.order:.3g}"))
         return [one for one in found if one.gain > 0]
 
     def singles(self, least: float) -> list[Ranked]:
@@ -464,9 +438,10 @@ class _Weighed:
                     limits.append(most[i] - costs[i])
                     pulls.append(pull[i])
                     informations.append(information[i])
-            few = [(k,) for k in range(len(self._scan.quantities)) if k not in many]
-            few = [which for which in few if self._scan.may_act(component.site, *which)]
-            found += self._of_kernels(component, few, "line") if few else []
+        few = [k for k in range(len(self._scan.quantities)) if k not in many]
+        found += self._of_all(
+            (one, (k,), "line") for one in self.components for k in few if self._scan.may_act(one.site, k)
+        )
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
             some, order = order[:_AT_ONCE], order[_AT_ONCE:]
@@ -477,7 +452,7 @@ class _Weighed:
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
             others = ((at[i][0], (at[i][1],), name) for i in some for name in ("wave", "play"))
-            found += self._of_all([one for one in others if self._scan.suits(one[2], one[1])])
+            found += self._of_all(one for one in others if self._scan.suits(one[2], one[1]))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
 
@@ -517,14 +492,13 @@ class _Weighed:
         asked = [(*pair, kernel) for pair in every for kernel in PAIRS if self._scan.suits(kernel, pair[1])]
         return _best_of_each(self._of_all(asked))
 
-    def _of_all(self, asked: Sequence[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
-        """Processes by component, quantities and kernel, all of one component and kernel in one call."""
-        alike: dict[tuple[int, str], list[tuple[int, ...]]] = {}
-        components = {id(component): component for component, *_ in asked}
+    def _of_all(self, asked: Iterable[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
+        """Processes by component, quantities and kernel."""
+        alike: dict[str, dict[int, list[tuple[Component, tuple[int, ...]]]]] = {}
         for component, which, kernel in asked:
-            alike.setdefault((id(component), kernel), []).append(which)
-        each = (self._of_kernels(components[at], members, kernel) for (at, kernel), members in alike.items())
-        return [one for some in each for one in some]
+            alike.setdefault(kernel, {}).setdefault(id(component), []).append((component, which))
+        each = ((kernel, [one for some in own.values() for one in some]) for kernel, own in alike.items())
+        return [one for kernel, members in each for one in self._of_kernel(members, kernel)]
 
     def _plain(self, k: int) -> str:
         """The kernel as which a quantity of a pair is first weighed."""
@@ -551,6 +525,10 @@ class _Weighed:
             found += self._spectra_of(component, k, exact)
         return found
 
+    def alike(self, component: Component, which: tuple[int, ...]) -> Ranked | None:
+        """The likeliest kernel of given quantities at a component; None where they say nothing there."""
+        return max(self.kernels_of(component, which, exact=True), key=lambda one: one.net, default=None)
+
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
         """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
         functions, start, weights = self._scan._few
@@ -568,7 +546,7 @@ class _Weighed:
                     scored.append((float(of_pairs[at]), component, int(i[at]), int(j[at])))
         scored.sort(key=lambda item: -item[0])
         found = {(component.site, component.name, a, b) for _, component, a, b in scored[:_SHORTLIST]}
-        place = {one.driver.phrase: k for k, one in enumerate(self._scan.quantities)}
+        place = {phrase: k for k, phrase in enumerate(self._scan.phrases)}
         for one in sorted(singles, key=lambda one: -one.net)[:_BESIDE]:
             a = place[one.cause[0]]
             others = (b for b in range(len(self._scan.quantities)) if b != a and self._scan.may_act(one.site, a, b))
@@ -610,22 +588,26 @@ class _Weighed:
         exact: bool = False,
     ) -> Ranked:
         """A process of one kernel."""
-        return self._of_kernels(component, [which], kernel, rolloff, exact)[0]
+        return self._of_kernel([(component, which)], kernel, rolloff, exact)[0]
 
-    def _of_kernels(
+    def _of_kernel(
         self,
-        component: Component,
-        members: Sequence[tuple[int, ...]],
+        members: Sequence[tuple[Component, tuple[int, ...]]],
         kernel: str,
         rolloff: tuple[float, ...] = (),
         exact: bool = False,
     ) -> list[Ranked]:
-        """The same kernel of several sets of quantities."""
-        functions = np.stack([self._scan.features(which, kernel, rolloff) for which in members])
-        pull, information, left, freedom = self._equations(component, functions, exact)
+        """Processes of one kernel by component and quantities, those of a component one after the other."""
+        parts = []
+        for _, some in groupby(members, key=lambda member: id(member[0])):
+            own = list(some)
+            functions = np.stack([self._scan.features(which, kernel, rolloff) for _, which in own])
+            pull, information, *noise = self._equations(own[0][0], functions, exact)
+            parts.append((pull, information, *(np.full((len(own), 1, 1), each) for each in noise)))
+        pull, information, left, freedom = (np.concatenate(part) for part in zip(*parts, strict=True))
         found = of_process(pull, information, left, freedom, self._options.confounded)
         each = zip(members, zip(*found, strict=True), strict=True)
-        return [self._process(Evidence(*one), component, which, kernel, rolloff) for which, one in each]
+        return [self._process(Evidence(*one), *member, kernel, rolloff) for member, one in each]
 
     def _process(
         self,
@@ -635,24 +617,20 @@ class _Weighed:
         kernel: str,
         rolloff: tuple[float, ...] = (),
     ) -> Ranked:
-        own = [self._scan.quantities[k] for k in which]
-        spread = float(f"{np.sqrt(evidence.variance):.4g}")
-        make = lambda: self._problem.process(component, own, kernel, spread, rolloff)  # noqa: E731
-        cost, cause = self._scan.cost_of_process(component.site, which), tuple(one.driver.phrase for one in own)
-        process = component, which, kernel, rolloff
-        return self._ranked(evidence, cost, component.site, cause, component.name, make, process)
+        def make() -> Term:
+            own = [self._scan.quantities[k] for k in which]
+            spread = float(f"{np.sqrt(evidence.variance):.4g}")
+            return self._problem.process(component, own, kernel, spread, rolloff)
 
-    @staticmethod
-    def _ranked(
-        evidence: Evidence,
-        cost: float,
-        site: str,
-        cause: tuple[str, ...],
-        place: str,
-        make: Callable[[], Term],
-        process: tuple[Any, ...] = (),
-    ) -> Ranked:
-        return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, place, make, process)
+        site, cost = component.site, self._scan.cost_of_process(component.site, which)
+        cause, process = tuple(self._scan.phrases[k] for k in which), (component, which, kernel, rolloff)
+        return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
+
+
+def _of_term(evidence: Evidence, cost: float, term: Term, label: str = "") -> Ranked:
+    """A term with a formula, by its label or another one."""
+    gain, volume = float(evidence.gain), float(evidence.volume)
+    return Ranked(gain, cost, volume, term.site, (label or term.label,), "", lambda: term)
 
 
 def _in_order(found: Sequence[Ranked]) -> list[Ranked]:

@@ -11,7 +11,7 @@ from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
-from lite6jax.search.scan import Considered
+from lite6jax.search.scan import Considered, Weighed
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, refitted
 
@@ -185,7 +185,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates = problem.candidates
     scores = score_test(selection.reference, state.baseline, options).score(candidates)
     confounded = tuple(term for term, one in zip(candidates, scores, strict=True) if one.confounded)
-    left = selector.scan.named(selector.test(state))
+    left = Weighed(selector.scan, selector.test(state)).names_and_waves()
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)

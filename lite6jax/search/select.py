@@ -25,7 +25,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan
+from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan, Weighed
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -135,14 +135,14 @@ class Selector:
         Numbers of them are chosen when all are there: that of one alone would describe what another one does.
         """
         before = state
-        while worth := self._worth(self.scan.usual(test := self.test(state)), test, state, set()):
+        while worth := self._worth(Weighed(self.scan, test := self.test(state)).usual(), test, state, set()):
             state = self._within_bounds(self._with(state, *worth))
         return state if state is before else self._settled(self._estimated(state))
 
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added."""
         test = self.test(state)
-        return self._worth(self.scan.ranked(test), test, state, tried)
+        return self._worth(Weighed(self.scan, test).ranked(), test, state, tried)
 
     def _added(self, state: State, worth: Sequence[Ranked]) -> State:
         """The state with more terms, those within their bounds."""
@@ -261,7 +261,7 @@ class Selector:
             found = self._processes(test, component, [which, *_either(which)])
             best = max(found, key=lambda each: each.net, default=None)
         else:
-            best = self.scan.like(test, term)
+            best = Weighed(self.scan, test).like(term)
         if best is None:
             return replace(one, gain=0.0)
         cost = min(one.cost, best.cost) if term.nonparametric else best.cost
@@ -271,9 +271,7 @@ class Selector:
         component = next(
             c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", ""))
         )
-        phrases = [driver.phrase for driver in term.drivers]
-        place = {one.driver.phrase: k for k, one in enumerate(self.scan.quantities)}
-        return component, tuple(place[phrase] for phrase in phrases)
+        return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
     def _dropped(self, state: State) -> State:
         """Without the terms that are not worth their cost, the least of those that act on any row first."""
@@ -328,12 +326,12 @@ class Selector:
         return any(bool(np.all(np.diff(self.scan.quantities[k].values) >= 0)) for k in which)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
-        term = one.term
+        term, weighed = one.term, Weighed(self.scan, test)
         if term.nonparametric:
             kernel, rolloff = getattr(term, "kernel", ""), getattr(term, "rolloff", ())
-            found = self.scan.same(test, *self._process_of(term), kernel, rolloff)
+            found = weighed.of_kernel(*self._process_of(term), kernel, rolloff, exact=True)
         else:
-            found = self.scan.as_is(test, term)
+            found = weighed.as_is(term)
         return replace(one, gain=0.0) if found is None else replace(one, gain=found.gain, volume=found.volume)
 
     def _within_bounds(self, state: State) -> State:
@@ -415,7 +413,9 @@ class Selector:
 
     def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, known: set[str]) -> Pair | None:
         """A name with another one beside it that is not `known`, where the two gain a margin over its own odds."""
-        best = next((pair for pair in self.scan.together(test, term) if pair.names[1].cause[0] not in known), None)
+        best = next(
+            (pair for pair in Weighed(self.scan, test).together(term) if pair.names[1].cause[0] not in known), None
+        )
         return None if best is None or best.net < net + self.options.margin else best
 
     def _named(self, state: State, k: int) -> State | None:
@@ -461,13 +461,18 @@ class Selector:
 
     def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, known: set[str]) -> Ranked | None:
         """The likeliest name that is not `known` and acts on some rows, of those worth their cost, usual ones first."""
-        names = [one for one in self.scan.named(test) if one.cause[0] not in known and one.net >= self.options.margin]
+        names = [
+            one
+            for one in Weighed(self.scan, test).names_and_waves()
+            if one.cause[0] not in known and one.net >= self.options.margin
+        ]
         names = [one for one in names if (self._rows(one.make(), state) & rows).any()]
         return next((one for one in names if one.make().usual), names[0] if names else None)
 
     def _processes(self, test: ScoreTest, component: Component, sets: Sequence[tuple[int, ...]]) -> list[Ranked]:
         """The likeliest kernel of each of some sets of quantities, as far as these say anything."""
-        return [best for which in sets if (best := self.scan.alike(test, component, which)) is not None]
+        weighed = Weighed(self.scan, test)
+        return [best for which in sets if (best := weighed.alike(component, which)) is not None]
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:
         """The alternatives of the k-th term, that itself among them, the likeliest first."""
@@ -476,7 +481,7 @@ class Selector:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
             least = state.tested[k].net - self.options.close
-            found = self._not_refused(self.scan.ranked(test, rows, least), test, state)
+            found = self._not_refused(Weighed(self.scan, test, rows).ranked(least), test, state)
             continued = [self._continued(one, test.fit.terms.terms) for one in found]
             ordered = continued if continued == found else sorted(continued, key=lambda one: -one.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
