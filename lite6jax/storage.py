@@ -8,7 +8,6 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -250,84 +249,69 @@ _TAG = "tag:yaml.org,2002:"
 _SCALARS = {f"{_TAG}{kind}" for kind in ("str", "int", "float", "bool", "null", "timestamp")}
 _REAL = re.compile(r"[-+]?[0-9]{1,20}\.[0-9]{0,30}(?:[eE][-+][0-9]{1,4})?")
 _WORDS = {"yes", "no", "on", "off", "true", "false", "null"}
-_NO_KEY = object()
-
-
-@dataclass
-class _Level:
-    """A mapping or list that is being read: its anchor, the values before it, and the key that awaits a value."""
-
-    content: Any
-    anchor: str | None
-    before: int = 0
-    key: Any = _NO_KEY
 
 
 def _construct(path: str | Path, text: str) -> Any:
     """What a YAML text holds, in one pass over its events: of thousands of files, no parser of trees is as fast."""
-    levels, anchors, count = [_Level([], None)], {}, 0
+    events, anchors, count = yaml.parse(text, Loader=_LOADER), dict[str, tuple[Any, int]](), 0
 
-    def refuse(problem: str) -> InputError:
+    def refuse(event: Any, problem: str) -> InputError:
         return InputError(f"{path}: line {event.start_mark.line + 1}: {problem}")
 
-    for event in yaml.parse(text, Loader=_LOADER):
-        kind = type(event)
-        if kind is yaml.ScalarEvent:
-            if len(event.value) > YAML_SCALAR_LIMIT:
-                raise refuse(f"a value of over {YAML_SCALAR_LIMIT} characters; correct the file")
-            value, size, anchor = _scalar(event), 1, event.anchor
-            if value is _NO_KEY:
-                raise refuse(f"the YAML tag {event.tag or '!!merge'!r} is not accepted; write plain values")
-        elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
-            if len(levels) > YAML_DEPTH_LIMIT:
-                raise refuse(f"nested more than {YAML_DEPTH_LIMIT} levels deep; correct the file")
-            mapping = kind is yaml.MappingStartEvent
-            if event.tag not in (None, "!", f"{_TAG}{'map' if mapping else 'seq'}"):
-                raise refuse(f"the YAML tag {event.tag!r} is not accepted; write plain values")
-            levels.append(_Level({} if mapping else [], event.anchor, count))
-            continue
-        elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
-            whole = levels.pop()
-            value, anchor, size = whole.content, whole.anchor, 1 + count - whole.before
-        elif kind is yaml.AliasEvent:
-            if event.anchor not in anchors:
-                raise refuse(f"not valid YAML (found undefined alias {event.anchor!r}); correct the file")
-            (value, size), anchor = anchors[event.anchor], None
+    def read(start: Any, depth: int = 0) -> Any:
+        """The value that begins with an event."""
+        nonlocal count
+        kind, before = type(start), count
+        count += 1
+        if kind is yaml.AliasEvent:
+            if start.anchor not in anchors:
+                raise refuse(start, f"not valid YAML (found undefined alias {start.anchor!r}); correct the file")
+            value, size = anchors[start.anchor]
+            count = before + size
+        elif kind is yaml.ScalarEvent:
+            if len(start.value) > YAML_SCALAR_LIMIT:
+                raise refuse(start, f"a value of over {YAML_SCALAR_LIMIT} characters; correct the file")
+            value = read_scalar(start)
+        elif depth == YAML_DEPTH_LIMIT:
+            raise refuse(start, f"nested more than {YAML_DEPTH_LIMIT} levels deep; correct the file")
+        elif start.tag not in (None, "!", f"{_TAG}{'map' if kind is yaml.MappingStartEvent else 'seq'}"):
+            raise refuse(start, f"the YAML tag {start.tag!r} is not accepted; write plain values")
+        elif kind is yaml.SequenceStartEvent:
+            value = []
+            while type(event := next(events)) is not yaml.SequenceEndEvent:
+                value.append(read(event, depth + 1))
         else:
-            if kind is yaml.DocumentStartEvent and levels[0].content:
-                raise refuse("not valid YAML (a second document); correct the file")
-            continue
-        count += size if kind is yaml.AliasEvent else 1
+            value = {}
+            while type(event := next(events)) is not yaml.MappingEndEvent:
+                key = read(event, depth + 1)
+                if isinstance(key, dict | list):
+                    raise refuse(event, "a key that is not a plain name; write `name: value`")
+                if key in value:
+                    raise refuse(event, f"the key {key!r} is given twice; keep one")
+                value[key] = read(next(events), depth + 1)
         if count > YAML_NODE_LIMIT:
             raise InputError(f"{path}: its YAML aliases expand to over {YAML_NODE_LIMIT} values; write them out")
-        if anchor is not None:
-            anchors[anchor] = value, size
-        level = levels[-1]
-        if isinstance(level.content, list):
-            level.content.append(value)
-        elif level.key is not _NO_KEY:
-            level.content[level.key], level.key = value, _NO_KEY
-        elif isinstance(value, dict | list):
-            raise refuse("a key that is not a plain name; write `name: value`")
-        elif value in level.content:
-            raise refuse(f"the key {value!r} is given twice; keep one")
-        else:
-            level.key = value
-    if not levels[0].content:
+        if kind is not yaml.AliasEvent and start.anchor is not None:
+            anchors[start.anchor] = value, count - before
+        return value
+
+    def read_scalar(event: yaml.ScalarEvent) -> Any:
+        text, tag = event.value, event.tag
+        if tag is None and event.implicit[0]:
+            if _REAL.fullmatch(text):
+                return float(text)
+            if text[:1].isalpha() and text.lower() not in _WORDS:  # no such scalar is anything but a word
+                return text
+        if tag in (None, "!"):
+            tag = _RESOLVER.resolve(yaml.ScalarNode, text, event.implicit)
+        if tag not in _SCALARS:
+            raise refuse(event, f"the YAML tag {event.tag or '!!merge'!r} is not accepted; write plain values")
+        return _CONSTRUCTOR.yaml_constructors[tag](_CONSTRUCTOR, yaml.ScalarNode(tag, text))
+
+    next(events)  # of the stream
+    if isinstance(next(events), yaml.StreamEndEvent):
         raise InputError(f"{path}: is empty")
-    return levels[0].content[0]
-
-
-def _scalar(event: yaml.ScalarEvent) -> Any:
-    """A value; `_NO_KEY` of one with a tag of its own."""
-    text, tag = event.value, event.tag
-    if tag is None and event.implicit[0]:
-        if _REAL.fullmatch(text):
-            return float(text)
-        if text[:1].isalpha() and text.lower() not in _WORDS:  # no such scalar is anything but a word
-            return text
-    if tag in (None, "!"):
-        tag = _RESOLVER.resolve(yaml.ScalarNode, text, event.implicit)
-    if tag not in _SCALARS:
-        return _NO_KEY
-    return _CONSTRUCTOR.yaml_constructors[tag](_CONSTRUCTOR, yaml.ScalarNode(tag, text))
+    value, _ = read(next(events)), next(events)
+    if not isinstance(after := next(events), yaml.StreamEndEvent):
+        raise refuse(after, "not valid YAML (a second document); correct the file")
+    return value
