@@ -12,7 +12,6 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.arms.factory import recognise
 from lite6jax.controller import protocol
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.effects.composition import Physics
@@ -30,8 +29,8 @@ from lite6jax.model import ArmModel, predict_poses
 
 Array = NDArray[np.floating]
 
-TYPES = {"lite6": 9, "xarm5": 5, "xarm6": 6, "xarm7": 7, "uf850": 12}
-"""The vendor's numbers of the bundled models that have such a controller."""
+TYPES = {"lite6": 9, "lite6_ros": 9, "uf850": 12}
+"""The vendor's numbers of the bundled models that are no xArms."""
 SPACING_S = 0.02
 """s, between the instants at which directions of motion are looked at, and between those of padding."""
 LONGEST_OFFSET_S = 1.0
@@ -131,17 +130,10 @@ class Body:
                 "time_offset or torque_lag"
             )
 
-    @cached_property
+    @property
     def type(self) -> int:
         """The vendor's number of the model; for other arms that of the xArm with as many joints."""
-        name = self.arm.name
-        if name not in TYPES:
-            joints = [f"joint{i + 1}" for i in range(self.arm.dof)]
-            try:
-                name = recognise(self.arm.kinematics, joints, name, None, self.arm.T_joint_flange).name
-            except InputError:
-                return self.arm.dof
-        return TYPES.get(name, self.arm.dof)
+        return TYPES.get(self.arm.name, self.arm.dof)
 
     @cached_property
     def links(self) -> Array:

@@ -213,10 +213,6 @@ class Core:
         self.direction = _directions(self.read_encoders(instants)[1], self.direction)[-1]
         self.time = time
 
-    def clock_us(self, time: float) -> int:
-        """µs, the controller's clock."""
-        return BOOT_US + round(time * 1e6)
-
     @property
     def state(self) -> State:
         """Whether the arm moves, has moved, or neither did nor can."""
@@ -306,10 +302,6 @@ AMPERE_PER_RAD_PER_S: Final = 0.05
 """The assumed motor: current per torque, and per velocity for friction."""
 
 
-class RefusedError(Exception):
-    """A request that is not emulated."""
-
-
 def answer(core: Core, request: Frame) -> Frame | None:
     """The reply to a request, or None for no reply.
 
@@ -327,7 +319,7 @@ def answer(core: Core, request: Frame) -> Frame | None:
             payload = _read(core, request)
             if isinstance(payload, np.ndarray):
                 payload = protocol.encode_floats(payload * np.nan if "kinematics" in core.faults.nan else payload)
-    except (ValueError, RefusedError):  # of wrong size, or refused
+    except ValueError:
         payload, invalid = bytes(UNPACKED), Status.INVALID
     return request.reply(payload, invalid | core.status)
 
@@ -336,8 +328,7 @@ def _read(core: Core, request: Frame) -> bytes | Array:
     """The payload of the reply to a request, of kinematics and torques as numbers.
 
     Raises:
-        RefusedError: the register is not emulated.
-        ValueError: parameters of a wrong size.
+        ValueError: the register is not emulated, or parameters of a wrong size.
     """
     body, now = request.body, np.array([core.time])
     match request.register:
@@ -363,14 +354,14 @@ def _read(core: Core, request: Frame) -> bytes | Array:
                 return protocol.pad_joints(core.read_commands(now)[0][0])
             blocks = body[0] & 0x0F
             if not 1 <= blocks <= 3:
-                raise RefusedError
+                raise ValueError(f"{blocks} blocks of joints")
             return protocol.pad_joints(np.concatenate([*core.read_encoders(now), core.torque(now)])[:blocks])
         case Register.FORWARD_KINEMATICS:
             q = protocol.read_floats(body[: 4 * protocol.JOINTS], protocol.JOINTS)[: core.body.arm.dof]
             return protocol.encode_pose(core.compute_pose(q))
         case Register.TORQUE:
             return protocol.pad_joints(core.torque(now)[0])
-    raise RefusedError
+    raise ValueError(f"register {request.register}")
 
 
 # ------------------------------------------------------------------ reports
@@ -421,7 +412,7 @@ def report(core: Core, port: int, time: Array) -> bytes:
 def _fill_realtime(
     core: Core, time: Array, records: np.ndarray, commanded: tuple[Array, Array], measured: tuple[Array, Array]
 ) -> None:
-    records["time_us"] = np.round(time * 1e6).astype(np.uint64) + core.clock_us(0.0)
+    records["time_us"] = np.round(time * 1e6).astype(np.uint64) + np.uint64(BOOT_US)
     encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
     # accelerations are one-sided, so that a later error does not change earlier reports
     earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]

@@ -219,11 +219,8 @@ class Controller:
                 server.close()
             # in which connections begin that were just accepted: one that is cancelled before is never closed
             await asyncio.sleep(0.01)
-            self._abort()
-
-    def _abort(self) -> None:
-        for writer in (*self._clients, *self._readers):
-            writer.transport.abort()
+            for writer in (*self._clients, *self._readers):
+                writer.transport.abort()
 
     async def _handle(self, handler: _Handler, reader: asyncio.StreamReader, writer: _Writer) -> None:
         """Serves a connection until it ends, or the controller does."""
