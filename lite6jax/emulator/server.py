@@ -34,11 +34,9 @@ MOST_AT_ONCE_S = 0.5
 """s, the largest emulated time in one round."""
 CATCH_UP_S = 0.25
 """s, the largest delay of a round that later rounds compensate."""
-MOST_UNSENT = 1 << 24
-"""The number of bytes that may wait for a reader of reports, eighty seconds of port 30000. A connection with more is
-closed: its reader does not read. A fast clock waits for it first."""
-GIVE_UP_S = 30.0
-"""s, the real time that a fast clock waits for readers before it closes their connections."""
+MOST_UNSENT = 1 << 26
+"""The number of bytes that may wait for a reader of reports, five minutes of port 30000. A connection with more is
+closed: its reader does not read."""
 KERNEL_BUFFER = 1 << 18
 """The number of bytes that the operating system may hold for a connection, beside those counted here."""
 
@@ -84,7 +82,7 @@ class Controller:
             address: on loopback.
             control_port: 502 requires privileges; 0 selects a free port, which is then this attribute.
             report_ports: the emulated report ports.
-            speed: of the controller's clock relative to real time; it waits for slow readers.
+            speed: of the controller's clock relative to real time.
 
         Raises:
             InputError: an address outside loopback, a speed that is not positive, or an invalid tool or payload.
@@ -237,21 +235,18 @@ class Controller:
     async def _run_clock(self) -> None:
         """Until it is stopped, sends the due reports and advances the emulated time at every tick.
 
-        Closes connections for which too much waits. A fast clock gives their readers time first.
+        Closes connections for which too much waits.
         """
         loop, core = asyncio.get_running_loop(), self._core
-        tick = all_read = loop.time()
+        tick = loop.time()
         origin = tick - core.time / self.speed
         while not self._stop.is_set():
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
-            slow = [writer for writer in self._readers if writer.transport.get_write_buffer_size() > MOST_UNSENT]
-            all_read = all_read if slow else loop.time()
-            if self.speed > 1 and loop.time() - all_read < GIVE_UP_S and slow:
-                continue  # a fast clock waits for them
-            for writer in slow:
-                self.slow_readers += not writer.transport.is_closing()
-                writer.transport.abort()
+            for writer in self._readers:
+                if writer.transport.get_write_buffer_size() > MOST_UNSENT:
+                    self.slow_readers += not writer.transport.is_closing()
+                    writer.transport.abort()
             due = min(self.speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
             # a longer delay slows the emulated clock, so that readers lose no reports
             origin = max(origin, loop.time() - CATCH_UP_S - due / self.speed)
