@@ -22,24 +22,12 @@ class InputWarning(UserWarning):
 
 
 def wrong_type(argument: str, given: object, accepted: str) -> InputError:
-    """The error of an argument of a type that is not accepted.
-
-    Args:
-        argument: its name.
-        given: what was given for it.
-        accepted: what to give, after "give".
-    """
+    """The error of an argument whose type is not `accepted`, which is a phrase after "give"."""
     return InputError(f"{argument}: has the type {type(given).__name__}; give {accepted}")
 
 
 def require_type(argument: str, given: object, kinds: type | UnionType, accepted: str) -> None:
-    """Refuses an argument of another type.
-
-    Args:
-        argument: its name.
-        given: what was given for it.
-        kinds: the types that are accepted.
-        accepted: these in words, after "give".
+    """Refuses an argument of another type than `kinds`, as `wrong_type` words it.
 
     Raises:
         InputError: as said.

@@ -29,20 +29,11 @@ def check_writable(path: str | Path, overwrite: bool = False) -> Path:
             or no file can have this name.
     """
     path = Path(path)
-    _check_name(path)
-    try:
-        mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        mode = None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another name") from error
-    if mode is not None:
-        if stat.S_ISDIR(mode):
-            raise InputError(f"{path}: is a folder; name a file")
-        if not stat.S_ISREG(mode):
-            raise InputError(f"{path}: is a {_kind(mode)}, which a file would replace; choose another name")
-        if not overwrite:
-            raise InputError(f"{path}: exists already; choose another name or add --force to replace it")
+    kind = _kind(path, "cannot be written ({}); choose another name")
+    if kind not in (None, "file"):
+        raise InputError(f"{path}: is a {kind}, which a file would replace; choose another name")
+    if kind and not overwrite:
+        raise InputError(f"{path}: exists already; choose another name or add --force to replace it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     return path
@@ -149,17 +140,11 @@ def check_readable(path: str | Path) -> Path:
         InputError: missing, a folder, a pipe, a device or a socket, or its name is not UTF-8.
     """
     path = Path(path)
-    _check_name(path)
-    try:
-        mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError(f"{path}: no such file; check the name") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    if stat.S_ISDIR(mode):
-        raise InputError(f"{path}: is a folder; name a file")
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: is a {_kind(mode)}; write its content to a file first, and name that")
+    kind = _kind(path, "cannot be read ({}); check the name")
+    if kind is None:
+        raise InputError(f"{path}: no such file; check the name")
+    if kind != "file":
+        raise InputError(f"{path}: is a {kind}; write its content to a file first, and name that")
     return path
 
 
@@ -178,15 +163,25 @@ def exists(path: str | Path) -> bool:
     return os.path.exists(path)
 
 
-def _kind(mode: int) -> str:
-    return "pipe" if stat.S_ISFIFO(mode) else "socket" if stat.S_ISSOCK(mode) else "device"
+def _kind(path: Path, otherwise: str) -> str | None:
+    """What a path names: a file, a pipe, a socket or a device; None where nothing is there.
 
-
-def _check_name(path: Path) -> None:
+    Raises:
+        InputError: a folder, a name that is not UTF-8, or `otherwise`, of what the system says.
+    """
     try:
         os.fspath(path).encode()
+        mode = path.stat().st_mode
     except UnicodeEncodeError as error:
         raise InputError(f"{path}: its name is not UTF-8; rename the file or its folder") from error
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise InputError(f"{path}: {otherwise.format(error.strerror)}") from error
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{path}: is a folder; name a file")
+    kinds = {stat.S_IFREG: "file", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket"}
+    return kinds.get(stat.S_IFMT(mode), "device")
 
 
 def read_text(path: str | Path, size_limit: int) -> str:
