@@ -100,12 +100,7 @@ class Workers:
     """
 
     def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
-        """Starts nothing.
-
-        Args:
-            scheduler, processes: as of `run_batches`.
-            most: how many batches there are at most: more processes are not started.
-        """
+        """Starts nothing; `scheduler` and `processes` are as of `run_batches`, and of `most` batches no more."""
         self._pool: Processes | Cluster | None = None
         if scheduler is not None:
             self._pool = Cluster(scheduler)
@@ -135,14 +130,11 @@ class Workers:
         *,
         died: Callable[[Any], "pa.Table"],
     ) -> Generator[tuple[int, "pa.Table"]]:
-        """Batches by their numbers with their rows, as they come; read them to their end before the next begin.
+        """Numbered batches with their rows, as they come; read them to their end before the next begin.
 
         A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its
-        inputs are tried one by one, and those at which a worker dies get the row that `died` makes.
-
-        Args:
-            batches: numbers and inputs, taken as there is room for them.
-            function, given, died: as of `run_batches`.
+        inputs are tried one by one, and those at which a worker dies get the row that `died` makes. The arguments are
+        those of `run_batches`.
 
         Raises:
             InputError: no process starts, the cluster has no worker or one of another version, or its scheduler is
@@ -209,21 +201,13 @@ _job: tuple[bytes, Function, tuple[Any, ...]] | None = None
 
 
 def work(job: bytes, inputs: Sequence[Any], expected: tuple[str, ...] | None = None) -> "tuple[pa.Table, int]":
-    """What a worker does with a batch.
+    """The rows of a batch, and the bytes of memory that the worker has then; 0 where the system does not say.
 
     A worker of a cluster may call this from several threads: one computes, as compiled code and what libraries set for
-    a whole process are shared.
-
-    Args:
-        job: the pickled function and what is given to it besides a batch.
-        inputs: of the batch.
-        expected: the versions of the program that asks: with others a worker might compute other numbers.
-
-    Returns:
-        the rows, and the bytes of memory that the worker has then; 0 where the system does not say.
+    a whole process are shared. `job` is the pickled function with what is given to it besides a batch.
 
     Raises:
-        InputError: the versions are others.
+        InputError: the versions are not those `expected`, with which a worker might compute other numbers.
         Exception: what the function raised; a `RuntimeError` with its message where it cannot be sent.
     """
     global _job
