@@ -383,12 +383,8 @@ def record_poses(
     """Records the controller's forward kinematics of the flange, or of the tool, at given joint positions.
 
     The arm does not move. Joint positions are recorded as sent, rounded to 32 bits. After a lost connection the row is
-    requested again; rows that the controller refuses are omitted and noted.
-
-    Args:
-        address, out, station, overwrite, stop: as in `record`.
-        poses: the joint positions and the notes about omitted rows; other columns are ignored.
-        advance: called with 1 after each row.
+    requested again; rows that the controller refuses are omitted and noted. Of `poses` the joint positions are taken,
+    and the notes about omitted rows. `advance` is called with 1 after each row; the rest is as in `record`.
 
     Raises:
         InputError: the files cannot be written, the number of joints differs, or no pose was received.

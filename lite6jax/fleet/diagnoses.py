@@ -62,16 +62,11 @@ def diagnose_folder(
     progress: Callable[[int, int], object] = lambda done, total: None,
     overwrite: bool = False,
 ) -> Path:
-    """Diagnoses every recording of a folder, one by one.
+    """Diagnoses every recording of a folder, a path or a URL, one by one.
 
-    Args:
-        folder: a path, or a URL.
-        out: a folder for the documents and the table, made where it is not there.
-        diagnose: of a module: `diagnose(names, place, *given)` gives a row of `make_row` or `make_refusal` each.
-        given: to it.
-        scheduler, processes: as `run_batches`.
-        progress: called with the number of recordings done since the last call, and of all.
-        overwrite: whether a table and documents that are there may be replaced.
+    The documents and the table are written to `out`, a folder that is made where it is not there. `diagnose(names,
+    place, *given)`, of a module, gives a row of `make_row` or `make_refusal` each. `progress` is called with the number
+    of recordings done since the last call, and of all; the other arguments are those of `run_batches`.
 
     Raises:
         InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the recordings.
@@ -178,12 +173,8 @@ def pool_folder(
 ) -> "population.Population":
     """Pools the recordings of many arms of one type that were diagnosed into `out`.
 
-    Args:
-        folder: of the recordings, as it was given: what messages name.
-        out: the folder of results, with the table and the reduced recordings.
-        thresholds: of the tests.
-        scheduler, processes: as `run_batches`.
-        progress: called with the number of effects at each round of the search.
+    `folder` is what messages name; `progress` is called with the number of effects at each round of the search, and
+    `scheduler` and `processes` are as of `run_batches`.
 
     Raises:
         InputError: too few of the recordings can be pooled, or as `read_heading`.

@@ -64,13 +64,9 @@ def fit_folder(
 ) -> Path:
     """Fits every calibration and recording of a folder, and writes a row a file, in the order of their names.
 
-    Args:
-        folder: a path, or a URL; its subfolders are not read.
-        out: the Parquet file to write.
-        nominal: the arm of all of them; recognised file by file where not given.
-        scheduler, processes: as `run_batches`.
-        progress: called with the number of files done since the last call, and of all.
-        overwrite: whether a file that is there may be replaced.
+    The folder is a path or a URL, and its subfolders are not read. Without a `nominal` arm that of each file is
+    recognised. `progress` is called with the number of files done since the last call, and of all; the other arguments
+    are those of `run_batches`.
 
     Raises:
         InputError: as `Place.of`, `list_fleet` and `run_batches`.

@@ -167,13 +167,11 @@ def draw_motion(
     with its true velocities. A joint's range is its limits less 5 % at either end, and one turn at most.
 
     Args:
-        arm: its joints and limits are used.
-        kind: static (the arm stands still at each sample) or trajectory.
+        arm, kind, payload, warm_up, settings: as in `make_motion`.
         samples: of all runs together, which are of equal length; 400 static poses, 3000 of a trajectory by default.
         runs: how many; the time goes on from one to the next.
         step: from sample to sample, s; 8 of a static recording, 0.02 of a trajectory where not given.
         speed: that no joint of a trajectory exceeds, rad/s.
-        payload, warm_up, settings: as in `make_motion`.
         seed: of the random numbers.
 
     Raises:
