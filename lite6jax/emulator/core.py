@@ -75,8 +75,6 @@ class Faults:
         "1.12.1",
     )  # fmt: skip
     nominal_kinematics: bool = _fault(False, "nominal", "computes with the nominal chain instead of its calibration")
-    # the vendor calls the numbers rx ry rz without a definition, and roll, pitch and yaw elsewhere
-    rotation_vectors: bool = _fault(False, "rotation_vectors", "orientations on port 30000 are rotation vectors")
 
     @property
     def calibrated(self) -> bool:
@@ -244,16 +242,11 @@ class Core:
     def read_commands(self, time: Array) -> tuple[Array, Array]:
         """The commanded positions and velocities `(sample, joint)` at `(sample,)` s: at rest but for the motion.
 
-        An error brakes all joints together, the fastest at the limit of its acceleration.
+        An error ends it at once.
         """
-        duration = self._motion.duration
-        position, velocity = self._motion.at(np.clip(time, 0.0, min(self.stopped, duration)))
-        moving = (time > 0) & (np.minimum(time, self.stopped) < duration) & (self.stopped > 0)
-        velocity = np.where(moving[:, None], velocity, 0.0)
-        since = np.maximum(time - self.stopped, 0.0)[:, None]
-        braking = np.maximum(np.abs(velocity).max(1, keepdims=True) / MAX_ACCELERATION, DIFFERENCE_S)
-        left = 1 - np.minimum(since / braking, 1.0)
-        return position + velocity * braking * (1 - left**2) / 2, velocity * left
+        end = min(self.stopped, self._motion.duration)
+        position, velocity = self._motion.at(np.clip(time, 0.0, end))
+        return position, np.where(((time > 0) & (time < end))[:, None], velocity, 0.0)
 
     def read_encoders(self, time: Array) -> tuple[Array, Array]:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
@@ -413,13 +406,12 @@ def _fill_realtime(
     core: Core, time: Array, records: np.ndarray, commanded: tuple[Array, Array], measured: tuple[Array, Array]
 ) -> None:
     records["time_us"] = np.round(time * 1e6).astype(np.uint64) + np.uint64(BOOT_US)
-    encode = protocol.encode_axis_angle if core.faults.rotation_vectors else protocol.encode_pose
     # accelerations are one-sided, so that a later error does not change earlier reports
     earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]
     T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
     if core.body.physics.effects or core.faults.nominal_kinematics:
         T[len(time) :] = core.true_poses(time)
-    records["target_pose"], records["pose"] = np.split(encode(T), 2)
+    records["target_pose"], records["pose"] = np.split(protocol.encode_pose(T), 2)
     records["target_pose_speed"], records["pose_speed"] = np.split(speed, 2)
     for prefix, (q, dq), before in zip(("target", "joint"), (commanded, measured), earlier, strict=True):
         records[f"{prefix}_position"] = protocol.pad_joints(q)
