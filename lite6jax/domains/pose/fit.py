@@ -34,15 +34,13 @@ from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import real_array
-from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.points import PointSensor
 
 Array = NDArray[np.floating]
 Source = str | Path | FactoryCalibration | Recording
 """A file, or what one holds."""
 _STEP = 1e-6
 """m or rad, of difference quotients of a chain's numbers by displacements of its frames."""
-_HELD = 1e16
-"""The precision of what is held: to 10 nm or nanoradians."""
 
 
 class _Options(TypedDict, total=False):
@@ -169,8 +167,8 @@ def fit_touches(begun: RigidArm) -> Solution:
     for fold in recording.contiguous_folds(FOLDS):
         checked[fold] = np.linalg.norm(relinearise(arm, DEFAULTS, ~fold).differences[:, fold], axis=0)
     # without a frame of the sensor's own, displacements of the base are of the chain
-    of_chain = [name == "link" or (name == "base" and not begun.form.frame) for name, _, _ in begun.unknown]
-    rigid = relinearise(replace(begun, precision=np.where(of_chain, _HELD, begun.precision)), DEFAULTS)
+    kept = [name != "link" and (name != "base" or begun.form.frame) for name, _, _ in begun.unknown]
+    nominal = relinearise(begun.keeping(kept), DEFAULTS)
     covariance = _covariance(arm, known)
     form, q, size = begun.form, recording.joint_position, begun.form.size
     of_steps = _by_unknowns(arm)
@@ -180,7 +178,7 @@ def fit_touches(begun: RigidArm) -> Solution:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
     noise = float(known.scale[0] * arm.noise[0])
     own = slice(len(arm.unknown) - sensor.numbers, None)
-    assert isinstance(arm.sensor, Sensor)
+    assert isinstance(arm.sensor, PointSensor)
     return Solution(
         arm=arm.arm,
         form=form,
@@ -191,7 +189,7 @@ def fit_touches(begun: RigidArm) -> Solution:
         free=free,
         held=(),
         errors=Errors(np.linalg.norm(arm.differences, axis=0), None, q),
-        nominal_errors=Errors(np.linalg.norm(rigid.differences, axis=0), None, q),
+        nominal_errors=Errors(np.linalg.norm(nominal.differences, axis=0), None, q),
         checked=Errors(checked, None, q),
         noise=Noise(arm.declared_noise if arm.declared_noise[0] else None, noise, None),
         weight=weights_left(known.residuals.squares, FREEDOM),
@@ -202,7 +200,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     )
 
 
-def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
+def places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
     """What is known of each point, plane, anchor or axis, with standard deviations.
 
     Args:
@@ -213,7 +211,7 @@ def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
     kind = {"distance": "anchor"}.get(kind, kind)
     found = []
     moved = [sensor.displaced(_STEP * one) for one in np.eye(sensor.numbers)]
-    for k, name in enumerate(sensor.names):  # type: ignore[attr-defined]
+    for k, name in enumerate(sensor.names):
         values, std = sensor.place(k), {}
         for key, at in values.items():
             J = np.array([(np.array(other.place(k)[key]) - at) / _STEP for other in moved]).reshape(-1, len(at))

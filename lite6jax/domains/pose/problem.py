@@ -97,7 +97,7 @@ class PoseProblem:
     informative: Mask
     motion: Motion
     inertia: Inertia | None
-    measured: Measured | Sensor
+    measured: Sensor
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
     candidates: tuple[Effect, ...]
@@ -466,7 +466,7 @@ class PoseProblem:
         return {site: float(value) for site, value in pairs if site[0].startswith("moved") and value}
 
     @cached_property
-    def _on_device(self) -> tuple[ArmModel, Measured | Sensor]:
+    def _on_device(self) -> tuple[ArmModel, Sensor]:
         """The arm and the poses as compiled functions take them, copied once."""
         return jax.tree.map(jnp.asarray, (self.start, self.measured))
 
@@ -516,7 +516,7 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    touched = isinstance(rigid.sensor, Sensor)
+    touched = not isinstance(rigid.sensor, Measured)
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))

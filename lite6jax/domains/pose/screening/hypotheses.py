@@ -467,15 +467,8 @@ def _share(arm: RigidArm, other: Arm, options: ScreeningOptions) -> tuple[float,
 def _with_table(arm: RigidArm, table: Arm) -> RigidArm:
     """With a chain that is not fitted, the sensor's frame and the tool as far as they are free, and its own numbers."""
     free_frame = arm.recording.settings.pose_frame != "base"
-    kept = [
-        k
-        for k, (name, _, _) in enumerate(arm.unknown)
-        if name in ("tool", "reading") or (name == "base" and free_frame)
-    ]
-    unknown = tuple(arm.unknown[k] for k in kept)
-    own = np.array([name == "reading" for name, _, _ in unknown], bool)  # of a sensor's numbers the prior stays
-    precision, offset = (np.where(own, each[kept], 0.0) for each in (arm.precision, arm.offset))
+    kept = [name in ("tool", "reading") or (name == "base" and free_frame) for name, _, _ in arm.unknown]
     T = arm.T_sensor_base if free_frame else np.eye(4)  # a known one was displaced for the first link
     rows = np.array([frames.row_from_transform(link) for link in table.links])
     start = ArmModel(rows.ravel(), T, arm.T_flange_tool)  # type: ignore[arg-type]
-    return replace(arm, start=start, unknown=unknown, precision=precision, offset=offset)
+    return replace(arm.keeping(kept), start=start)
