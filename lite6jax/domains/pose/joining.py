@@ -104,15 +104,19 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
         )
     from lite6jax.domains.pose.inverse import joint_path  # imports JAX
 
-    for names in _orientations(turned):
+    # the names that its columns have in a recording, as it was read; all that they may have in doubt
+    possible = [dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))]
+    if turned.form is not None and turned.form.sure != "certain":
+        possible += [names for form in turned.forms if (names := turned.renamed(form=form)) != possible[0]]
+    path, names = None, possible[0]
+    for names in possible:
         told = {own: known_column(name) for own, name in names.items()}
         values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
         turns = with_quaternions(values, file.source)
-        quaternion = np.stack([turns[name] for name in QUATERNION], 1)
-        path = joint_path(arm, _position(file), quaternion)
+        path = joint_path(arm, _position(file), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
             break
-    else:
+    if path is None:
         raise InputError(
             f"{file.source}: has no joint positions, and the {arm.name} reaches its poses at no joints, taken as those "
             "of the flange in the arm's base; record the joints, or poses of the flange (without a tool)"
@@ -126,14 +130,6 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     whole = rest | columns
     found = inspect(list(whole.items()), arm, given, file.source)
     return WithJoints(File(file.source, file.stem, whole, found), path, names[turned.block.columns[0]])
-
-
-def _orientations(turned: Meaning) -> list[dict[str, str]]:
-    """The names that the columns of a rotation have in a recording, as it was read; all that they may have in doubt."""
-    first = dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))
-    if turned.form is None or turned.form.sure == "certain":
-        return [first]
-    return [first, *(names for form in turned.forms if (names := turned.renamed(form=form)) != first)]
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:

@@ -53,20 +53,6 @@ _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
 """The unit of quantities that have one only."""
 
 
-class Pose(NamedTuple):
-    """Columns of a table in its own units and conventions, rows without gaps.
-
-    Attributes:
-        joint: `(sample, joint)`, rad or deg, and m or mm of prismatic joints.
-        position: `(sample, 3)`, m or mm.
-        rotation: `(sample, 3 | 4)`, or None.
-    """
-
-    joint: Array
-    position: Array
-    rotation: Array | None
-
-
 class Agreement(NamedTuple):
     """The readings that agree with an arm; None where they are not distinguished.
 
@@ -98,46 +84,60 @@ NO_AGREEMENT = Agreement(None, None, None, None, None, np.inf, 0.0)
 
 
 def agreement(
-    arm: Arm, pose: Pose, angle: str | None, slide: str | None, length: str | None, turn: str | None
+    arm: Arm,
+    joint: Array,
+    position: Array,
+    rotation: Array | None,
+    angle: str | None,
+    slide: str | None,
+    length: str | None,
+    turn: str | None,
 ) -> Agreement:
     """The readings of a table with which an arm agrees best.
 
     Args:
         arm: of as many joints.
-        pose: the numbers.
+        joint: `(sample, joint)` in the table's unit, rad or deg, and m or mm of prismatic joints; no row has gaps.
+        position: `(sample, 3)`, m or mm.
+        rotation: `(sample, 3 | 4)`, in the table's unit and convention, or None.
         angle, slide, length, turn: units that are known already, or None.
     """
-    if len(pose.joint) < FEWEST:
+    if len(joint) < FEWEST:
         return NO_AGREEMENT
-    rows = spread_rows(len(pose.joint), ROWS)
+    rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = length is None and bool(arm.slides.all())
-    length = sizes.length_unit(pose.position).choice if by_size else length
-    possible = (
-        _possible(angle, "q", False) if not arm.slides.all() else ("rad",),
-        _possible(slide, "q", True) if arm.sliding else ("m",),
-        _possible(length, "x", False),
-    )
-    tried = {}
-    for turning, sliding, unit in product(*possible):
-        divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
-        position, flange = pose.position[rows] / units_of("x")[unit], flange_poses(arm, pose.joint[rows] / divisor)
-        error, T_sensor_base = match_poses(flange, position)
-        predicted = T_sensor_base[:3, :3] @ flange[:, :3, :3]
-        tried[turning, sliding, unit] = _Tried(error, median_distance(position), predicted)
+    length = sizes.length_unit(position).choice if by_size else length
+
+    def possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
+        return (known,) if known else tuple(units_of(quantity, slides))
+
+    turns = ("rad",) if arm.slides.all() else possible(angle, "q", False)
+    slides = possible(slide, "q", True) if arm.sliding else ("m",)
+    tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
+    for units in product(turns, slides, possible(length, "x", False)):
+        divisor = np.where(arm.slides, units_of("q", True)[units[1]], units_of("q")[units[0]])
+        places, flange = position[rows] / units_of("x")[units[2]], flange_poses(arm, joint[rows] / divisor)
+        error, T_sensor_base = match_poses(flange, places)
+        spread = median_distance(places)
+        tried[units] = error / max(spread, 1e-9), error, spread, T_sensor_base[:3, :3] @ flange[:, :3, :3]
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
-    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one.spread < farthest}
+    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one[2] < farthest}
     by_size, tried = by_size or not plausible, plausible or tried
-    best = min(tried, key=lambda units: tried[units].score)
-    found = tried[best]
-    of_turns, of_slides, of_places = (_decided(best[k], _scores(tried, k), CLOSE) for k in range(3))
+    best = min(tried, key=lambda units: tried[units][0])
+    score, error, spread, predicted = tried[best]
+    decided: list[Decision | None] = []
+    for k in range(3):
+        of_each: dict[str, list[float]] = {}
+        for units, one in tried.items():
+            of_each.setdefault(units[k], []).append(one[0])
+        decided.append(_decided(best[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE))
     form, angle_of_turn = None, None
-    if pose.rotation is not None and found.score <= CLOSE:
-        form, angle_of_turn = _rotations(found.predicted, pose.rotation[rows], turn)
-    return Agreement(
-        of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, found.error, found.spread
-    )
+    if rotation is not None and score <= CLOSE:
+        form, angle_of_turn = _rotations(predicted, rotation[rows], turn)
+    of_turns, of_slides, of_places = decided
+    return Agreement(of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, error, spread)
 
 
 def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
@@ -168,22 +168,6 @@ def median_distance(position: Array) -> float:
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
 
 
-def _possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
-    return (known,) if known else tuple(units_of(quantity, slides))
-
-
-class _Tried(NamedTuple):
-    """A reading: its median error in m, how far the positions spread, the rotations that it predicts of the flange."""
-
-    error: float
-    spread: float
-    predicted: Array
-
-    @property
-    def score(self) -> float:
-        return self.error / max(self.spread, 1e-9)
-
-
 def flange_poses(arm: Arm, joint: Array) -> Array:
     """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
     return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
@@ -194,14 +178,6 @@ def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
     missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
     return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
-
-
-def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:
-    """Of each unit at a place the best score, whatever the others are."""
-    scores: dict[str, float] = {}
-    for units, found in tried.items():
-        scores[units[place]] = min(found.score, scores.get(units[place], np.inf))
-    return scores
 
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:
