@@ -43,15 +43,15 @@ class Jump(NamedTuple):
     p: float
 
 
-def remove_jumps(state: Screened, options: ScreeningOptions) -> Screened:
+def remove_jumps(state: Screened) -> Screened:
     """The poses after each jump where they would have been without it."""
-    known, most = state.corrections.known_jumps, state.corrections.jumps
+    known, most, options = state.corrections.known_jumps, state.corrections.jumps, state.options
     if known is not None:
         for row, part in known:
             jump = _jump_at(state.rigid_arm, row, part, options)
             if jump is None:
                 break
-            state = _without(state, jump, options)
+            state = _without(state, jump)
         return state
     for _ in range(options.most_jumps if most is None else most):
         jump, numbers = seek_jump(state.rigid_arm, options)
@@ -60,17 +60,17 @@ def remove_jumps(state: Screened, options: ScreeningOptions) -> Screened:
         place = {"row": int(state.recording.row[jump.sample]), "part": jump.part}
         if any(place.items() <= fault.numbers.items() for fault in state.found if fault.code == "frame_jump"):
             break  # what is left after it was corrected is no constant twist
-        state = _without(state, jump, options)
+        state = _without(state, jump)
     return state
 
 
-def _without(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
-    arm, refined = without_jump(state.rigid_arm, jump, options, state.corrections.beside_physics)
+def _without(state: Screened, jump: Jump) -> Screened:
+    arm, refined = without_jump(state.rigid_arm, jump, state.options, state.corrections.beside_physics)
     row, run, k = arm.recording.row, arm.recording.run, jump.sample
-    numbers: dict[str, Any] = {"row": int(row[k]), "part": jump.part}
-    if k and run[k] != run[k - 1]:
-        numbers["run"] = int(run[k])
-    numbers |= {
+    numbers: dict[str, Any] = {
+        "row": int(row[k]),
+        "part": jump.part,
+        **({"run": int(run[k])} if k and run[k] != run[k - 1] else {}),
         "translation_m": float(np.linalg.norm(refined.twist[:3])),
         "rotation_rad": float(np.linalg.norm(refined.twist[3:])),
         "twist": refined.twist.tolist(),
