@@ -181,10 +181,9 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     before, after = (
         float(np.median(errors.position)) * of_median for errors in (solution.nominal_errors, solution.checked)
     )
-    share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
-    noise = solution.noise
-    rows = min(recording.numbers_per_sample, 3)
-    declared = (noise.declared[0] or 0.0) * np.sqrt(rows) if noise and noise.declared else 0.0
+    share, noise = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0, solution.noise
+    length = np.sqrt(min(recording.numbers_per_sample, 3))
+    declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
     kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
     if kind == "geometry" and share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"

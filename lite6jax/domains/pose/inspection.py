@@ -112,13 +112,9 @@ class Inspection:
     @property
     def columns(self) -> dict[str, str]:
         """The sidecar's `columns`; empty where every name is one of a recording already."""
-        told = {
-            own: name
-            for meaning in self.meanings
-            for own, name in zip(meaning.block.columns, meaning.names, strict=True)
-        }
+        pairs = [pair for one in self.meanings for pair in zip(one.block.columns, one.names, strict=True)]
         taken = {without_unit(name) for name in self.given.values()}
-        told = {own: IGNORED if without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
+        told = {own: IGNORED if without_unit(name) in taken else name for own, name in pairs} | dict(self.given)
         unused = {name: IGNORED for name in self.texts if not is_standard(name)}
         read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
@@ -195,9 +191,7 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {
-        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
-    }
+    numbers = {name: np.where(np.abs(one) < BEYOND, one, np.nan) for name, one in columns if one is not None}
     numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     texts = tuple(name for name, values in columns if values is None)
     for name in given:
@@ -272,13 +266,13 @@ def _motors(
     if mixed:
         return ()
     position = q.in_si(_stacked(numbers, q.block.columns))
-    alike = [other for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
-    others = [other.columns for other in alike if len(other.columns) == len(whole.columns)]
-
-    def apart(columns: tuple[str, ...]) -> bool:
-        return sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
-
-    others = [*filter(apart, others)]
+    alike = [other.columns for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
+    others = [
+        columns
+        for columns in alike
+        if len(columns) == len(whole.columns)
+        and sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
+    ]
     return (whole.columns, *others) if others else ()
 
 
@@ -411,13 +405,9 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
     joints, motors = (next((b.columns for b in of if b.kind == "q"), ()) for of in (blocks, chosen))
     if not {*joints} < {*motors}:
         return [*blocks]
-    of_each = [block.columns for block in chosen if is_per_joint(block.kind)]
-    of_same = [columns for columns in of_each if len(columns) == len(motors)]
+    of_all = [b.columns for b in chosen if is_per_joint(b.kind) and len(b.columns) == len(motors)]
     places = [motors.index(name) for name in joints]
-    return [
-        replace(block, columns=tuple(block.columns[k] for k in places)) if block.columns in of_same else block
-        for block in blocks
-    ]
+    return [replace(b, columns=tuple(b.columns[k] for k in places)) if b.columns in of_all else b for b in blocks]
 
 
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
@@ -454,9 +444,8 @@ def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm 
         if not is_per_joint(block.kind):
             found.append(block)
             continue
-        surplus = (
-            len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
-        )  # nothing says which are the joints'
+        # nothing says which of more columns are the joints'
+        surplus = len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
         if block.kind != "q" and (len(block.columns) < dof or surplus):
             continue
         within = range(len(block.columns[: dof or None]))

@@ -59,13 +59,13 @@ def rigid_tool(model: ArmModel, joint_position: Array, sliding: tuple[int, ...])
     return _tool(model, flange)
 
 
-def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Iterator[Array]:
-    links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
-    return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
-
-
 def _tool(model: ArmModel, flange: Array) -> Array:
     return (flange.reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
+
+
+def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Iterator[Array]:
+    links = frames.transform_from_row(np.asarray(model.geometry).reshape(-1, 6))
+    return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
 
 
 def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Sensor) -> Array:

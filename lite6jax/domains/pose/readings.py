@@ -292,20 +292,18 @@ def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed
         values: `(sample, column)` of each.
         agreed: the units and forms with which an arm agrees.
     """
-    found = {of: _position(blocks[of], values[of], agreed) for of in (("q", False), ("q", True)) if of in blocks}
+    joints = [of for of in (("q", False), ("q", True)) if of in blocks]
+    found = {of: _meaning(blocks[of], _unit_of(blocks[of], values[of], agreed)) for of in joints}
     moved = {slides: found["q", slides].in_si(values["q", slides]) for _, slides in found}
     time: Array | None = None
     if block := blocks.get(of := ("time", False)):
-        joints = np.hstack(list(moved.values())) if moved else None
-        unit = _named(block) or sizes.time_unit(values[of][:, 0], joints)
-        found[of] = _meaning(block, unit)
+        position = np.hstack(list(moved.values())) if moved else None
+        found[of] = _meaning(block, _named(block) or sizes.time_unit(values[of][:, 0], position))
         time = found[of].in_si(values[of])[:, 0]
     for of in ((kind, slides) for kind in ("dq", "ddq") for slides in moved):
         if block := blocks.get(of):
-            before = found.get(("dq", of[1]))
-            position = (
-                moved[of[1]] if of[0] == "dq" else None if before is None else before.in_si(values[key(before.block)])
-            )
+            before = found.get(("q" if of[0] == "dq" else "dq", of[1]))
+            position = None if before is None else before.in_si(values[key(before.block)])
             usual = found["q", of[1]].unit.choice
             found[of] = _meaning(block, _named(block) or _rate(block, values[of], position, usual, time))
     for of in (("cmd", slides) for slides in moved):
@@ -315,7 +313,9 @@ def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed
             found[of] = _meaning(block, unit)
     for of, block in blocks.items():
         if of not in found and block.kind not in ("dq", "ddq", "cmd"):
-            found[of] = _other(block, values[of], agreed)
+            turns = block.kind == "rotation"
+            of_block = block, values[of], agreed
+            found[of] = _rotation(*of_block) if turns else _meaning(block, _unit_of(*of_block))
     return tuple(found[kind, slides] for kind in naming.KINDS for slides in (False, True) if (kind, slides) in found)
 
 
@@ -330,26 +330,20 @@ def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple
     return inferred_motion(None if time is None else time[:, 0], si("dq"))
 
 
-def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    if block.slides:
-        return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
-    servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-    return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
-
-
-def _other(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    """What is neither a position of joints, nor their rates, nor time."""
-    if block.kind == "rotation":
-        return _rotation(block, values, agreed)
-    unit = _named(block)
-    if block.kind == "position":
-        unit = unit or agreed.length or sizes.length_unit(values)
-        return Meaning(block, tuple(_with_unit(axis, unit.choice) for axis in _XYZ), unit)
+def _unit_of(block: Block, values: Array, agreed: Agreement) -> Decision:
+    """Of what is neither a rotation, a rate, a command nor a time: by name, by kinematics, or by size."""
+    if block.unit is not None:
+        return sizes.by_name(block.unit)
+    if block.kind == "q" and not block.slides:
+        servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
+        return agreed.angle or sizes.angle_unit(values, servo)
+    if block.kind in ("q", "position"):
+        return (agreed.slide if block.slides else agreed.length) or sizes.length_unit(values)
     if block.kind == "tau" and not block.slides:
-        return _meaning(block, unit or sizes.torque_unit(values))
+        return sizes.torque_unit(values)
     if block.kind == "current":
-        return _meaning(block, unit or sizes.current_unit(values))
-    return _meaning(block, unit or Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {}))
+        return sizes.current_unit(values)
+    return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
 
 
 def _named(block: Block) -> Decision | None:
@@ -376,17 +370,17 @@ def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if values.shape[1] == 4:
         return Meaning(block, _of_quaternion(form.choice), unit, form)
     parts = next(parts for parts in ANGLES if parts[0] == form.choice)
-    return Meaning(block, tuple(_with_unit(part, unit.choice) for part in parts), unit, form)
+    return Meaning(block, _with_unit(parts, unit), unit, form)
 
 
 def _meaning(block: Block, unit: Decision) -> Meaning:
     """Of columns whose quantity is the block's kind."""
-    names = [f"{block.kind}{joint}" for joint in block.joints] or [block.kind]
-    return Meaning(block, tuple(_with_unit(name, unit.choice) for name in names), unit)
+    named = tuple(f"{block.kind}{joint}" for joint in block.joints) or (block.kind,)
+    return Meaning(block, _with_unit(_XYZ if block.kind == "position" else named, unit), unit)
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name}_{unit}" if unit else name
+def _with_unit(names: Sequence[str], unit: Decision) -> tuple[str, ...]:
+    return tuple(f"{name}_{unit.choice}" if unit.choice else name for name in names)
 
 
 def _of_quaternion(form: str) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 Everything here is NumPy, so that a recording is screened in milliseconds and nothing is compiled.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -157,7 +157,7 @@ class RigidArm(NuisanceProblem):
     @cached_property
     def links(self) -> Array:
         """`(joint, 4, 4)`, the fixed transform before each joint."""
-        return np.array([frames.transform_from_row(row) for row in np.asarray(self.start.geometry).reshape(-1, 6)])
+        return frames.transform_from_row(np.asarray(self.start.geometry).reshape(-1, 6))
 
     @property
     def T_sensor_base(self) -> Array:
@@ -445,20 +445,20 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
     whitener = np.full(2, 1 / noise)
     there, group = np.unique(readings.group, return_inverse=True)
     names = tuple(readings.names[k] for k in there)
+
+    def places(known: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
+        points = np.array([known.get(name, (0.0, 0.0, 0.0)) for name in names], float).T
+        return points, tuple(name not in known for name in names)
+
     if readings.kind == "contact":
-        known = settings.contact_points or {}
-        points = np.array([known.get(name, (0.0, 0.0, 0.0)) for name in names]).T
-        free = tuple(name not in known for name in names)
+        points, free = places(settings.contact_points or {})
         return Contact(group, whitener, points, names, free, _rods(recording, names, free))
     if readings.kind == "plane":
         planes = settings.planes or {}
-        normal, height = np.tile([[0.0], [0.0], [1.0]], len(names)), np.zeros(len(names))
-        for k, name in enumerate(names):
-            if name in planes:
-                length = np.linalg.norm(planes[name].normal)
-                normal[:, k], height[k] = np.array(planes[name].normal) / length, planes[name].offset_m / length
+        given = [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names]
+        normal, height = np.split(np.array(given, float).T / np.linalg.norm(np.array(given)[:, :3], axis=1), [3])
         free = tuple(name not in planes for name in names)
-        return Plane(group, whitener, normal, np.zeros_like(normal), height, names, free)
+        return Plane(group, whitener, normal, np.zeros_like(normal), height[0], names, free)
     if readings.kind == "distance":
         given = settings.anchor_m
         anchors = dict.fromkeys(names, given) if isinstance(given, tuple) else {} if given == "unknown" else given
@@ -467,8 +467,7 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
                 f"{recording.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
                 f"{{{names[0]}: [x, y, z], ...}}, or unknown"
             )
-        points = np.array([anchors.get(name, (0.0, 0.0, 0.0)) for name in names], float).T  # type: ignore[union-attr]
-        free = tuple(name not in anchors for name in names)
+        points, free = places(anchors)  # type: ignore[arg-type]
         offset_free = settings.distance_offset == "unknown"
         return Distance(group, whitener, readings.value, points, np.zeros(1), names, free, offset_free)
     free = settings.axis == "unknown"

@@ -137,20 +137,17 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
     few, step = spread_rows(arm.samples, options.most_samples), found.rest
-    shape = _rests(arm.recording)[found.shape]
-    start = arm.recording
+    start, shape = arm.recording, _rests(arm.recording)[found.shape]
     for _ in range(options.refinements):
         rest = rest + step
         moved = replace(start, joint_position=start.joint_position + shape * rest)
         arm = arm.with_poses(moved).fitted(options.most_fitted)
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
-        known = [
-            physics_columns(part, skip=("direction",) if found.shape == "constant" else ()),
-            _curves(part, options),
-        ]
+        physics = physics_columns(part, skip=("direction",) if found.shape == "constant" else ())
+        known = np.concatenate([physics, _curves(part, options)])
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        if (more := next_step(part, np.concatenate(known), group, options)) is None:
+        if (more := next_step(part, known, group, options)) is None:
             break
         step = np.zeros_like(rest)
         step[concerned] = more
