@@ -49,13 +49,15 @@ _TOOL_M = 0.15
 
 
 class NuisanceProblem:
-    """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
+    """A `LinearisedProblem` without terms: some frames are displaced, and the noise is what is left.
 
     What derives from it has `rigid`, the frames, `sensor`, what was measured, `nuisance` and `relinearised`.
     """
 
     rigid: Any
     sensor: Any
+    preset = Terms(), np.zeros(0)
+    floored = False
 
     @property
     def rows(self) -> int:
@@ -81,16 +83,6 @@ class NuisanceProblem:
     def groups(self: Any) -> NDArray[np.integer]:
         """Position and orientation share one scale over their noise."""
         return np.zeros(self.rows, int)
-
-    @property
-    def preset(self) -> tuple[Terms, Array]:
-        """No terms."""
-        return Terms(), np.zeros(0)
-
-    @property
-    def floored(self) -> bool:
-        """Not: the noise is what is left."""
-        return False
 
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`nuisance`, whatever terms are beside it."""
