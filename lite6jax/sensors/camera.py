@@ -99,18 +99,12 @@ def _linearised(mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any)
 @partial(jit, static_argnums=0)
 def _by_constants(mounted: Mounted, lens: Lens, corners: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
     """How pixels change with the pinhole `(image, corner, 2, 4)` and with each corner's place `(…, 2, 3)`."""
-    still = jnp.zeros(6)
 
-    def by_pinhole(T: Any) -> DeviceArray:
-        return jax.jacfwd(lambda pinhole: seen_corners(mounted, Lens(pinhole, lens.distortion), corners, T, still))(
-            lens.pinhole
-        )
+    def at(T: Any, pinhole: Any, shift: Any) -> DeviceArray:
+        return seen_corners(mounted, Lens(pinhole, lens.distortion), corners + shift, T, jnp.zeros(6))
 
-    def by_place(T: Any) -> DeviceArray:
-        shift = lambda d: seen_corners(mounted, lens, corners + d, T, still)  # noqa: E731 (of a corner by its own)
-        return jax.jacfwd(shift)(jnp.zeros(3))
-
-    return jax.vmap(by_pinhole)(T), jax.vmap(by_place)(T)
+    slopes = jax.vmap(jax.jacfwd(at, (1, 2)), (0, None, None))
+    return slopes(T, jnp.asarray(lens.pinhole), jnp.zeros(3))  # of a corner by its own shift
 
 
 def board_poses(
@@ -220,7 +214,9 @@ def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Arra
         g = np.einsum("icak,ica->ik", weight * J, r)
         scaled = H + damping[:, None, None] * np.einsum("ikl,kl->ikl", H, np.eye(6)) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(scaled, g[..., None])[..., 0]
-        trial = _displaced(T, step)
+        trial = T.copy()
+        trial[:, :3, 3] += step[:, :3]
+        trial[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(step[:, 3:])))
         r_, J_, cost_ = cost_at(trial)
         better = np.isfinite(cost_) & (cost_ <= cost)
         done = np.all(np.abs(step) < 1e-9, 1)
@@ -230,13 +226,6 @@ def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Arra
         if done.all():
             break
     return T, cost
-
-
-def _displaced(T: Array, twist: Array) -> Array:
-    out = T.copy()
-    out[:, :3, 3] += twist[:, :3]
-    out[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(twist[:, 3:])))
-    return out
 
 
 def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list[Array]:
@@ -252,8 +241,7 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
     found = np.tile(np.eye(4), (2, len(pixels), 1, 1))
     for k in range(len(pixels)):
         x, y = flat[there[k]].T
-        one, none = np.ones_like(x), np.zeros((len(x), 3))
-        row = np.stack([x, y, one], 1)
+        row, none = np.stack([x, y, np.ones_like(x)], 1), np.zeros((len(x), 3))
         u, v = rays[k, there[k]].T
         A = np.concatenate([np.hstack([row, none, -u[:, None] * row]), np.hstack([none, row, -v[:, None] * row])])
         H = np.linalg.svd(A)[2][-1].reshape(3, 3)

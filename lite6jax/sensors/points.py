@@ -1,8 +1,8 @@
 """Sensors that read where one point of the tool is: in a socket, on a plane, from an anchor, along an axis."""
 
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple, final
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,9 @@ from lite6jax.arms.se3 import Frame
 from lite6jax.sensors.sensor import OwnNumber, Sensor
 
 Array = NDArray[np.floating]
+
+_STATIC = {"static": True}
+"""Of fields that are no arrays."""
 
 
 class Rod(NamedTuple):
@@ -31,14 +34,40 @@ class Rod(NamedTuple):
     noise: float
 
 
-@final
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["group", "whitener", "points"],
-    meta_fields=["names", "free", "rods"],
-)
 @dataclass(frozen=True, eq=False)
-class Contact(Sensor):
+class PointSensor(Sensor):
+    """A sensor of the tool's point, at places of which some are unknown.
+
+    Attributes:
+        group: `(sample,)` int, which point, plane or anchor a sample is of; zero of an axis.
+        names: of each of these.
+        scaled: whether something in it has a known length, without which a chain of any size would fit.
+    """
+
+    sampled = ("group",)
+    names = ("axis",)
+    scaled = True
+    group: Any
+    whitener: Any
+
+    @abstractmethod
+    def shown(self, tool: Array) -> Self:
+        """The sensor with its unknowns as a tool `(sample, 4, 4)` shows them in closed form."""
+
+    @abstractmethod
+    def place(self, k: int) -> dict[str, list[float]]:
+        """What of the point, plane or anchor `k` is known or was estimated, by name with its unit."""
+
+    def _of_each(self, free: tuple[bool, ...], tool: Array) -> list[tuple[int, NDArray[np.bool_], Array]]:
+        """Of each place that is unknown its number, its samples, and there the tool's point `(sample, 3)`."""
+        each = ((int(k), np.asarray(self.group) == k) for k in np.flatnonzero(free))
+        return [(k, own, tool[own, :3, 3]) for k, own in each]
+
+
+@final
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Contact(PointSensor):
     """The tool's point touches points: p − c.
 
     Attributes:
@@ -50,12 +79,10 @@ class Contact(Sensor):
     """
 
     rows = 3
-    group: Any
-    whitener: Any
     points: Any
-    names: tuple[str, ...]
-    free: tuple[bool, ...]
-    rods: tuple[Rod, ...] = ()
+    names: tuple[str, ...] = field(metadata=_STATIC)
+    free: tuple[bool, ...] = field(metadata=_STATIC)
+    rods: tuple[Rod, ...] = field(default=(), metadata=_STATIC)
 
     def readings(self, tool: Frame) -> jax.Array:
         return tool.origin - jnp.asarray(self.points)[:, self.group]
@@ -89,18 +116,28 @@ class Contact(Sensor):
             points = points.at[:, child].set(points[:, parent] + turned)
         return replace(self, points=points)
 
+    @property
+    def scaled(self) -> bool:  # type: ignore[override]
+        return bool(self.rods) or len(self.free) - sum(self.free) > 1
+
+    def shown(self, tool: Array) -> "Contact":
+        points = np.array(self.points)
+        for k, _, p in self._of_each(self.free, tool):
+            points[:, k] = np.median(p, 0)
+        for rod in self.rods:  # two sockets are no nearer to each other than the rod is long
+            apart = points[:, rod.child] - points[:, rod.parent]
+            apart = apart if np.linalg.norm(apart) > 0.1 * rod.length else np.array([rod.length, 0.0, 0.0])
+            points[:, rod.child] = points[:, rod.parent] + rod.length * apart / np.linalg.norm(apart)
+        return replace(self, points=points)
+
     def place(self, k: int) -> dict[str, list[float]]:
         return {"point_m": np.asarray(self.points)[:, k].tolist()}
 
 
 @final
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["group", "whitener", "normal", "centre", "height"],
-    meta_fields=["names", "free"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Plane(Sensor):
+class Plane(PointSensor):
     """The tool's point touches planes: n · (p − c) − h.
 
     Attributes:
@@ -112,13 +149,11 @@ class Plane(Sensor):
     """
 
     rows = 1
-    group: Any
-    whitener: Any
     normal: Any
     centre: Any
     height: Any
-    names: tuple[str, ...]
-    free: tuple[bool, ...]
+    names: tuple[str, ...] = field(metadata=_STATIC)
+    free: tuple[bool, ...] = field(metadata=_STATIC)
 
     def readings(self, tool: Frame) -> jax.Array:
         normal, centre, height = (
@@ -140,6 +175,17 @@ class Plane(Sensor):
             height = height.at[k].add(step[2])
         return replace(self, normal=normal, height=height)
 
+    @property
+    def scaled(self) -> bool:  # type: ignore[override]
+        return not all(self.free)
+
+    def shown(self, tool: Array) -> "Plane":
+        normal, centre, height = (np.array(part) for part in (self.normal, self.centre, self.height))
+        for k, _, p in self._of_each(self.free, tool):
+            centre[:, k], height[k] = p.mean(0), 0.0
+            normal[:, k] = np.linalg.svd(p - p.mean(0), full_matrices=True)[2][2]
+        return replace(self, normal=normal, centre=centre, height=height)
+
     def place(self, k: int) -> dict[str, list[float]]:
         normal = np.asarray(self.normal)[:, k]
         offset = float(normal @ np.asarray(self.centre)[:, k] + np.asarray(self.height)[k])
@@ -147,13 +193,9 @@ class Plane(Sensor):
 
 
 @final
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["group", "whitener", "value", "anchors", "constant"],
-    meta_fields=["names", "free", "offset_free"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Distance(Sensor):
+class Distance(PointSensor):
     """The tool's point is at distances from anchors: ‖p − a‖ + c − d.
 
     Attributes:
@@ -166,14 +208,13 @@ class Distance(Sensor):
     """
 
     rows = 1
-    group: Any
-    whitener: Any
+    sampled = ("group", "value")
     value: Any
     anchors: Any
     constant: Any
-    names: tuple[str, ...]
-    free: tuple[bool, ...]
-    offset_free: bool = False
+    names: tuple[str, ...] = field(metadata=_STATIC)
+    free: tuple[bool, ...] = field(metadata=_STATIC)
+    offset_free: bool = field(default=False, metadata=_STATIC)
 
     def readings(self, tool: Frame) -> jax.Array:
         apart = tool.origin - jnp.asarray(self.anchors)[:, self.group]
@@ -191,8 +232,13 @@ class Distance(Sensor):
         constant = self.constant + numbers[-1] if self.offset_free else self.constant
         return replace(self, anchors=jnp.asarray(self.anchors).at[:, free].add(shift), constant=constant)
 
-    def select(self, samples: Any) -> "Distance":
-        return replace(super().select(samples), value=self.value[samples])
+    def shown(self, tool: Array) -> "Distance":
+        anchors = np.array(self.anchors)
+        for k, own, p in self._of_each(self.free, tool):
+            d = np.asarray(self.value)[own]
+            A = np.concatenate([2 * p, -np.ones((len(p), 1))], 1)  # 2 p·a − |a|² = |p|² − d²
+            anchors[:, k] = np.linalg.lstsq(A, np.sum(p**2, 1) - d**2, rcond=1e-9)[0][:3]
+        return replace(self, anchors=anchors)
 
     def place(self, k: int) -> dict[str, list[float]]:
         offset = {"constant_m": np.asarray(self.constant).tolist()} if self.offset_free else {}
@@ -200,13 +246,9 @@ class Distance(Sensor):
 
 
 @final
-@partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["group", "whitener", "value", "direction", "constant"],
-    meta_fields=["free"],
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Axis(Sensor):
+class Axis(PointSensor):
     """The tool's point is at heights along an axis: n · p + c − h.
 
     Attributes:
@@ -217,12 +259,11 @@ class Axis(Sensor):
     """
 
     rows = 1
-    group: Any
-    whitener: Any
+    sampled = ("group", "value")
     value: Any
     direction: Any
     constant: Any
-    free: bool
+    free: bool = field(metadata=_STATIC)
 
     def readings(self, tool: Frame) -> jax.Array:
         return (jnp.sum(jnp.asarray(self.direction)[:, None] * tool.origin, 0) + self.constant - self.value)[None]
@@ -238,13 +279,12 @@ class Axis(Sensor):
             direction = turned / jnp.linalg.norm(turned)
         return replace(self, constant=self.constant + numbers[:1], direction=direction)
 
-    def select(self, samples: Any) -> "Axis":
-        return replace(super().select(samples), value=self.value[samples])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of what there is but one of."""
-        return ("axis",)
+    def shown(self, tool: Array) -> "Axis":
+        p, direction, value = tool[:, :3, 3], np.array(self.direction), np.asarray(self.value)
+        if self.free:
+            direction = np.linalg.lstsq(p - p.mean(0), value - value.mean(), rcond=1e-9)[0]
+            direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
+        return replace(self, direction=direction, constant=np.array([np.median(value - p @ direction)]))
 
     def place(self, k: int) -> dict[str, list[float]]:
         return {"direction": np.asarray(self.direction).tolist(), "constant_m": np.asarray(self.constant).tolist()}

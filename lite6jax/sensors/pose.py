@@ -4,7 +4,8 @@ Their slopes are written out, not differentiated: a recording has up to a millio
 nothing.
 """
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import Frame, rotation_log_components
-from lite6jax.sensors.sensor import OwnNumber, whiten
+from lite6jax.sensors.sensor import OwnNumber, Sensor
 
 Array = NDArray[np.floating]
 
 
-class Measured(NamedTuple):
-    """What the sensor measured, the sample last. A pytree, used like a `Sensor`.
+@final
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Measured(Sensor):
+    """What a tracker or a camera measured, the sample last.
 
     Attributes:
         position: `(3, sample)` m.
@@ -31,16 +35,17 @@ class Measured(NamedTuple):
         deviation: `(number,)`, one sigma of it.
     """
 
+    sampled = ("position", "rotation", "constants")
     position: Any
     rotation: Any
     whitener: Any
-    constants: Any = np.zeros((0, 0, 0))
-    at: Any = np.zeros(0)
-    mean: Any = np.zeros(0)
-    deviation: Any = np.zeros(0)
+    constants: Any = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    at: Any = field(default_factory=lambda: np.zeros(0))
+    mean: Any = field(default_factory=lambda: np.zeros(0))
+    deviation: Any = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def rows(self) -> int:
+    def rows(self) -> int:  # type: ignore[override]
         """Numbers that a sample has: 3 or 6."""
         return 6 if self.rotation.shape[-1] else 3
 
@@ -56,32 +61,21 @@ class Measured(NamedTuple):
         """How many unknowns it has."""
         return len(self.at)
 
-    def displaced(self, numbers: Any) -> "Measured":
+    def moved(self, numbers: Any) -> "Measured":
         """With its unknowns displaced by `numbers`."""
-        return self._replace(at=self.at + numbers) if self.numbers else self
+        return replace(self, at=self.at + numbers) if self.numbers else self
 
-    def select(self, samples: Any) -> "Measured":
-        """Some of the samples."""
-        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
-        rotation = self.rotation[..., samples] if self.rows == 6 else self.rotation
-        constants = self.constants[..., samples] if self.numbers else self.constants
-        return self._replace(
-            position=self.position[:, samples], rotation=rotation, whitener=whitener, constants=constants
-        )
+    def displaced(self, numbers: Array) -> "Measured":
+        """`moved`; nothing is compiled."""
+        return self.moved(numbers)
 
-    def residual(self, tool: Frame) -> jax.Array:
-        """Whitened differences `(row, sample)`."""
-        rows = differences(self.position, self.rotation, tool)
-        if self.numbers:
-            rows = rows + jnp.tensordot(self.at, self.constants, 1)
-        return whiten(self.whitener, rows)
+    def readings(self, tool: Frame) -> jax.Array:
+        """`differences` from what was measured, with the constant errors."""
+        apart = differences(self.position, self.rotation, tool)
+        return apart + jnp.tensordot(self.at, self.constants, 1) if self.numbers else apart
 
     def differences(self, tool: Array) -> Array:
-        """Predicted minus measured poses `(row, sample)`: m in sensor axes, and rad in the measured tool's axes.
-
-        Args:
-            tool: predicted, `(sample, 4, 4)`.
-        """
+        """`readings` of predicted tools `(sample, 4, 4)`."""
         apart = tool[:, :3, 3].T - self.position
         if self.rows == 6:
             turned = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))

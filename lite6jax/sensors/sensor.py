@@ -41,12 +41,16 @@ def whiten(whitener: Any, rows: Any) -> Any:
 class Sensor(ABC):
     """A sensor that reads a function of the tool's pose; a pytree, whose last array axis is the sample.
 
-    What derives from it is a frozen dataclass with `group` `(sample,)` int, which point, plane or anchor a sample is
-    of, and `whitener`, `(2,)` of one over the noise (1/m) twice, or `(row, row, sample)`.
+    What derives from it is a frozen dataclass.
+
+    Attributes:
+        rows: numbers that a sample has.
+        sampled: names of the fields whose last axis is the sample; empty arrays are none.
+        whitener: `(2,)` of one over the noise of positions and orientations, or `(row, row, sample)`.
     """
 
-    rows: ClassVar[int]
-    group: Any
+    rows: int
+    sampled: ClassVar[tuple[str, ...]]
     whitener: Any
 
     @abstractmethod
@@ -62,10 +66,6 @@ class Sensor(ABC):
     def own(self) -> tuple[OwnNumber, ...]:
         """Its unknowns."""
 
-    @abstractmethod
-    def place(self, k: int) -> dict[str, list[float]]:
-        """What of the point, plane or anchor `k` is known or was estimated, by name with its unit."""
-
     @property
     def numbers(self) -> int:
         """How many unknowns it has."""
@@ -77,8 +77,16 @@ class Sensor(ABC):
 
     def select(self, samples: Any) -> Self:
         """Some of the samples."""
-        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
-        return replace(self, group=self.group[samples], whitener=whitener)  # type: ignore[type-var]
+        parts = {name: part[..., samples] for name, part in self._of_samples().items()}
+        return replace(self, **parts)  # type: ignore[type-var]
+
+    def reading_as(self, other: Self) -> Self:
+        """The sensor with its unknowns where they are, and the samples of another of its kind."""
+        return replace(self, **other._of_samples())  # type: ignore[type-var]
+
+    def _of_samples(self) -> dict[str, Any]:
+        found = {name: part for name in self.sampled if (part := getattr(self, name)).shape[-1]}
+        return found if self.whitener.ndim == 1 else found | {"whitener": self.whitener}
 
     # -------------------------------------------------------------- on the host
 

@@ -120,18 +120,11 @@ def check_recording(
     screened = screen(recording, nominal, options=options, allow_undecided=True)
     recording, arm = screened.recording, screened.arm
     assert arm is not None
-    causes = [
-        Cause(
-            "joint_limits",
-            True,
-            row_numbers(outside.rows),
-            {
-                "joint": outside.joint,
-                f"largest_excess_{arm.joint_units[outside.joint - 1]}": outside.largest_excess_rad,
-            },
-        )
-        for outside in outside_limits(recording, arm.joint_limits)
-    ]
+    causes = []
+    for outside in outside_limits(recording, arm.joint_limits):
+        excess = f"largest_excess_{arm.joint_units[outside.joint - 1]}"
+        numbers = {"joint": outside.joint, excess: outside.largest_excess_rad}
+        causes.append(Cause("joint_limits", True, row_numbers(outside.rows), numbers))
     # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
     if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
         tool = _recorded_tool_offset(recording, arm, options)
@@ -171,25 +164,25 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
     touches = recording.touches is not None
     geometry = "prior" if recording.settings.factory_calibration else "free"  # where that alone has a known length
-    solution = (
-        fit_touches(rigid_arm(recording, arm, geometry)) if touches else fit_recording(recording, arm, geometry="free")
-    )
+    if touches:
+        solution = fit_touches(rigid_arm(recording, arm, geometry))
+    else:
+        solution = fit_recording(recording, arm, geometry="free")
     if not touches and touches_one_point(recording, noise_of(recording.settings)[0]):
         before, after = (float(np.median(e.position)) for e in (solution.nominal_errors, solution.errors))
         return [Cause("one_point", True, (), {"before_m": before, "fitted_m": after})]
     of_median = _RMS_OF_MEDIAN if recording.numbers_per_sample > 1 else _RMS_OF_ONE
-    before, after = (
-        float(np.median(errors.position)) * of_median for errors in (solution.nominal_errors, solution.checked)
-    )
-    share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
-    noise = solution.noise
-    rows = min(recording.numbers_per_sample, 3)
-    declared = (noise.declared[0] or 0.0) * np.sqrt(rows) if noise and noise.declared else 0.0
-    kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
-    if kind == "geometry" and share < options.mostly_explained:
+    pair = solution.nominal_errors, solution.checked
+    before, after = (float(np.median(errors.position)) * of_median for errors in pair)
+    share, noise = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0, solution.noise
+    length = np.sqrt(min(recording.numbers_per_sample, 3))
+    declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
+    if before <= options.as_noise_ratio * declared:
+        kind = "none"
+    elif share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
-    if kind == "geometry" and not tool_offset and before > options.calibration_reach * arm.reach:
-        kind = "too_far"
+    else:
+        kind = "too_far" if not tool_offset and before > options.calibration_reach * arm.reach else "geometry"
     numbers = {
         "kind": kind,
         "explained": share,

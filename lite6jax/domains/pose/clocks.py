@@ -27,54 +27,36 @@ Rows = NDArray[np.integer]
 
 ALIKE = 1.5
 """Times the error of the best offset, within which another one is as likely: a motion that repeats itself."""
-_TRIED_ROWS = 80
-"""Rows of the sensor by which an offset is tried, where it ran no longer than the robot's log, …"""
-_MOST_TRIED_ROWS = 800
-"""… and at most where it ran longer."""
-_FEWEST_TRIED = 20
-"""Of them inside the robot's log: frame, point and offset have ten numbers, …"""
-_LEAST_OVERLAP = 0.3
-"""… and as a share of those that could be."""
-_LONGEST_WINDOW_S = 600.0
-"""In which the offset is sought: a drift of 1e-4 moves its ends by 30 ms."""
-_GROWTH = 4.0
-"""Of the window from one fit to the next, until it holds all rows."""
-_FINEST_S = 2e-3
-_MOST_FRAMES = 200_000
-"""Of the flange, by which its speed is found."""
-_STEP = 0.04
+_TRIED_ROWS = (80, 800)
+"""Rows of the sensor by which an offset is tried: where it ran no longer than the robot's log, and at most."""
+_FEWEST_TRIED, _LEAST_OVERLAP = 20, 0.3
+"""Of them inside the robot's log: frame, point and offset have ten numbers; and as a share of those that could be."""
+_LONGEST_WINDOW_S, _GROWTH = 600.0, 4.0
+"""In which the offset is sought: a drift of 1e-4 moves its ends by 30 ms. It grows from fit to fit until all rows are
+in it."""
+_FINEST_S, _MOST_FRAMES = 2e-3, 200_000
+"""Step and number of the flange's frames, by which its speed is found."""
+_STEP, _STEPS_S = 0.04, (2e-3, 0.5)
 """Of the extent of the motion, covered from one offset to the next at a speed that the flange seldom exceeds."""
-_STEPS_S = (2e-3, 0.5)
-_MOST_OFFSETS = 60_000
-_AT_ONCE = 40_000
-"""Rows of offsets that are tried together."""
+_MOST_OFFSETS, _AT_ONCE = 60_000, 40_000
+"""Offsets that are tried, and rows of offsets that are tried together."""
 _TRIED_AGAIN, _TRIALS = 0.05, 3
 """Share of the offsets that are tried again, and how often."""
 _NEAR_S = 10.0
 """Around the offset of clocks that count from one day."""
-_CANDIDATES = 4
-"""Minima that are refined, …"""
-_REFINED_ROWS = 1500
-"""… by so many rows; the best then by all of them up to …"""
-_MOST_ROWS = 20_000
-_GEOMETRY = (1e-3, 3e-3)
-"""Standard deviations in m and rad of the numbers of an arm about the nominal ones, …"""
-_MOST_WITH_GEOMETRY = 3000
-"""… which are fitted by so many rows."""
-_DIFFERENCE = 1e-6
-"""m and rad, by which their derivatives are found."""
-_DRIFT = 1e-3
-"""Standard deviation of drifts beforehand: clocks drift by 1e-4 at most, nominal frame rates are off by 1e-3."""
-_OFFSET_S = 1.0
-"""The same of offsets, around the candidate."""
-_STILL_M = 5e-3
-"""A flange or a point that moves by less says nothing of the time."""
-_LEVER_M = 0.1
-"""By which rotations of the flange count as motion."""
+_CANDIDATES, _REFINED_ROWS, _MOST_ROWS = 4, 1500, 20_000
+"""Minima that are refined, by how many rows; and by how many the best one then."""
+_GEOMETRY, _MOST_WITH_GEOMETRY = (1e-3, 3e-3), 3000
+"""Standard deviations in m and rad of an arm's numbers about the nominal ones, and the rows that fit them."""
+_OFFSET_S, _DRIFT = 1.0, 1e-3
+"""Standard deviations beforehand, of an offset around the candidate and of drifts: clocks drift by 1e-4 at most, and
+nominal frame rates are off by 1e-3."""
+_STILL_M, _LEVER_M = 5e-3, 0.1
+"""A flange or a point that moves by less says nothing of the time; a lever by which its rotations count as motion."""
 _STANDSTILL_S = 0.1
 """A change of the offset that no moving arm would hide."""
-_DIFFERENCE_S = 1e-4
-"""By which velocities are found."""
+_DIFFERENCE_S, _DIFFERENCE = 1e-4, 1e-6
+"""Steps of velocities, and in m and rad of derivatives by an arm's numbers."""
 _BEYOND = 2
 """Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
 _LEAST_LEFT = 0.1
@@ -101,11 +83,11 @@ class Clocks(NamedTuple):
     offset: float
     drift: float
     middle: float
-    offset_std: float
-    drift_std: float
-    error: float
-    moved: float
-    rows: int
+    offset_std: float = np.inf
+    drift_std: float = np.inf
+    error: float = np.inf
+    moved: float = 0.0
+    rows: int = 0
     fitted_error: float = np.inf
 
     @property
@@ -151,14 +133,9 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
     """
     lasting = _window(time, position)
-    track = _Track.of(arm, joints)
-    if min(track.extent, _extent(position)) < _STILL_M:
-        who = "the arm" if track.extent < _STILL_M else "the measured point"
-        raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
-    found = []
-    for offset in track.candidates(time[lasting], position[lasting], likely):
-        rows = lasting[spread_rows(len(lasting), _REFINED_ROWS)]
-        found.append(_fitted(arm, joints, time[rows], position[rows], offset, 0.0, float(np.mean(time[rows]))))
+    rows, found = lasting[spread_rows(len(lasting), _REFINED_ROWS)], []
+    for offset in _candidates(arm, joints, time[lasting], position[lasting], likely):
+        found.append(_fitted(arm, joints, time[rows], position[rows], Clocks(offset, 0.0, float(np.mean(time[rows])))))
     found.sort(key=lambda one: one.ratio)
     if not found or not found[0].close:
         best = f"; the best leaves {1e3 * found[0].error:.3g} mm" if found else ""
@@ -179,14 +156,14 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     while True:
         rows = np.flatnonzero(np.abs(time - center) <= half)
         rows = rows[spread_rows(len(rows), _MOST_ROWS)]
-        first = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle)
+        first = _fitted(arm, joints, time[rows], position[rows], first)
         if half >= reach:
             break
         half *= _GROWTH
     if width := _standstill(arm, joints, time[rows], first):
         return first._replace(offset_std=width, drift=0.0, drift_std=np.inf)
     rows = rows[spread_rows(len(rows), _MOST_WITH_GEOMETRY)]
-    last = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle, _GEOMETRY)
+    last = _fitted(arm, joints, time[rows], position[rows], first, _GEOMETRY)
     return last._replace(error=first.error, moved=first.moved, fitted_error=last.error)
 
 
@@ -233,89 +210,65 @@ def _standstill(arm: Arm, joints: JointStream, time: Array, found: Clocks) -> fl
     """s, by which the offset may be changed either way before the arm moves; zero where less than `_STANDSTILL_S`."""
     width = 0.0
     for tried in _STANDSTILL_S * 2.0 ** np.arange(8):
-        ways = [_same(arm, joints, time, found, found._replace(offset=found.offset + s * tried)) for s in (1, -1)]
-        if not any(ways):
+        either = (found._replace(offset=found.offset + way * tried) for way in (1, -1))
+        if not any(_same(arm, joints, time, found, other) for other in either):
             break
         width = float(tried)
     return width
 
 
-class _Track(NamedTuple):
-    """The flange on a grid of times.
+def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, likely: float | None) -> list[float]:
+    """Offsets in s around which the clocks may be, the most likely first; one near `likely`, whatever others are like.
 
-    Attributes:
-        start, step: s, of the grid.
-        flange: `(time, 4, 4)`.
-        known: `(time,)`, where joint states are near.
-        extent: m, by which it moves.
+    Raises:
+        InputError: the arm or the point hardly moves.
     """
+    start, end = joints.time[[0, -1]]
+    fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
+    times = np.arange(start, end, fine)
+    flange, known = flange_poses(arm, joints.at(times)), joints.known(times)
+    origin, x, z = (flange[:, :3, k] for k in (3, 0, 2))
+    points = np.concatenate([origin, origin + _LEVER_M * z, origin + _LEVER_M * x], 1)
+    extent = _extent(points[known]) if known.any() else 0.0
+    if min(extent, _extent(position)) < _STILL_M:
+        who = "the arm" if extent < _STILL_M else "the measured point"
+        raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
+    speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
+    stride = max(1, round(float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S)) / fine))
+    step, flange, known = stride * fine, flange[::stride], known[::stride]
 
-    start: float
-    step: float
-    flange: Array
-    known: Flags
-    extent: float
+    span, logged = time[-1] - time[0], step * len(flange)
+    rows = spread_rows(len(time), int(np.clip(_TRIED_ROWS[0] * span / logged, *_TRIED_ROWS)))
+    place = np.round((time[rows] - time[0]) / step).astype(int)
+    stride = 1 + (len(flange) + int(place[-1])) // _MOST_OFFSETS
+    shifts = np.arange(-int(place[-1]), len(flange), stride)
+    fewest = max(_FEWEST_TRIED, _LEAST_OVERLAP * len(rows) * min(1.0, logged / max(span, 1e-9)))
+    y = position[rows] - np.median(position[rows], axis=0)
+    scores = np.full(len(shifts), np.inf)
 
-    @classmethod
-    def of(cls, arm: Arm, joints: JointStream) -> "_Track":
-        start, end = joints.time[[0, -1]]
-        fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
-        times = np.arange(start, end, fine)
-        flange, known = flange_poses(arm, joints.at(times)), joints.known(times)
-        points = np.concatenate([flange[:, :3, 3], flange[:, :3, 3] + _LEVER_M * flange[:, :3, 2]], 1)
-        points = np.concatenate([points, flange[:, :3, 3] + _LEVER_M * flange[:, :3, 0]], 1)
-        extent = _extent(points[known]) if known.any() else 0.0
-        speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
-        step = float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S))
-        stride = max(1, round(step / fine))
-        return cls(float(start), stride * fine, flange[::stride], known[::stride], extent)
-
-    def candidates(self, time: Array, position: Array, likely: float | None) -> list[float]:
-        """Offsets in s around which the clocks may be, the most likely first.
-
-        Args:
-            time: `(sample,)` s, of the sensor.
-            position: `(sample, 3)` m.
-            likely: s, near which one is tried, whatever others are like.
-        """
-        span, logged = time[-1] - time[0], self.step * len(self.flange)
-        rows = spread_rows(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
-        place = np.round((time[rows] - time[0]) / self.step).astype(int)
-        stride = 1 + (len(self.flange) + int(place[-1])) // _MOST_OFFSETS
-        shifts = np.arange(-int(place[-1]), len(self.flange), stride)
-        fewest = max(_FEWEST_TRIED, _LEAST_OVERLAP * len(rows) * min(1.0, logged / max(span, 1e-9)))
-        y = position[rows] - np.median(position[rows], axis=0)
-        everything = np.arange(len(shifts))
-        scores = self._scores(place, shifts, everything, y, min(fewest, len(rows)), 1)
-        # an offset tried once has its outliers in it: those that may be the best are tried again without
-        limit = np.sort(scores)[int(_TRIED_AGAIN * len(scores))]
-        again = everything[np.isfinite(scores) & (scores <= limit)]
-        scores[again] = self._scores(place, shifts, again, y, min(fewest, len(rows)), _TRIALS)[again]
-        offsets = self.start + self.step * shifts - time[0]
-        order = np.argsort(scores)
-        near = order[:0] if likely is None else order[np.abs(offsets[order] - likely) <= _NEAR_S][:1]
-        found: list[float] = []
-        for shift in (*near, *order):
-            if np.isfinite(scores[shift]) and all(
-                abs(offsets[shift] - other) > 5 * stride * self.step for other in found
-            ):
-                found.append(float(offsets[shift]))
-            if len(found) == _CANDIDATES or not np.isfinite(scores[shift]):
-                break
-        return found
-
-    def _scores(self, place: Rows, shifts: Rows, chosen: Rows, y: Array, fewest: float, rounds: int) -> Array:
-        """`(shift,)`, the misfit of those chosen; infinite where too few rows are inside, and of all others."""
-        scores = np.full(len(shifts), np.inf)
+    def score(chosen: Rows, rounds: int) -> None:
         for some in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
             at = place + shifts[some, None]
-            there = (at >= 0) & (at < len(self.flange))
-            there &= self.known[np.where(there, at, 0)]
-            enough = there.sum(1) >= fewest
+            there = (at >= 0) & (at < len(flange))
+            there &= known[np.where(there, at, 0)]
+            enough = there.sum(1) >= min(fewest, len(rows))
             if enough.any():
-                flange = self.flange[np.where(there, at, 0)[enough]]
-                scores[some[enough]] = _misfit(flange[..., :3, :3], flange[..., :3, 3], y, there[enough], rounds)
-        return scores
+                F = flange[np.where(there, at, 0)[enough]]
+                scores[some[enough]] = _misfit(F[..., :3, :3], F[..., :3, 3], y, there[enough], rounds)
+
+    score(np.arange(len(shifts)), 1)
+    # an offset tried once has its outliers in it: those that may be the best are tried again without
+    score(np.flatnonzero(np.isfinite(scores) & (scores <= np.sort(scores)[int(_TRIED_AGAIN * len(scores))])), _TRIALS)
+    offsets = start + step * shifts - time[0]
+    order = np.argsort(scores)
+    near = order[:0] if likely is None else order[np.abs(offsets[order] - likely) <= _NEAR_S][:1]
+    found: list[float] = []
+    for k in (*near, *order):
+        if len(found) == _CANDIDATES or not np.isfinite(scores[k]):
+            break
+        if all(abs(offsets[k] - other) > 5 * stride * step for other in found):
+            found.append(float(offsets[k]))
+    return found
 
 
 def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
@@ -365,49 +318,54 @@ def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
     return np.linalg.solve(normal + ridge, np.swapaxes(A, 1, 2) @ b)[..., 0]
 
 
-class _Estimate(NamedTuple):
-    """Offset and drift, the arm, the sensor's frame, and the measured point on the flange."""
-
-    offset: float
-    drift: float
-    arm: Arm
-    R_sensor_base: Array
-    t_sensor_base: Array
-    tool: Array
-
-
 def _fitted(
     arm: Arm,
     joints: JointStream,
     time: Array,
     position: Array,
-    offset: float,
-    drift: float,
-    middle: float,
+    start: Clocks,
     geometry: tuple[float, float] | None = None,
 ) -> Clocks:
-    """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known.
+    """The clocks near others, by all rows given whose joints are known.
 
     The geometry is fitted too where standard deviations of its lengths and angles about the nominal ones are given.
     """
     from scipy.spatial.transform import Rotation  # takes longer to import than captures in their order take
 
-    known = joints.known(time + offset + drift * (time - middle))
-    nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
+    nothing = Clocks(start.offset, start.drift, start.middle)
+    known = joints.known(start.robot_time(time))
     if known.sum() < FEWEST:
         return nothing
-    center = float(np.mean(time[known]))
-    offset, middle = offset + drift * (center - middle), center
-    flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
-    now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
+    middle = float(np.mean(time[known]))
+    now, kinematics = start._replace(offset=start.offset + start.drift * (middle - start.middle), middle=middle), 0.0
+    T, T_tool = frames_from_poses(
+        flange_poses(arm, joints.at(now.robot_time(time[known]))), position[known], None, None, None
+    )
+    R, t, tool = T[:3, :3], T[:3, 3], T_tool[:3, 3]
+
+    def placed(joint: Array, change: Array | float) -> Array:
+        changed = replace(arm, kinematics=arm.kinematics + change, dh=None)
+        return (flange_poses(changed, joint)[:, :3] @ np.r_[tool, 1.0]) @ R.T
+
     # beforehand nothing is known of frame and point; an offset is believed as it is
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
     rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
     while True:
-        since, seen, missed, J = _linearised(joints, time, position, middle, now, geometry is not None)
-        if len(missed) < FEWEST:
+        at = now.robot_time(time)
+        known = joints.known(at)
+        if known.sum() < FEWEST:
             return nothing
+        at, since, seen = at[known], time[known] - middle, position[known]
+        q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
+        here = placed(q, kinematics)
+        flange = flange_poses(replace(arm, kinematics=arm.kinematics + kinematics, dh=None), q)
+        velocity = (placed(ahead, kinematics) - placed(behind, kinematics))[:, :, None] / (2 * _DIFFERENCE_S)
+        turned = np.swapaxes(np.cross(np.eye(3), here[:, None]), 1, 2)  # of each axis, by which `here` moves
+        columns = [velocity, velocity * since[:, None, None], turned]
+        columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
+        for unit in _DIFFERENCE * np.eye(arm.kinematics.size).reshape(-1, arm.dof, 6) if geometry else ():
+            columns.append(((placed(q, kinematics + unit) - here) / _DIFFERENCE)[:, :, None])
+        missed, J = seen - here - t, np.concatenate(columns, axis=2)
         distance = np.linalg.norm(missed, axis=1)
         scale = 2 * max(float(np.median(distance)), 1e-9)
         weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
@@ -415,18 +373,13 @@ def _fitted(
         if done or not rounds:
             break
         rounds -= 1
-        away = np.r_[0.0, now.drift, np.zeros(9), (now.arm.kinematics - arm.kinematics).ravel()][: len(std)]
+        away = np.r_[0.0, now.drift, np.zeros(9), np.ravel(np.broadcast_to(kinematics, (arm.dof, 6)))][: len(std)]
         normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
         step = np.linalg.lstsq(normal, score.sum(axis=0) - prior * away, rcond=1e-12)[0]
         step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
-        now = _Estimate(
-            float(now.offset + step[0]),
-            float(now.drift + step[1]),
-            _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm,
-            Rotation.from_rotvec(step[2:5]).as_matrix() @ now.R_sensor_base,
-            now.t_sensor_base + step[5:8],
-            now.tool + step[8:11],
-        )
+        now = now._replace(offset=float(now.offset + step[0]), drift=float(now.drift + step[1]))
+        R, t, tool = Rotation.from_rotvec(step[2:5]).as_matrix() @ R, t + step[5:8], tool + step[8:11]
+        kinematics = kinematics + step[11:].reshape(-1, 6) if geometry else 0.0
         shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
         done = shift < max(_DONE_S, _DONE * float(np.sqrt(noise / max(normal[0, 0], 1e-300))))
     curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
@@ -434,42 +387,14 @@ def _fitted(
     inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)[:, :2]
     by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
     by_rows = [_std_of_sum(part, len(std)) for part in (score @ inverse).T]
-    offset_std, drift_std = np.hypot(by_rows, np.sqrt(by_prior))
-    error, moved = float(np.median(distance)), median_distance(seen)
-    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(missed))
-
-
-def _linearised(
-    joints: JointStream, time: Array, position: Array, middle: float, now: _Estimate, geometry: bool
-) -> tuple[Array, Array, Array, Array]:
-    """Of rows whose joints are known: the time since the middle in s, and positions, errors and columns in m.
-
-    The columns `(sample, 3, 11 | 11 + 6 joints)` are of offset, drift, the turn and the translation of the sensor's
-    frame, the point, and the geometry.
-    """
-    at = time + now.offset + now.drift * (time - middle)
-    known = joints.known(at)
-    at, since, seen = at[known], time[known] - middle, position[known]
-    q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
-    R = now.R_sensor_base
-
-    def placed(arm: Arm, joint: Array) -> Array:
-        return (flange_poses(arm, joint)[:, :3] @ np.r_[now.tool, 1.0]) @ R.T
-
-    velocity = (placed(now.arm, ahead) - placed(now.arm, behind)) / (2 * _DIFFERENCE_S)
-    flange, here = flange_poses(now.arm, q), placed(now.arm, q)
-    turned = np.cross(np.eye(3), here[:, None])  # of each axis, by which `here` moves
-    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], np.swapaxes(turned, 1, 2)]
-    columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
-    if geometry:
-        unit = _DIFFERENCE * np.eye(now.arm.kinematics.size).reshape(-1, *now.arm.kinematics.shape)
-        columns += [((placed(_changed(now.arm, one), q) - here) / _DIFFERENCE)[:, :, None] for one in unit]
-    return since, seen, seen - here - now.t_sensor_base, np.concatenate(columns, axis=2)
-
-
-def _changed(arm: Arm, change: Array) -> Arm:
-    """An arm with other numbers `(joint, 6)` in m and rad."""
-    return replace(arm, kinematics=arm.kinematics + change, dh=None)
+    deviation = np.hypot(by_rows, np.sqrt(by_prior))
+    return now._replace(
+        offset_std=float(deviation[0]),
+        drift_std=float(deviation[1]),
+        error=float(np.median(distance)),
+        moved=median_distance(seen),
+        rows=len(missed),
+    )
 
 
 def _std_of_sum(parts: Array, parameters: int) -> float:

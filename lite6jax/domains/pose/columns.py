@@ -192,11 +192,7 @@ class Deflections:
             values: `(effects.size,)`.
         """
         pairs = [(one, np.asarray(values)[part]) for one, part in zip(effects.effects, effects.slices, strict=True)]
-        bending = [
-            (one, numbers)
-            for one, numbers in pairs
-            if isinstance(one, Bending) and any(driver.loaded for driver in one.drivers)
-        ]
+        bending = [pair for pair in pairs if isinstance(pair[0], Bending) and any(d.loaded for d in pair[0].drivers)]
         if not bending:
             return Deflection(scale=np.zeros((effect.size, self.motion.samples)))  # type: ignore[arg-type]
         others = [(one, numbers) for one, numbers in pairs if isinstance(one, Loading) and one != effect]
@@ -289,12 +285,8 @@ def columns_of(unit: Deflection, sites: dict[Site, Array]) -> Array:
         if part is None:
             continue
         # by number, and by place and component of a twist: what the field has of them
-        shape = (
-            (size, -1, 6, part.shape[-1])
-            if name in ("base", "link", "tool", "sensor")
-            else (size, -1, 1, part.shape[-1])
-        )
-        shapes = np.asarray(part).reshape(shape)
+        twisted = 6 if name in ("base", "link", "tool", "sensor") else 1
+        shapes = np.asarray(part).reshape(size, -1, twisted, part.shape[-1])
         for number, j, k in zip(*np.nonzero(shapes.any(-1)), strict=True):
             out[number] += sites[name, int(j), int(k)] * shapes[number, j, k]
     return out
@@ -313,10 +305,8 @@ def components(sites: dict[Site, Array], motion: Motion, rows: int) -> tuple[Com
     dof = motion.dof
     found = [(f"joint{j + 1}", "rz") for j in range(dof) if not motion.sliding.mask(dof)[j]]
     found += [(f"link{j + 1}", one) for j in range(dof) if dof > 1 for one in COMPONENTS[:5]]
-    found += [
-        (where, one) for where in ("base", "tool", "sensor") for one in COMPONENTS[: rows if where == "tool" else 6]
-    ]
-    found += [("sensor", SCALE)]
+    found += [("base", one) for one in COMPONENTS[:6]] + [("tool", one) for one in COMPONENTS[:rows]]
+    found += [("sensor", one) for one in (*COMPONENTS[:6], SCALE)]
     columns = ((where, one, sites[site_of(where, one)]) for where, one in found)
     return tuple(Component(where, one, column) for where, one, column in columns if column.any())
 

@@ -26,23 +26,21 @@ from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import wrong_type
-from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.least_squares import fit as fit_numbers
+from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, require_samples
 from lite6jax.recordings.units import real_array
-from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.points import PointSensor
 
 Array = NDArray[np.floating]
 Source = str | Path | FactoryCalibration | Recording
 """A file, or what one holds."""
 _STEP = 1e-6
 """m or rad, of difference quotients of a chain's numbers by displacements of its frames."""
-_HELD = 1e16
-"""The precision of what is held: to 10 nm or nanoradians."""
 
 
 class _Options(TypedDict, total=False):
@@ -135,12 +133,11 @@ def fit_recording(
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     recording = recording if nominal is not None else with_arm(recording)
-    if recording.touches is not None:
-        return fit_touches(screen(recording, nominal, geometry, options).rigid_arm)
-    # without the rigid arm, whose residuals take as much memory as the recording
     screened = screen(recording, nominal, geometry, options)
+    if recording.touches is not None:
+        return fit_touches(screened.rigid_arm)
     require_determined(screened.rigid_arm)
-    screened = replace(screened, rigid=None)
+    screened = replace(screened, rigid=None)  # whose residuals take as much memory as the recording
     solution = plain.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )
@@ -156,7 +153,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     Raises:
         InputError: fewer readings than determine the unknowns with a fifth held back.
     """
-    recording, sensor = begun.recording, begun.sensor
+    recording = begun.recording
     require_determined(begun)
     unknowns = int(np.sum(begun.precision == 0)) + 1
     require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
@@ -169,18 +166,17 @@ def fit_touches(begun: RigidArm) -> Solution:
     for fold in recording.contiguous_folds(FOLDS):
         checked[fold] = np.linalg.norm(relinearise(arm, DEFAULTS, ~fold).differences[:, fold], axis=0)
     # without a frame of the sensor's own, displacements of the base are of the chain
-    of_chain = [name == "link" or (name == "base" and not begun.form.frame) for name, _, _ in begun.unknown]
-    rigid = relinearise(replace(begun, precision=np.where(of_chain, _HELD, begun.precision)), DEFAULTS)
-    covariance = _covariance(arm, known)
-    form, q, size = begun.form, recording.joint_position, begun.form.size
-    of_steps = _by_unknowns(arm)
-    free = np.diagonal(of_steps @ of_steps.T) > 0
-    tolerance = np.zeros(size)
+    kept = [name != "link" and (name != "base" or begun.form.frame) for name, _, _ in begun.unknown]
+    nominal = relinearise(begun.keeping(kept), DEFAULTS)
+    J = (arm.nuisance * np.sqrt(known.residuals.row_weight)).reshape(len(arm.unknown), -1)
+    factor = variance_factor(known.residuals.squares, arm.rows, FREEDOM, 0)
+    covariance = scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
+    form, q, of_steps = begun.form, recording.joint_position, _by_unknowns(arm)
+    tolerance = np.zeros(form.size)
     if recording.settings.factory_calibration is None:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
-    noise = float(known.scale[0] * arm.noise[0])
-    own = slice(len(arm.unknown) - sensor.numbers, None)
-    assert isinstance(arm.sensor, Sensor)
+    noise, own = float(known.scale[0] * arm.noise[0]), len(arm.unknown) - arm.sensor.numbers
+    assert isinstance(arm.sensor, PointSensor)
     return Solution(
         arm=arm.arm,
         form=form,
@@ -188,46 +184,31 @@ def fit_touches(begun: RigidArm) -> Solution:
         result=Result.CONVERGED if converged else Result.STEPS_EXHAUSTED,
         steps=steps,
         covariance=of_steps @ covariance @ of_steps.T,
-        free=free,
+        free=np.diagonal(of_steps @ of_steps.T) > 0,
         held=(),
         errors=Errors(np.linalg.norm(arm.differences, axis=0), None, q),
-        nominal_errors=Errors(np.linalg.norm(rigid.differences, axis=0), None, q),
+        nominal_errors=Errors(np.linalg.norm(nominal.differences, axis=0), None, q),
         checked=Errors(checked, None, q),
         noise=Noise(arm.declared_noise if arm.declared_noise[0] else None, noise, None),
         weight=weights_left(known.residuals.squares, FREEDOM),
         tolerance=tolerance,
         notes=recording.notes,
         recording=recording,
-        places=places_of(arm.sensor, covariance[own, own]),
+        places=_places_of(arm.sensor, covariance[own:, own:]),
     )
 
 
-def places_of(sensor: Sensor, covariance: Array) -> tuple[Place, ...]:
-    """What is known of each point, plane, anchor or axis, with standard deviations.
-
-    Args:
-        sensor: with its unknowns fitted.
-        covariance: `(number, number)` of these.
-    """
-    kind = type(sensor).__name__.lower()
-    kind = {"distance": "anchor"}.get(kind, kind)
-    found = []
+def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
+    """What is known of each point, plane, anchor or axis, with the covariance `(number, number)` of its unknowns."""
+    kind, found = type(sensor).__name__.lower().replace("distance", "anchor"), []
     moved = [sensor.displaced(_STEP * one) for one in np.eye(sensor.numbers)]
-    for k, name in enumerate(sensor.names):  # type: ignore[attr-defined]
+    for k, name in enumerate(sensor.names):
         values, std = sensor.place(k), {}
         for key, at in values.items():
             J = np.array([(np.array(other.place(k)[key]) - at) / _STEP for other in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
         found.append(Place(name if name == kind else f"{kind} {name}", values, std))
     return tuple(found)
-
-
-def _covariance(arm: RigidArm, known: Fit) -> Array:
-    """Of all unknowns, `(unknown, unknown)`."""
-    root = np.sqrt(known.residuals.row_weight)
-    J = (arm.nuisance * root).reshape(len(arm.unknown), -1)
-    factor = variance_factor(known.residuals.squares, arm.rows, FREEDOM, 0)
-    return scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
 
 
 def _by_unknowns(arm: RigidArm) -> Array:
@@ -238,8 +219,8 @@ def _by_unknowns(arm: RigidArm) -> Array:
         if name == "reading":
             continue
         step = _STEP * np.eye(count)[k]
-        more, less = (arm.relinearised(one).model for one in (step, -step))
-        change = (np.asarray(more.geometry) - np.asarray(less.geometry)) / (2 * _STEP)
+        more, less = (np.asarray(arm.relinearised(one).model.geometry) for one in (step, -step))
+        change = (more - less) / (2 * _STEP)
         out[: form.chain.size, k] = np.where(np.abs(change) < 1e3, change, 0.0)  # an angle may jump by a turn
         if name == "base" and form.frame:
             at = form.chain.size + 3 * (axis > 2)

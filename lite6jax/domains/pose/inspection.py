@@ -20,7 +20,6 @@ from lite6jax.domains.pose.readings import (
     NO_AGREEMENT,
     Agreement,
     Meaning,
-    Pose,
     agreement,
     computed_by_controller,
     key,
@@ -113,13 +112,9 @@ class Inspection:
     @property
     def columns(self) -> dict[str, str]:
         """The sidecar's `columns`; empty where every name is one of a recording already."""
-        told = {
-            own: name
-            for meaning in self.meanings
-            for own, name in zip(meaning.block.columns, meaning.names, strict=True)
-        }
+        pairs = [pair for one in self.meanings for pair in zip(one.block.columns, one.names, strict=True)]
         taken = {without_unit(name) for name in self.given.values()}
-        told = {own: IGNORED if without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
+        told = {own: IGNORED if without_unit(name) in taken else name for own, name in pairs} | dict(self.given)
         unused = {name: IGNORED for name in self.texts if not is_standard(name)}
         read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
@@ -196,9 +191,7 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {
-        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
-    }
+    numbers = {name: np.where(np.abs(one) < BEYOND, one, np.nan) for name, one in columns if one is not None}
     numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     texts = tuple(name for name, values in columns if values is None)
     for name in given:
@@ -209,7 +202,8 @@ def inspect(
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
-    slots = _slots({name: said for name, said in given.items() if name in numbers})
+    said = {name: known_column(own) for name, own in given.items() if name in numbers and own != IGNORED}
+    slots = {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
     said_joints = [name for (quantity, _), (name, _) in slots.items() if quantity == "q"]
     chosen = naming.choose(possible, dof, said_joints)
     blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
@@ -229,7 +223,7 @@ def inspect(
     found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
     nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
     agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
-    if found.rotation is not None and given.keys() >= set(found.rotation.columns):
+    if any(block.kind == "rotation" and given.keys() >= {*block.columns} for block in found.blocks):
         agreed = agreed._replace(form=None, turn=None)
     blocks += found.blocks
     values = {key(block): _stacked(numbers, block.columns) for block in blocks}
@@ -250,7 +244,10 @@ def inspect(
         arms=tuple((one.name, tried.error) for one, tried in found.tried),
         error=agreed.error,
         motion=(motion, "as given") if motion else motion_of(meanings, values),
-        sources=tuple(reading.described(place == taken) for place, reading in enumerate(readings)),
+        sources=tuple(
+            PoseSource(one.columns, one.role, one.agreed.error, one.computed, place == taken)
+            for place, one in enumerate(readings)
+        ),
         motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, meanings),
     )
 
@@ -269,13 +266,13 @@ def _motors(
     if mixed:
         return ()
     position = q.in_si(_stacked(numbers, q.block.columns))
-    alike = [other for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
-    others = [other.columns for other in alike if len(other.columns) == len(whole.columns)]
-
-    def apart(columns: tuple[str, ...]) -> bool:
-        return sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
-
-    others = [*filter(apart, others)]
+    alike = [other.columns for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
+    others = [
+        columns
+        for columns in alike
+        if len(columns) == len(whole.columns)
+        and sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
+    ]
     return (whole.columns, *others) if others else ()
 
 
@@ -301,10 +298,10 @@ def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]
 
 
 class _Reading(NamedTuple):
-    """A pose as the arm agrees with it best, and the arms that were tried."""
+    """A pose as the arm agrees with it best: its position and rotation, whose it is, and the arms that were tried."""
 
-    source: Source | None = None
-    rotation: Block | None = None
+    blocks: tuple[Block, ...] = ()
+    role: Role | None = None
     arm: Arm | None = None
     tried: Sequence[tuple[Arm, Agreement]] = ()
     agreed: Agreement = NO_AGREEMENT
@@ -312,17 +309,8 @@ class _Reading(NamedTuple):
     computed: bool = False
 
     @property
-    def blocks(self) -> list[Block]:
-        found = [] if self.source is None else [self.source.position, self.rotation]
-        return [block for block in found if block is not None]
-
-    @property
-    def role(self) -> Role | None:
-        return "controller" if self.computed else None if self.source is None else self.source.role
-
-    def described(self, taken: bool) -> PoseSource:
-        columns = tuple(name for block in self.blocks for name in block.columns)
-        return PoseSource(columns, self.role, self.agreed.error, self.computed, taken)
+    def columns(self) -> tuple[str, ...]:
+        return tuple(name for block in self.blocks for name in block.columns)
 
 
 def _stacked(numbers: Mapping[str, Array], names: Sequence[str]) -> Array:
@@ -389,12 +377,7 @@ _ENOUGH = 5000
 """Rows that show whether numbers are quaternions or rotations."""
 _XYZ = ("x", "y", "z")
 _Slots = Mapping[tuple[str, int], tuple[str, str]]
-
-
-def _slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
-    """Of quantities, and of which joint, the column that is given and its unit."""
-    said = {name: known_column(own) for name, own in given.items() if own != IGNORED}
-    return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
+"""Of quantities, and of which joint, the column that is given and its unit."""
 
 
 def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
@@ -422,13 +405,9 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
     joints, motors = (next((b.columns for b in of if b.kind == "q"), ()) for of in (blocks, chosen))
     if not {*joints} < {*motors}:
         return [*blocks]
-    of_each = [block.columns for block in chosen if is_per_joint(block.kind)]
-    of_same = [columns for columns in of_each if len(columns) == len(motors)]
+    of_all = [b.columns for b in chosen if is_per_joint(b.kind) and len(b.columns) == len(motors)]
     places = [motors.index(name) for name in joints]
-    return [
-        replace(block, columns=tuple(block.columns[k] for k in places)) if block.columns in of_same else block
-        for block in blocks
-    ]
+    return [replace(b, columns=tuple(b.columns[k] for k in places)) if b.columns in of_all else b for b in blocks]
 
 
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
@@ -465,9 +444,8 @@ def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm 
         if not is_per_joint(block.kind):
             found.append(block)
             continue
-        surplus = (
-            len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
-        )  # nothing says which are the joints'
+        # nothing says which of more columns are the joints'
+        surplus = len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
         if block.kind != "q" and (len(block.columns) < dof or surplus):
             continue
         within = range(len(block.columns[: dof or None]))
@@ -488,7 +466,7 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     position = _stacked(numbers, source.position.columns)
     there = position[np.isfinite(position).all(1)]
     travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
-    best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
+    best = _Reading((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
     q = {block.slides: block for block in blocks if block.kind == "q"}
     columns = dict(sorted(pair for block in q.values() for pair in zip(block.joints, block.columns, strict=True)))
     if not columns:
@@ -504,36 +482,41 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
             turned = _stacked(numbers, rotation.columns)
             parts.append(quaternions(MATRIX, turned) if rotation.form == MATRIX else turned)
         whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
-        pose = Pose(joint[whole], position[whole], parts[2][whole] if rotation is not None else None)
-        turn = None if rotation is None or len(rotation.columns) != 3 else rotation.unit
-        tried = [(one, agreement(one, pose, angle, slide, source.position.unit, turn)) for one in arms]
+        q_there, p_there, *turned_there = (part[whole] for part in parts)
+        units = (
+            angle,
+            slide,
+            source.position.unit,
+            None if rotation is None or len(rotation.columns) != 3 else rotation.unit,
+        )
+        tried = [(one, agreement(one, q_there, p_there, next(iter(turned_there), None), *units)) for one in arms]
         tried = sorted(tried, key=lambda entry: entry[1].error)
         chosen, agreed = _choose_arm(arm, tried)
         if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
         wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
-        if len(wobbles) == 1 or wobbles[-1] < min(wobbles[:-1]):
-            computed = bool(tried) and _computed(tried[0][1], pose)
-            best = best._replace(rotation=rotation, arm=chosen, tried=tried, agreed=agreed, computed=computed)
-    if best.agreed.form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
-        return best._replace(agreed=best.agreed._replace(form=best.agreed.form._replace(sure="likely")))
+        if len(wobbles) > 1 and wobbles[-1] >= min(wobbles[:-1]):
+            continue
+        computed = False
+        if tried and (nearest := tried[0][1]).close:
+            in_m = p_there / units_of("x")[nearest.length.choice if nearest.length else "m"]
+            in_rad = q_there / units_of("q")[nearest.angle.choice if nearest.angle else "rad"]
+            computed = computed_by_controller(nearest.error, in_m, in_rad)
+        found = (source.position, rotation) if rotation is not None else (source.position,)
+        role = "controller" if computed else source.role
+        best = _Reading(found, role, chosen, tried, agreed, travel, computed)
+    form = best.agreed.form
+    if form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
+        return best._replace(agreed=best.agreed._replace(form=form._replace(sure="likely")))
     return best
-
-
-def _computed(agreed: Agreement, pose: Pose) -> bool:
-    if not agreed.close:
-        return False
-    position = pose.position / units_of("x")[agreed.length.choice if agreed.length else "m"]
-    joint = pose.joint / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
-    return computed_by_controller(agreed.error, position, joint)
 
 
 def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
     pool = poses_of([reading.role for reading in readings], pose_source)
     if len({readings[k].role for k in pool}) == 1:
-        turned = [k for k in pool if readings[k].rotation is not None]
+        turned = [k for k in pool if len(readings[k].blocks) > 1]
         pool = turned if len(turned) == 1 else pool
     return pool[0] if len(pool) == 1 else None
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import FEWEST, Meaning
+from lite6jax.domains.pose.readings import FEWEST
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import QUATERNION, known_column, units_of, with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
@@ -96,23 +96,27 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     Raises:
         InputError: it has no positions and orientations, or no branch of the arm reaches them.
     """
-    turned = _meaning(file, "rotation")
-    if turned is None or _meaning(file, "position") is None:
+    turned = file.found.of("rotation")
+    if turned is None or file.found.of("position") is None:
         raise InputError(
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
     from lite6jax.domains.pose.inverse import joint_path  # imports JAX
 
-    for names in _orientations(turned):
+    # the names that its columns have in a recording, as it was read; all that they may have in doubt
+    possible = [dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))]
+    if turned.form is not None and turned.form.sure != "certain":
+        possible += [names for form in turned.forms if (names := turned.renamed(form=form)) != possible[0]]
+    path, names = None, possible[0]
+    for names in possible:
         told = {own: known_column(name) for own, name in names.items()}
         values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
         turns = with_quaternions(values, file.source)
-        quaternion = np.stack([turns[name] for name in QUATERNION], 1)
-        path = joint_path(arm, _position(file), quaternion)
+        path = joint_path(arm, _position(file), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
             break
-    else:
+    if path is None:
         raise InputError(
             f"{file.source}: has no joint positions, and the {arm.name} reaches its poses at no joints, taken as those "
             "of the flange in the arm's base; record the joints, or poses of the flange (without a tool)"
@@ -128,14 +132,6 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     return WithJoints(File(file.source, file.stem, whole, found), path, names[turned.block.columns[0]])
 
 
-def _orientations(turned: Meaning) -> list[dict[str, str]]:
-    """The names that the columns of a rotation have in a recording, as it was read; all that they may have in doubt."""
-    first = dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))
-    if turned.form is None or turned.form.sure == "certain":
-        return [first]
-    return [first, *(names for form in turned.forms if (names := turned.renamed(form=form)) != first)]
-
-
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     """The joints of one file at the times of the poses of another, or captures of both in their order.
 
@@ -146,7 +142,7 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     position, q = _position(poses), _joint_columns(joints, arm)
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    times = _meaning(joints, "time"), _meaning(poses, "time")
+    times = joints.found.of("time"), poses.found.of("time")
     taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
     if None not in times and (joined := _joined_by_time(joints, poses, arm, q, position)) is not None:
@@ -159,12 +155,11 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
         table = _table(joints, poses, moved, placed)
         return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing, left_out=left_out)
-    lacking = [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]
-    remedy = (
-        f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
-        if lacking
-        else "the joint states are too far apart in time to show how the arm moved"
-    )
+    remedy = "the joint states are too far apart in time to show how the arm moved"
+    if lacking := [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]:
+        remedy = (
+            f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
+        )
     raise InputError(
         f"{joints.source} and {poses.source}: their {len(state_rows)} joint states and {len(pose_rows)} poses do not "
         f"agree in their order; {remedy}"
@@ -219,13 +214,9 @@ def _columns(file: File, kind: str) -> list[str]:
     return list(dict.fromkeys(name for block in blocks for name in (block.matrix or block.columns)))
 
 
-def _meaning(file: File, kind: str) -> Meaning | None:
-    return next((meaning for meaning in file.found.meanings if meaning.block.kind == kind), None)
-
-
 def _position(file: File) -> Array:
     """`(row, 3)` m."""
-    meaning = _meaning(file, "position")
+    meaning = file.found.of("position")
     assert meaning is not None
     values = np.stack([file.columns[name] for name in meaning.block.columns], 1)
     return values / units_of("x")[meaning.unit.choice]
@@ -266,7 +257,7 @@ def _assumed(*files: File) -> str:
 
 def _times(file: File) -> Array:
     """`(row,)` s."""
-    meaning = _meaning(file, "time")
+    meaning = file.found.of("time")
     assert meaning is not None
     return meaning.in_si(file.columns[meaning.block.columns[0]])
 

@@ -1,6 +1,7 @@
 """Residuals of measured poses and their derivatives: of a rigid arm on the host, of a deflected one in JAX."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -58,18 +59,16 @@ def rigid_tool(model: ArmModel, joint_position: Array, sliding: tuple[int, ...])
     return _tool(model, flange)
 
 
-def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Iterator[Array]:
-    links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
-    return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
-
-
 def _tool(model: ArmModel, flange: Array) -> Array:
     return (flange.reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
 
 
-def rigid_residuals(
-    model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Measured | Sensor
-) -> Array:
+def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Iterator[Array]:
+    links = frames.transform_from_row(np.asarray(model.geometry).reshape(-1, 6))
+    return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
+
+
+def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Sensor) -> Array:
     """The sensor's differences of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
     found = np.empty((measured.rows, joint_position.shape[1]))
 
@@ -97,7 +96,7 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
 
 
 def site_columns(
-    model: ArmModel, joint_position: Array, measured: Measured | Sensor, sliding: tuple[int, ...]
+    model: ArmModel, joint_position: Array, measured: Sensor, sliding: tuple[int, ...]
 ) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position, sliding)
@@ -164,12 +163,16 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
         return found
     # with their deviations as units
     constants = np.linalg.solve(seen.whitener, seen.by_numbers)
-    return found._replace(
-        constants=np.moveaxis(constants, 0, -1).swapaxes(0, 1), at=seen.mean, mean=seen.mean, deviation=seen.deviation
+    return replace(
+        found,
+        constants=np.moveaxis(constants, 0, -1).swapaxes(0, 1),
+        at=seen.mean,
+        mean=seen.mean,
+        deviation=seen.deviation,
     )
 
 
-def frame_columns(rigid: RigidFrames, measured: Measured | Sensor) -> tuple[Array, Array, Array]:
+def frame_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
@@ -185,7 +188,7 @@ def frame_columns(rigid: RigidFrames, measured: Measured | Sensor) -> tuple[Arra
 
 @partial(jax.jit, static_argnums=0)
 def bent_residual(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured | Sensor
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Sensor
 ) -> jax.Array:
     """Whitened residuals `(row, sample)` of a deflected arm."""
     return measured.residual(predict_bent(form, model, joint_position, deflection)[1])

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any, final
 
 import jax
@@ -61,9 +62,6 @@ lazy = property if TYPE_CHECKING else cached_property
 class PoseProblem:
     """A recording of poses, linearised about a rigid arm; `estimation.problem.Problem` describes the members it shares.
 
-    The class has more than twelve members because the engine's protocol has; each is a line or two over `kinematics`
-    and `deflections`.
-
     Attributes:
         recording: as screened; every row has a pose.
         arm: the nominal arm.
@@ -97,15 +95,15 @@ class PoseProblem:
     informative: Mask
     motion: Motion
     inertia: Inertia | None
-    measured: Measured | Sensor
+    measured: Sensor
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
     candidates: tuple[Effect, ...]
     untestable: tuple[Untestable, ...]
-    clock_offset: float
-    thinned_from: tuple[Motion, NDArray[np.integer]] | None
-    units: dict[Hashable, Any]
-    after: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
+    after: Mask
+    clock_offset: float = 0.0
+    thinned_from: tuple[Motion, NDArray[np.integer]] | None = None
+    units: dict[Hashable, Any] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -257,28 +255,23 @@ class PoseProblem:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
         if not self.masses:
             return self.frame_columns
-        physics, through = physics_of(terms), np.zeros((len(self.masses), self.rows, self.samples))
+        physics, at = physics_of(terms), self.deflections
+        through = np.zeros((len(self.masses), self.rows, self.samples))
+
+        def through_masses(effect: Effect, numbers: Array) -> Array:
+            return columns.columns_of(at.through_masses(self.masses, Physics((effect,)), numbers), self.sites)
+
         for effect, part in zip(physics.effects, physics.slices, strict=True) if physics.loaded else ():
+            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:
+                continue  # a function of the loads as declared, or of none
             numbers = np.asarray(values, float)[part]
-            if effect.linear:
-                through += np.tensordot(numbers, self._by_unit_masses(effect), 1)
-            else:
-                through += self._through_masses(effect, numbers)
+            if not effect.linear:
+                through += through_masses(effect, numbers)
+                continue
+            if ("mass", effect) not in self._columns:
+                self._columns["mass", effect] = np.stack([through_masses(effect, one) for one in np.eye(effect.size)])
+            through += np.tensordot(numbers, self._columns["mass", effect], 1)
         return np.concatenate([self.frame_columns, through])
-
-    def _by_unit_masses(self, effect: Effect) -> Array:
-        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
-        if ("mass", effect) not in self._columns:
-            if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:  # of the loads as declared
-                found = np.zeros((effect.size, len(self.masses), 1, 1))
-            else:
-                found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
-            self._columns["mass", effect] = found
-        return self._columns["mass", effect]
-
-    def _through_masses(self, effect: Effect, values: Array) -> Array:
-        unit = self.deflections.through_masses(self.masses, Physics((effect,)), values)
-        return columns.columns_of(unit, self.sites)
 
     @cached_property
     def _columns(self) -> dict[Hashable, Array]:
@@ -324,11 +317,8 @@ class PoseProblem:
         rolloff: tuple[float, ...] = (),
     ) -> Unnamed:
         """A nonparametric effect over the ranges of these rows."""
-        (lower, upper), *further = [(float(one.values.min()), float(one.values.max())) for one in quantities]
-        driver, others = (
-            " and ".join(one.driver.phrase for one in quantities),
-            tuple(b for pair in further for b in pair),
-        )
+        (lower, upper), *further = [one.bounds for one in quantities]
+        driver, others = " and ".join(one.driver.phrase for one in quantities), tuple(chain.from_iterable(further))
         return Unnamed(component.site, driver, lower, upper, kernel, component.name, others, spread, rolloff)
 
     def seen(self, functions: Array) -> Array:
@@ -385,14 +375,15 @@ class PoseProblem:
 
     def selected(self, chosen: NDArray[np.integer]) -> "PoseProblem":
         """Some of the samples, each a run of its own."""
-        measured = self.measured.select(chosen)
-        recording, motion = self.recording.select(chosen), select(self.motion, chosen)
-        whole = (
-            (self.motion, chosen) if self.thinned_from is None else (self.thinned_from[0], self.thinned_from[1][chosen])
-        )
-        after = self.after[:, chosen]
+        whole, rows = self.thinned_from or (self.motion, np.arange(self.samples))
         return replace(
-            self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={}, after=after
+            self,
+            recording=self.recording.select(chosen),
+            motion=select(self.motion, chosen),
+            measured=self.measured.select(chosen),
+            thinned_from=(whole, rows[chosen]),
+            units={},
+            after=self.after[:, chosen],
         )
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
@@ -466,7 +457,7 @@ class PoseProblem:
         return {site: float(value) for site, value in pairs if site[0].startswith("moved") and value}
 
     @cached_property
-    def _on_device(self) -> tuple[ArmModel, Measured | Sensor]:
+    def _on_device(self) -> tuple[ArmModel, Sensor]:
         """The arm and the poses as compiled functions take them, copied once."""
         return jax.tree.map(jnp.asarray, (self.start, self.measured))
 
@@ -516,7 +507,7 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    touched = isinstance(rigid.sensor, Sensor)
+    touched = not isinstance(rigid.sensor, Measured)
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
@@ -544,9 +535,6 @@ def pose_problem(
         declared_noise=rigid.declared_noise,
         candidates=tuple(effect for effect in every if effect not in lacking),
         untestable=missing,
-        clock_offset=0.0,
-        thinned_from=None,
-        units={},
     )
 
 

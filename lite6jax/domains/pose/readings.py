@@ -53,20 +53,6 @@ _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
 """The unit of quantities that have one only."""
 
 
-class Pose(NamedTuple):
-    """Columns of a table in its own units and conventions, rows without gaps.
-
-    Attributes:
-        joint: `(sample, joint)`, rad or deg, and m or mm of prismatic joints.
-        position: `(sample, 3)`, m or mm.
-        rotation: `(sample, 3 | 4)`, or None.
-    """
-
-    joint: Array
-    position: Array
-    rotation: Array | None
-
-
 class Agreement(NamedTuple):
     """The readings that agree with an arm; None where they are not distinguished.
 
@@ -98,46 +84,60 @@ NO_AGREEMENT = Agreement(None, None, None, None, None, np.inf, 0.0)
 
 
 def agreement(
-    arm: Arm, pose: Pose, angle: str | None, slide: str | None, length: str | None, turn: str | None
+    arm: Arm,
+    joint: Array,
+    position: Array,
+    rotation: Array | None,
+    angle: str | None,
+    slide: str | None,
+    length: str | None,
+    turn: str | None,
 ) -> Agreement:
     """The readings of a table with which an arm agrees best.
 
     Args:
         arm: of as many joints.
-        pose: the numbers.
+        joint: `(sample, joint)` in the table's unit, rad or deg, and m or mm of prismatic joints; no row has gaps.
+        position: `(sample, 3)`, m or mm.
+        rotation: `(sample, 3 | 4)`, in the table's unit and convention, or None.
         angle, slide, length, turn: units that are known already, or None.
     """
-    if len(pose.joint) < FEWEST:
+    if len(joint) < FEWEST:
         return NO_AGREEMENT
-    rows = spread_rows(len(pose.joint), ROWS)
+    rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = length is None and bool(arm.slides.all())
-    length = sizes.length_unit(pose.position).choice if by_size else length
-    possible = (
-        _possible(angle, "q", False) if not arm.slides.all() else ("rad",),
-        _possible(slide, "q", True) if arm.sliding else ("m",),
-        _possible(length, "x", False),
-    )
-    tried = {}
-    for turning, sliding, unit in product(*possible):
-        divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
-        position, flange = pose.position[rows] / units_of("x")[unit], flange_poses(arm, pose.joint[rows] / divisor)
-        error, T_sensor_base = match_poses(flange, position)
-        predicted = T_sensor_base[:3, :3] @ flange[:, :3, :3]
-        tried[turning, sliding, unit] = _Tried(error, median_distance(position), predicted)
+    length = sizes.length_unit(position).choice if by_size else length
+
+    def possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
+        return (known,) if known else tuple(units_of(quantity, slides))
+
+    turns = ("rad",) if arm.slides.all() else possible(angle, "q", False)
+    slides = possible(slide, "q", True) if arm.sliding else ("m",)
+    tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
+    for units in product(turns, slides, possible(length, "x", False)):
+        divisor = np.where(arm.slides, units_of("q", True)[units[1]], units_of("q")[units[0]])
+        places, flange = position[rows] / units_of("x")[units[2]], flange_poses(arm, joint[rows] / divisor)
+        error, T_sensor_base = match_poses(flange, places)
+        spread = median_distance(places)
+        tried[units] = error / max(spread, 1e-9), error, spread, T_sensor_base[:3, :3] @ flange[:, :3, :3]
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
-    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one.spread < farthest}
+    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one[2] < farthest}
     by_size, tried = by_size or not plausible, plausible or tried
-    best = min(tried, key=lambda units: tried[units].score)
-    found = tried[best]
-    of_turns, of_slides, of_places = (_decided(best[k], _scores(tried, k), CLOSE) for k in range(3))
+    best = min(tried, key=lambda units: tried[units][0])
+    score, error, spread, predicted = tried[best]
+    decided: list[Decision | None] = []
+    for k in range(3):
+        of_each: dict[str, list[float]] = {}
+        for units, one in tried.items():
+            of_each.setdefault(units[k], []).append(one[0])
+        decided.append(_decided(best[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE))
     form, angle_of_turn = None, None
-    if pose.rotation is not None and found.score <= CLOSE:
-        form, angle_of_turn = _rotations(found.predicted, pose.rotation[rows], turn)
-    return Agreement(
-        of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, found.error, found.spread
-    )
+    if rotation is not None and score <= CLOSE:
+        form, angle_of_turn = _rotations(predicted, rotation[rows], turn)
+    of_turns, of_slides, of_places = decided
+    return Agreement(of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, error, spread)
 
 
 def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
@@ -168,22 +168,6 @@ def median_distance(position: Array) -> float:
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
 
 
-def _possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
-    return (known,) if known else tuple(units_of(quantity, slides))
-
-
-class _Tried(NamedTuple):
-    """A reading: its median error in m, how far the positions spread, the rotations that it predicts of the flange."""
-
-    error: float
-    spread: float
-    predicted: Array
-
-    @property
-    def score(self) -> float:
-        return self.error / max(self.spread, 1e-9)
-
-
 def flange_poses(arm: Arm, joint: Array) -> Array:
     """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
     return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
@@ -194,14 +178,6 @@ def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
     missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
     return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
-
-
-def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:
-    """Of each unit at a place the best score, whatever the others are."""
-    scores: dict[str, float] = {}
-    for units, found in tried.items():
-        scores[units[place]] = min(found.score, scores.get(units[place], np.inf))
-    return scores
 
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:
@@ -316,20 +292,18 @@ def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed
         values: `(sample, column)` of each.
         agreed: the units and forms with which an arm agrees.
     """
-    found = {of: _position(blocks[of], values[of], agreed) for of in (("q", False), ("q", True)) if of in blocks}
+    joints = [of for of in (("q", False), ("q", True)) if of in blocks]
+    found = {of: _meaning(blocks[of], _unit_of(blocks[of], values[of], agreed)) for of in joints}
     moved = {slides: found["q", slides].in_si(values["q", slides]) for _, slides in found}
     time: Array | None = None
     if block := blocks.get(of := ("time", False)):
-        joints = np.hstack(list(moved.values())) if moved else None
-        unit = _named(block) or sizes.time_unit(values[of][:, 0], joints)
-        found[of] = _meaning(block, unit)
+        position = np.hstack(list(moved.values())) if moved else None
+        found[of] = _meaning(block, _named(block) or sizes.time_unit(values[of][:, 0], position))
         time = found[of].in_si(values[of])[:, 0]
     for of in ((kind, slides) for kind in ("dq", "ddq") for slides in moved):
         if block := blocks.get(of):
-            before = found.get(("dq", of[1]))
-            position = (
-                moved[of[1]] if of[0] == "dq" else None if before is None else before.in_si(values[key(before.block)])
-            )
+            before = found.get(("q" if of[0] == "dq" else "dq", of[1]))
+            position = None if before is None else before.in_si(values[key(before.block)])
             usual = found["q", of[1]].unit.choice
             found[of] = _meaning(block, _named(block) or _rate(block, values[of], position, usual, time))
     for of in (("cmd", slides) for slides in moved):
@@ -339,7 +313,9 @@ def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed
             found[of] = _meaning(block, unit)
     for of, block in blocks.items():
         if of not in found and block.kind not in ("dq", "ddq", "cmd"):
-            found[of] = _other(block, values[of], agreed)
+            turns = block.kind == "rotation"
+            of_block = block, values[of], agreed
+            found[of] = _rotation(*of_block) if turns else _meaning(block, _unit_of(*of_block))
     return tuple(found[kind, slides] for kind in naming.KINDS for slides in (False, True) if (kind, slides) in found)
 
 
@@ -354,26 +330,20 @@ def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple
     return inferred_motion(None if time is None else time[:, 0], si("dq"))
 
 
-def _position(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    if block.slides:
-        return _meaning(block, _named(block) or agreed.slide or sizes.length_unit(values))
-    servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-    return _meaning(block, _named(block) or agreed.angle or sizes.angle_unit(values, servo))
-
-
-def _other(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    """What is neither a position of joints, nor their rates, nor time."""
-    if block.kind == "rotation":
-        return _rotation(block, values, agreed)
-    unit = _named(block)
-    if block.kind == "position":
-        unit = unit or agreed.length or sizes.length_unit(values)
-        return Meaning(block, tuple(_with_unit(axis, unit.choice) for axis in _XYZ), unit)
+def _unit_of(block: Block, values: Array, agreed: Agreement) -> Decision:
+    """Of what is neither a rotation, a rate, a command nor a time: by name, by kinematics, or by size."""
+    if block.unit is not None:
+        return sizes.by_name(block.unit)
+    if block.kind == "q" and not block.slides:
+        servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
+        return agreed.angle or sizes.angle_unit(values, servo)
+    if block.kind in ("q", "position"):
+        return (agreed.slide if block.slides else agreed.length) or sizes.length_unit(values)
     if block.kind == "tau" and not block.slides:
-        return _meaning(block, unit or sizes.torque_unit(values))
+        return sizes.torque_unit(values)
     if block.kind == "current":
-        return _meaning(block, unit or sizes.current_unit(values))
-    return _meaning(block, unit or Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {}))
+        return sizes.current_unit(values)
+    return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
 
 
 def _named(block: Block) -> Decision | None:
@@ -400,17 +370,17 @@ def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if values.shape[1] == 4:
         return Meaning(block, _of_quaternion(form.choice), unit, form)
     parts = next(parts for parts in ANGLES if parts[0] == form.choice)
-    return Meaning(block, tuple(_with_unit(part, unit.choice) for part in parts), unit, form)
+    return Meaning(block, _with_unit(parts, unit), unit, form)
 
 
 def _meaning(block: Block, unit: Decision) -> Meaning:
     """Of columns whose quantity is the block's kind."""
-    names = [f"{block.kind}{joint}" for joint in block.joints] or [block.kind]
-    return Meaning(block, tuple(_with_unit(name, unit.choice) for name in names), unit)
+    named = tuple(f"{block.kind}{joint}" for joint in block.joints) or (block.kind,)
+    return Meaning(block, _with_unit(_XYZ if block.kind == "position" else named, unit), unit)
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name}_{unit}" if unit else name
+def _with_unit(names: Sequence[str], unit: Decision) -> tuple[str, ...]:
+    return tuple(f"{name}_{unit.choice}" if unit.choice else name for name in names)
 
 
 def _of_quaternion(form: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.readings import median_distance
 from lite6jax.recordings import sizes
 from lite6jax.recordings.columns import units_of
 from lite6jax.recordings.naming import unit_of
@@ -110,11 +111,8 @@ def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
 def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
     """Those of some points that keep their distances from each other while they move: the largest such group."""
     placed = {point: _seen(np.stack([columns[name] for name in point], 1)) for point in points}
-    way = 0.0
-    for place in placed.values():
-        there = place[np.isfinite(place).all(axis=1)]
-        if len(there):
-            way = max(way, float(np.median(np.linalg.norm(there - np.median(there, axis=0), axis=1))))
+    seen = (place[np.isfinite(place).all(axis=1)] for place in placed.values())
+    way = max((median_distance(there) for there in seen if len(there)), default=0.0)
 
     def keeps(one: Array, other: Array) -> bool:
         distance = np.linalg.norm(one - other, axis=1)
@@ -127,12 +125,10 @@ def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, 
 
     groups: list[list[tuple[str, str, str]]] = []
     for point, place in placed.items():
-        for group in groups:
-            if all(keeps(place, placed[other]) for other in group):
-                group.append(point)
-                break
-        else:
-            groups.append([point])
+        fitting = (group for group in groups if all(keeps(place, placed[other]) for other in group))
+        if (group := next(fitting, None)) is None:
+            groups.append(group := [])
+        group.append(point)
     best = max(groups, key=len, default=[])
     return best if len(best) >= FEWEST_POINTS else []
 
@@ -170,14 +166,11 @@ def _rigid_pose(points: Array) -> RigidPose | None:
     usual = max(float(np.median(of_row)), 1e-12)
     fits = of_row <= _OUTLYING * usual
     kept = np.flatnonzero(rows)[fits]
-    found = np.zeros(len(points), bool)
-    found[kept] = True
-    position, quaternion = np.full((len(points), 3), np.nan), np.full((len(points), 4), np.nan)
-    position[kept] = t[fits]
-    quaternion[kept] = Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
+    found, pose = np.isin(np.arange(len(points)), kept), np.full((len(points), 7), np.nan)
+    pose[kept, :3], pose[kept, 3:] = t[fits], Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
     misfit = float(np.sqrt(np.sum((weight * missed**2)[fits]) / max(np.sum(weight[fits]), 1)))
     size = float(np.sqrt(np.mean(np.sum(shape**2, 1))))
-    return RigidPose(found, position, quaternion, misfit, size, points.shape[1], int(np.sum(~fits)))
+    return RigidPose(found, pose[:, :3], pose[:, 3:], misfit, size, points.shape[1], int(np.sum(~fits)))
 
 
 def _carried(shape: Array, points: Array, weight: Array) -> tuple[Array, Array]:

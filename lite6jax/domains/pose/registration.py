@@ -122,9 +122,8 @@ def register(
     found = [None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)]
     assert found[0] is not None
     determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
-    return Registration(
-        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (found[0], found[1]), determined
-    )
+    fitted = problem.T_sensor_base, problem.T_flange_tool
+    return Registration(*fitted, missed, turned, weight, (found[0], found[1]), determined)
 
 
 def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
@@ -169,15 +168,9 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
 
 
 def _with_own_frames(model: DiagnosedArm, motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
-    """The uncertainty of a model whose sensor frame and tool were fitted anew to the poses of a motion.
+    """The uncertainty of a model whose frames were fitted anew to the poses of a motion, with noise in m and rad.
 
     These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
-
-    Args:
-        model: with the new frames and the uncertainty of the diagnosis.
-        motion: of the rows that the frames were fitted to.
-        noise: standard deviations per axis of the poses, position (m) and orientation (rad); None where the latter were
-            not measured, and the tool's rotation was kept.
     """
     known = model.uncertainty
     if known is None:
@@ -201,16 +194,9 @@ def _with_own_frames(model: DiagnosedArm, motion: Motion, noise: tuple[float, fl
 @final
 @dataclass(frozen=True, eq=False)
 class _Frames(NuisanceProblem):
-    """Sensor frame and tool of a known chain as a problem of least squares, whose nuisance they are.
+    """Sensor frame and tool of a chain whose flange is known, as a problem of least squares.
 
-    The nuisance's twelve numbers are a twist of the base and one of the flange, each in its own axes.
-
-    Attributes:
-        flange: `T_base_flange` `(sample, 4, 4)`.
-        sensor: the poses, and the noise.
-        T_sensor_base: `(4, 4)`.
-        T_flange_tool: `(4, 4)`.
-        unknown: which of the twelve.
+    Unknown are some of twelve numbers: a twist of the base and one of the flange, each in its own axes.
     """
 
     flange: Array

@@ -3,7 +3,7 @@
 Everything here is NumPy, so that a recording is screened in milliseconds and nothing is compiled.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -29,7 +29,6 @@ from lite6jax.domains.pose.kinematics import (
     rigid_residuals,
     whitened,
 )
-from lite6jax.domains.pose.touching import require_scale, shown_by, touch_sensor
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -38,8 +37,7 @@ from lite6jax.estimation.terms import Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.sensors.points import Contact
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.points import Axis, Contact, Distance, Plane, PointSensor, Rod
 from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
@@ -51,13 +49,15 @@ _TOOL_M = 0.15
 
 
 class NuisanceProblem:
-    """A `LinearisedProblem` without terms: some frames are displaced, and nothing else is to be explained.
+    """A `LinearisedProblem` without terms: some frames are displaced, and the noise is what is left.
 
     What derives from it has `rigid`, the frames, `sensor`, what was measured, `nuisance` and `relinearised`.
     """
 
     rigid: Any
     sensor: Any
+    preset = Terms(), np.zeros(0)
+    floored = False
 
     @property
     def rows(self) -> int:
@@ -83,16 +83,6 @@ class NuisanceProblem:
     def groups(self: Any) -> NDArray[np.integer]:
         """Position and orientation share one scale over their noise."""
         return np.zeros(self.rows, int)
-
-    @property
-    def preset(self) -> tuple[Terms, Array]:
-        """No terms."""
-        return Terms(), np.zeros(0)
-
-    @property
-    def floored(self) -> bool:
-        """Not: the noise is what is left."""
-        return False
 
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`nuisance`, whatever terms are beside it."""
@@ -147,7 +137,7 @@ class RigidArm(NuisanceProblem):
     informative: bool
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    sensor: Measured | Sensor
+    sensor: Sensor
     exact: bool
     form: ModelForm
 
@@ -159,7 +149,7 @@ class RigidArm(NuisanceProblem):
     @cached_property
     def links(self) -> Array:
         """`(joint, 4, 4)`, the fixed transform before each joint."""
-        return np.array([frames.transform_from_row(row) for row in np.asarray(self.start.geometry).reshape(-1, 6)])
+        return frames.transform_from_row(np.asarray(self.start.geometry).reshape(-1, 6))
 
     @property
     def T_sensor_base(self) -> Array:
@@ -259,27 +249,24 @@ class RigidArm(NuisanceProblem):
 
     def with_poses(self, recording: Recording) -> Self:
         """The arm with other poses of the same sensor, weighed as these are."""
-        assert isinstance(self.sensor, Measured)
-        sensor = measured_poses(recording, self.sensor.whitener)._replace(at=self.sensor.at)
+        sensor = self.sensor.reading_as(measured_poses(recording, self.sensor.whitener))
         return replace(self, recording=recording, sensor=sensor)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the samples."""
         return replace(self, recording=self.recording.select(rows), sensor=self.sensor.select(rows))
 
+    def keeping(self, kept: Sequence[bool]) -> Self:
+        """The arm with some of its unknowns; all others stay where they are."""
+        unknown = tuple(compress(self.unknown, kept))
+        return replace(self, unknown=unknown, precision=self.precision[kept], offset=self.offset[kept])
+
     def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(spread_rows(self.samples, most)).fitted(most)
-        if isinstance(few.sensor, Measured):
-            sensor = self.sensor._replace(at=few.sensor.at)  # type: ignore[union-attr]
-        else:
-            of_each = {
-                name: part for name in ("group", "value") if (part := getattr(self.sensor, name, None)) is not None
-            }
-            sensor = replace(few.sensor, **of_each)  # type: ignore[type-var]
-        return replace(self, start=few.start, sensor=sensor, offset=few.offset)
+        return replace(self, start=few.start, sensor=few.sensor.reading_as(self.sensor), offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
@@ -357,22 +344,21 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    touches, touch, T_frame, T_tool = recording.touches, None, np.eye(4), np.eye(4)
+    touches, T_frame = recording.touches, np.eye(4)
     if touches is not None:
         given = declared_geometry(recording, arm, geometry, factory)
         arm, form, movable, values = given.arm, given.form, given.movable, given.values
         declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
         noise = declared[0] or UNDECLARED_TOUCH, None
-        touch = touch_sensor(recording, noise[0])
+        sensor = touch_sensor(recording, noise[0])
         if not given.calibrated:
-            require_scale(recording, touch)
+            _require_scale(recording, sensor)
         tool = None if form.tool else declared_tool(recording)
         if form.frame:
-            assert isinstance(touch, Contact)  # all of whose points are known in the sensor's frame
-            flange, seen = calibration_poses(given.known, recording.joint_position), np.asarray(touch.points)
-            T_frame, tool = frames_from_poses(flange, seen.T[touch.group], None, None, tool)
+            assert isinstance(sensor, Contact)  # all of whose points are known in the sensor's frame
+            flange = calibration_poses(given.known, recording.joint_position)
+            T_frame, tool = frames_from_poses(flange, sensor.points.T[sensor.group], None, None, tool)
         T_tool = given.known.T_joint_flange @ (np.eye(4) if tool is None else tool)
-        sensor = touch
     else:
         problem = recording_problem(recording, arm, geometry, factory)
         arm, form, movable = problem.arm, problem.form, problem.movable
@@ -390,7 +376,7 @@ def rigid_arm(
     if form.tool:
         unknown += [("tool", 0, k) for k in range(6 if recording.numbers_per_sample == 6 else 3)]
     uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if touch is None else TOUCHED_TOLERANCE
+    sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if touches is None else TOUCHED_TOLERANCE
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
@@ -404,14 +390,14 @@ def rigid_arm(
         unknown=tuple(unknown),
         precision=np.array([*precision, *(one.precision for one in own)]),
         offset=np.array([*np.zeros(len(precision)), *(one.offset for one in own)]),
-        informative=uncertainty is not None or touch is not None,
+        informative=uncertainty is not None or touches is not None,
         noise=noise,
         declared_noise=declared,
         sensor=sensor,
         exact=exact,
         form=form,
     )
-    return begun if touch is None or form.frame else _locate_tool(begun)
+    return begun if touches is None or form.frame else _locate_tool(begun)
 
 
 def _locate_tool(arm: RigidArm) -> RigidArm:
@@ -419,18 +405,112 @@ def _locate_tool(arm: RigidArm) -> RigidArm:
 
     Both are fitted from several points of an unknown tool, and at each from what the sensor shows in closed form.
     """
-    kept = [name in ("tool", "reading") for name, _, _ in arm.unknown]
-    unknown, precision = tuple(compress(arm.unknown, kept)), arm.precision[kept]
+    few = arm.keeping([name in ("tool", "reading") for name, _, _ in arm.unknown])
     found = []
     for point in _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])[: 7 if arm.form.tool else 1]:
-        shift = np.eye(4)
-        shift[:3, 3] = point
-        begun = replace(arm, start=arm.start._replace(T_flange_tool=arm.T_flange_tool @ shift))  # type: ignore[arg-type]
-        assert isinstance(arm.sensor, Sensor)
-        sensor = shown_by(arm.sensor, begun.tool)
-        offset = np.array([*np.zeros(len(unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
-        begun = replace(begun, unknown=unknown, precision=precision, offset=offset, sensor=sensor)
-        found.append(relinearise(begun, DEFAULTS))
+        T_flange_tool = arm.T_flange_tool @ frames.transform_from_row([*point, 0, 0, 0])
+        begun = replace(few, start=arm.start._replace(T_flange_tool=T_flange_tool))  # type: ignore[arg-type]
+        assert isinstance(arm.sensor, PointSensor)
+        found.append(relinearise(_with_sensor(begun, arm.sensor.shown(begun.tool)), DEFAULTS))
     best = min(found, key=lambda one: float(np.median(one.squares)))
-    offset = np.array([*np.zeros(len(arm.offset) - best.sensor.numbers), *(one.offset for one in best.sensor.own)])
-    return replace(arm, start=best.start, sensor=best.sensor, offset=offset)
+    return _with_sensor(replace(arm, start=best.start), best.sensor)
+
+
+def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
+    """The arm with another sensor of its kind, and its own frames at the mean of their prior."""
+    offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
+    return replace(arm, sensor=sensor, offset=offset)
+
+
+def touch_sensor(recording: Recording, noise: float) -> PointSensor:
+    """The sensor of touches, distances or heights, with what is known of its points, planes, anchors or axis.
+
+    Args:
+        recording: of such readings.
+        noise: m, one sigma of them.
+
+    Raises:
+        InputError: a ring of known distances, or one place for several anchors.
+    """
+    readings, settings = recording.touches, recording.settings
+    assert readings is not None
+    whitener = np.full(2, 1 / noise)
+    there, group = np.unique(readings.group, return_inverse=True)
+    names = tuple(readings.names[k] for k in there)
+
+    def places(known: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
+        points = np.array([known.get(name, (0.0, 0.0, 0.0)) for name in names], float).T
+        return points, tuple(name not in known for name in names)
+
+    if readings.kind == "contact":
+        points, free = places(settings.contact_points or {})
+        return Contact(group, whitener, points, names, free, _rods(recording, names, free))
+    if readings.kind == "plane":
+        planes = settings.planes or {}
+        given = [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names]
+        normal, height = np.split(np.array(given, float).T / np.linalg.norm(np.array(given)[:, :3], axis=1), [3])
+        free = tuple(name not in planes for name in names)
+        return Plane(group, whitener, normal, np.zeros_like(normal), height[0], names, free)
+    if readings.kind == "distance":
+        given = settings.anchor_m
+        anchors = dict.fromkeys(names, given) if isinstance(given, tuple) else {} if given == "unknown" else given
+        if isinstance(given, tuple) and len(names) > 1:
+            raise InputError(
+                f"{recording.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
+                f"{{{names[0]}: [x, y, z], ...}}, or unknown"
+            )
+        points, free = places(anchors)  # type: ignore[arg-type]
+        offset_free = settings.distance_offset == "unknown"
+        return Distance(group, whitener, readings.value, points, np.zeros(1), names, free, offset_free)
+    free = settings.axis == "unknown"
+    direction = np.array((0.0, 0.0, 1.0) if free else settings.axis, float)
+    return Axis(group, whitener, readings.value, direction / np.linalg.norm(direction), np.zeros(1), free)
+
+
+def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) -> tuple[Rod, ...]:
+    """The known distances as a forest: each contact hangs on one before it.
+
+    Raises:
+        InputError: a ring of distances, or one between contacts of which both are known.
+    """
+    source, place = recording.source, {name: k for k, name in enumerate(names)}
+    left = [one for one in recording.settings.contact_distances if set(one.between) <= place.keys()]
+    rods: list[Rod] = []
+    fixed = {k for k in range(len(names)) if not free[k]}
+    reached = set(fixed)
+    while left:
+        at = next((one for one in left if {place[name] for name in one.between} & reached), left[0])
+        left.remove(at)
+        a, b = (place[name] for name in at.between)
+        a, b = (b, a) if b in reached and a not in reached else (a, b)
+        if b in reached:
+            raise InputError(
+                f"{source}: the distance of contacts {at.between[0]} and {at.between[1]} closes a ring of known ones; "
+                "give the coordinates of all contacts as contact_points instead"
+            )
+        reached |= {a, b}
+        rods.append(Rod(a, b, at.distance_m, at.noise_m))
+    return tuple(rods)
+
+
+def _require_scale(recording: Recording, sensor: PointSensor) -> None:
+    """Refuses touches that any chain of another size would have as well.
+
+    Raises:
+        InputError: as said, or known distances of contacts that are not there.
+    """
+    if sensor.scaled:
+        return
+    remedy = "declare one plane's place as planes: {a: {normal, offset_m}}"
+    if isinstance(sensor, Contact):
+        if given := recording.settings.contact_distances:
+            a, b = given[0].between
+            raise InputError(
+                f"{recording.source}: contact_distances is between {a} and {b}, which are not both among its contacts "
+                f"{', '.join(sensor.names[:6])}; correct the names"
+            )
+        remedy = "declare a known distance as contact_distances: [{between: [a, b], distance_m: 0.05, noise_m: 5.0e-5}]"
+    raise InputError(
+        f"{recording.source}: nothing in it has a known length, and any size of the arm would fit; {remedy}, or "
+        "the arm's own factory_calibration"
+    )

@@ -1,7 +1,6 @@
 """Frame jumps: the sensor, the base or the tool moved between two rows, and all poses after it are displaced."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -43,15 +42,15 @@ class Jump(NamedTuple):
     p: float
 
 
-def remove_jumps(state: Screened, options: ScreeningOptions) -> Screened:
+def remove_jumps(state: Screened) -> Screened:
     """The poses after each jump where they would have been without it."""
-    known, most = state.corrections.known_jumps, state.corrections.jumps
+    known, most, options = state.corrections.known_jumps, state.corrections.jumps, state.options
     if known is not None:
         for row, part in known:
             jump = _jump_at(state.rigid_arm, row, part, options)
             if jump is None:
                 break
-            state = _without(state, jump, options)
+            state = _without(state, jump)
         return state
     for _ in range(options.most_jumps if most is None else most):
         jump, numbers = seek_jump(state.rigid_arm, options)
@@ -60,35 +59,34 @@ def remove_jumps(state: Screened, options: ScreeningOptions) -> Screened:
         place = {"row": int(state.recording.row[jump.sample]), "part": jump.part}
         if any(place.items() <= fault.numbers.items() for fault in state.found if fault.code == "frame_jump"):
             break  # what is left after it was corrected is no constant twist
-        state = _without(state, jump, options)
+        state = _without(state, jump)
     return state
 
 
-def _without(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
-    arm, refined = without_jump(state.rigid_arm, jump, options, state.corrections.beside_physics)
+def _without(state: Screened, jump: Jump) -> Screened:
+    arm, refined = without_jump(state.rigid_arm, jump, state.options, state.corrections.beside_physics)
     row, run, k = arm.recording.row, arm.recording.run, jump.sample
-    numbers: dict[str, Any] = {"row": int(row[k]), "part": jump.part}
-    if k and run[k] != run[k - 1]:
-        numbers["run"] = int(run[k])
-    numbers |= {
+    numbers: dict[str, Any] = {
+        "row": int(row[k]),
+        "part": jump.part,
+        **({"run": int(run[k])} if k and run[k] != run[k - 1] else {}),
         "translation_m": float(np.linalg.norm(refined.twist[:3])),
         "rotation_rad": float(np.linalg.norm(refined.twist[3:])),
         "twist": refined.twist.tolist(),
         "displacement_rms_m": refined.displacement,
         "p_value": refined.p,
     }
-    state = state.corrected(DataFault("frame_jump", row_numbers(row[k:]), numbers), rigid=arm)
-    return state.transformed(partial(_removed, arm, refined))
 
+    def remove(recording: Recording) -> Recording:
+        """The correction in more rows of the same recording, which show between which of them the jump happened."""
+        there, rows = arm.with_poses(recording), arm.recording.row
+        before, sample = (int(np.flatnonzero(recording.row == rows[j])[0]) for j in (max(k - 1, 0), k))
+        if sample - before > 1:
+            own = _numbers(arm, jump.part)
+            sample = _located(there, before, sample, own, refined.twist[: own.stop - own.start])
+        return _displaced_back(there, there, refined._replace(sample=sample), small_displacement(refined.twist))
 
-def _removed(arm: RigidArm, jump: Jump, recording: Recording) -> Recording:
-    """The correction of a jump in more rows of the same recording, which show between which of them it happened."""
-    there, rows = arm.with_poses(recording), arm.recording.row
-    before, sample = (int(np.flatnonzero(recording.row == rows[k])[0]) for k in (max(jump.sample - 1, 0), jump.sample))
-    if sample - before > 1:
-        numbers = _numbers(arm, jump.part)
-        sample = _located(there, before, sample, numbers, jump.twist[: numbers.stop - numbers.start])
-    return _displaced_back(there, there, jump._replace(sample=sample), small_displacement(jump.twist))
+    return state.corrected(DataFault("frame_jump", row_numbers(row[k:]), numbers), rigid=arm).transformed(remove)
 
 
 def _numbers(arm: RigidArm, part: str) -> slice:
@@ -112,12 +110,12 @@ def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> J
     few, numbers = spread_rows(arm.samples, options.most_samples), _numbers(arm, part)
     after, arm = few >= sample, arm.select(few)
     values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
-    known = np.where(np.isfinite(std), values, 0.0)
-    return Jump(sample, part, _six(known), _displacement(arm, numbers, values, after), float("nan"))
+    known = _twist(np.where(np.isfinite(std), values, 0.0))
+    return Jump(sample, part, known, _displacement(arm, numbers, values, after), float("nan"))
 
 
-def _six(values: Array) -> Array:
-    """A twist with zeros for what is not measured of it."""
+def _twist(values: Array) -> Array:
+    """With zeros for what is not measured of it."""
     return np.pad(values, (0, 6 - len(values)))
 
 
@@ -134,30 +132,27 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     if projected.freedom < n or n < 4 * options.jump_margin:
         return None, {"reason": "too_few_rows"}
     segment = run_segments(arm.recording.run)
-    found: list[tuple[float, int, str]] = []
+    found, block = list[tuple[float, int, str]](), max(1, n // options.jump_blocks)
     for part, advantage in (("base", 1.0), ("tool", options.tool_advantage)):
         columns = arm.twists[_numbers(arm, part)]
-        block = max(1, n // options.jump_blocks)
         starts = np.unique(np.concatenate([np.arange(0, n, block), np.flatnonzero(np.diff(segment)) + 1]))
         k, gain = _best_split(projected, columns, starts, options)
         k, gain = _best_split(projected, columns, np.arange(max(k - block, 1), min(k + block + 1, n)), options)
         found.append((gain / advantage, k, part))
     _, k, part = max(found, key=lambda item: item[0])
-    numbers = _numbers(arm, part)
-    columns = arm.twists[numbers]
-    after = np.where(np.arange(n) >= k, columns, 0.0)
+    numbers, later = _numbers(arm, part), np.arange(n) >= k
+    after = np.where(later, arm.twists[numbers], 0.0)
     values, _, statistic = projected.regression(after)
     p = _p_value(projected, after, values, statistic, options)
-    displacement = _displacement(arm, numbers, values, np.arange(n) >= k)
-    sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, columns)[:, k:] ** 2, 0)) / arm.rows)
-    small = statistic < options.jump_share * projected.freedom
-    if p > options.jump_level or sigmas < options.jump_noise or small:
+    displacement = _displacement(arm, numbers, values, later)
+    sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, after)[:, k:] ** 2, 0)) / arm.rows)
+    if p > options.jump_level or sigmas < options.jump_noise or statistic < options.jump_share * projected.freedom:
         return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
     if len(few) < whole.samples:
         k = _located(whole, few[k - 1], few[k], numbers, values)
-    if not _sharp(whole, k, run_segments(whole.recording.run), options):
+    if not _sharp(whole, k, options):
         return None, {"reason": "gradual", "p_value": p}
-    return Jump(k, part, _six(values), displacement, p), {}
+    return Jump(k, part, _twist(values), displacement, p), {}
 
 
 def _p_value(projected: Projected, after: Array, values: Array, statistic: float, options: ScreeningOptions) -> float:
@@ -219,7 +214,7 @@ def without_jump(
         columns = np.where(np.arange(arm.samples) >= jump.sample, moved.twists[_numbers(arm, jump.part)], 0.0)
         if (more := next_step(moved, physics, columns, options)) is None:
             break
-        twist = small_displacement(_six(more))
+        twist = small_displacement(_twist(more))
     twist = np.concatenate([total[:3, 3], Rotation.from_matrix(total[:3, :3]).as_rotvec()])
     assert moved.recording.position is not None
     assert arm.recording.position is not None
@@ -248,18 +243,9 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
 def _best_split(
     projected: Projected, columns: Array, starts: NDArray[np.integer], options: ScreeningOptions
 ) -> tuple[int, float]:
-    """The start that explains most, and the squares it explains."""
-    n = projected.arm.samples
-    starts = np.unique(np.concatenate([[0], starts]))
-    gain = _scan(projected, columns, starts, options)
-    gain[(starts < options.jump_margin) | (starts > n - options.jump_margin)] = 0.0
-    k = int(np.argmax(gain))
-    return int(starts[k]), float(gain[k])
-
-
-def _scan(projected: Projected, columns: Array, starts: NDArray[np.integer], options: ScreeningOptions) -> Array:
-    """The squares that columns switched on from each start explain of the residual, `(start,)`."""
+    """The start from which columns, switched on there, explain most of the residual, and the squares they explain."""
     rows, n = projected.arm.rows, projected.arm.samples
+    starts = np.unique(np.concatenate([[0], starts]))
     C = columns * projected.weight
 
     def suffix(values: Array) -> Array:
@@ -274,12 +260,15 @@ def _scan(projected: Projected, columns: Array, starts: NDArray[np.integer], opt
     eigenvalues, V = np.linalg.eigh(G)
     pulled = np.einsum("sck,cs->sk", V, g / size)
     observable = eigenvalues > 100 * options.observable_share
-    return np.sum(np.where(observable, pulled**2 / np.where(observable, eigenvalues, 1.0), 0.0), 1)
+    gain = np.sum(np.where(observable, pulled**2 / np.where(observable, eigenvalues, 1.0), 0.0), 1)
+    gain[(starts < options.jump_margin) | (starts > n - options.jump_margin)] = 0.0
+    k = int(np.argmax(gain))
+    return int(starts[k]), float(gain[k])
 
 
-def _sharp(arm: RigidArm, k: int, segment: NDArray[np.integer], options: ScreeningOptions) -> bool:
+def _sharp(arm: RigidArm, k: int, options: ScreeningOptions) -> bool:
     """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
-    n, w = arm.samples, options.jump_window
+    n, w, segment = arm.samples, options.jump_window, run_segments(arm.recording.run)
     if arm.recording.motion == "static" or k < w or k > n - w or segment[k - 1] != segment[k]:
         return True
     steps = np.arange(w) + 0.5

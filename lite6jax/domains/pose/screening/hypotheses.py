@@ -7,7 +7,7 @@ where its log-likelihood exceeds that of the recording as it is declared, and of
 With the arm fitted, another nominal table of the same model is one more hypothesis.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations
@@ -23,6 +23,7 @@ from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
+from lite6jax.domains.pose.readings import median_distance
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
@@ -42,6 +43,13 @@ JOINTS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "jo
 CODES = (*DECLARED, *POSES, *JOINTS)
 """The faults, in the order in which their changes are made. Of two that fit alike the earlier kind is preferred: a
 declaration is wrong more often than poses, and poses more often than joints."""
+_NUMBERS = {
+    "coupled_joint": "factor",
+    "joint_turns": "added_rad",
+    "mirrored_sensor": "axes",
+    "orientation_convention": "convention",
+}
+"""What the value of a change is called."""
 _SCALAR_LAST = [3, 0, 1, 2]
 
 
@@ -66,23 +74,15 @@ class Change:
     def numbers(self) -> dict[str, Any]:
         """Of the fault, as in `DataFault`."""
         joints = [joint + 1 for joint in self.joints]
-        match self.code:
-            case "swapped_joints":
-                return {"joints": joints}
-            case "mirrored_joint":
-                return {"joint": joints[0]}
-            case "joint_unit":
-                assert isinstance(self.value, float)
-                return {"joint": joints[0], "unit": "deg" if self.value < 1 else "rad"}
-            case "coupled_joint":
-                return {"joint": joints[0], "added_joint": joints[1], "factor": self.value}
-            case "joint_turns":
-                return {"joint": joints[0], "added_rad": self.value}
-            case "mirrored_sensor":
-                return {"axes": self.value}
-            case "orientation_convention":
-                return {"convention": self.value}
-        return {}
+        if self.code == "swapped_joints":
+            return {"joints": joints}
+        found: dict[str, Any] = {"joint": joints[0]} if joints else {}
+        if self.code == "joint_unit":
+            found["unit"] = "deg" if float(self.value) < 1 else "rad"
+        if self.code == "coupled_joint":
+            found["added_joint"] = joints[1]
+        name = _NUMBERS.get(self.code)
+        return found if name is None else found | {name: self.value}
 
     def undone(self, recording: Recording) -> Recording:
         """The recording without the fault."""
@@ -131,12 +131,12 @@ def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
     return recording
 
 
-def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
+def correct_mismatch(state: Screened) -> Screened:
     """The recording as the best hypothesis has it, where it misses the arm grossly as it is declared.
 
     It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
     """
-    arm = state.rigid_arm
+    arm, options = state.rigid_arm, state.options
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
     few = arm.select(spread_rows(arm.samples, options.column_rows))
     error = _median_error(few)
@@ -165,7 +165,7 @@ def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
         return state.corrected(DataFault("unexplained", (), numbers))
     equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
     equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
-    equal.sort(key=lambda one: (_outside_limits(state, one[0], options), _simplicity(one[0])))
+    equal.sort(key=lambda one: (_outside_limits(state, one[0]), _simplicity(one[0])))
     chosen, corrected = equal[0]
     scale = min(corrected.scale, recorded.scale)
     more = 0.5 * np.log(arm.rows * arm.samples) * (len(corrected.unknown) - len(recorded.unknown))
@@ -177,7 +177,7 @@ def correct_mismatch(state: Screened, options: ScreeningOptions) -> Screened:
             continue
         distinct.append(hypothesis)
         alike = _simplicity(hypothesis)[:2] == _simplicity(chosen)[:2]
-        alike &= _outside_limits(state, hypothesis, options) == _outside_limits(state, chosen, options)
+        alike &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
         if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.trusted_log_likelihood:
             rivals.append(hypothesis)
     others = [chosen, *rivals] if rivals else distinct[1:]
@@ -212,9 +212,8 @@ def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Sc
 
 def touches_one_point(recording: Recording, noise: float) -> bool:
     """Whether the measured positions `(sample, 3)` m are one point, which says nothing of scale or axes."""
-    position = recording.position
-    assert position is not None
-    return bool(np.median(np.linalg.norm(position - np.median(position, 0), axis=1)) <= 3 * noise)
+    assert recording.position is not None
+    return median_distance(recording.position) <= 3 * noise
 
 
 def single_changes(recording: Recording) -> Iterator[Hypothesis]:
@@ -291,11 +290,9 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     unknown += [arm.unknown[k] for k in own]
     fit = replace(arm, unknown=tuple(unknown), precision=precision, offset=offset).fitted(few.samples)
     off = fit.offset[last - len(zeros) : last]
-    held = [c for c in hypothesis if c.code == "joint_turns"]
     total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
-    for change in held:
-        assert isinstance(change.value, float)
-        total[change.joints[0]] = total.get(change.joints[0], 0.0) + change.value
+    for change in (c for c in hypothesis if c.code == "joint_turns"):
+        total[change.joints[0]] = total.get(change.joints[0], 0.0) + float(change.value)
     changes = []
     for i, value in total.items():
         quarters = np.round(value / (np.pi / 2)) * np.pi / 2
@@ -366,33 +363,25 @@ def _simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
     return len(hypothesis), max(kinds, default=0), tuple(CODES.index(c.code) for c in hypothesis)
 
 
-def _outside_limits(state: Screened, hypothesis: Hypothesis, options: ScreeningOptions) -> int:
+def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
     """How many joint positions a hypothesis puts outside the limits."""
-    arm, slack = state.rigid_arm, options.limit_slack_rad
+    arm, slack = state.rigid_arm, state.options.limit_slack_rad
     q, (low, high) = undo(hypothesis, arm.recording).joint_position, arm.arm.joint_limits.T
     return int(np.sum((q < low - slack) | (q > high + slack)))
 
 
 def _whole_turns_apart(a: Hypothesis, b: Hypothesis) -> bool:
     """Whether two hypotheses differ by whole turns of joints, or by no more than a calibration corrects."""
-
-    def turned(hypothesis: Hypothesis) -> tuple[Hypothesis, Mapping[int, float]]:
-        zeros = {c.joints[0]: float(c.value) for c in hypothesis if c.code == "joint_turns"}
-        return tuple(c for c in hypothesis if c.code != "joint_turns"), zeros
-
-    (rest_a, zeros_a), (rest_b, zeros_b) = turned(a), turned(b)
+    rest_a, rest_b = (tuple(c for c in h if c.code != "joint_turns") for h in (a, b))
+    zeros_a, zeros_b = ({c.joints[0]: float(c.value) for c in h if c.code == "joint_turns"} for h in (a, b))
     apart = [(zeros_a.get(i, 0.0) - zeros_b.get(i, 0.0)) / (2 * np.pi) for i in {*zeros_a, *zeros_b}]
     return rest_a == rest_b and bool(np.allclose(apart, np.round(apart), atol=TOLERANCE["rad"] / (2 * np.pi)))
 
 
 def _reflection(axes: str) -> Array:
     """`(3, 3)`: one axis reversed, or two exchanged."""
-    M = np.eye(3)
-    places: Sequence[int] = ["xyz".index(axis) for axis in axes]
-    if len(places) == 1:
-        M[places[0], places[0]] = -1.0
-    else:
-        M[places] = M[places[::-1]]
+    M, places = np.eye(3), ["xyz".index(axis) for axis in axes]
+    M[places] = M[places[::-1]] if len(places) > 1 else -M[places]
     return M
 
 
@@ -405,7 +394,7 @@ def tables_of_model(name: str) -> list[Arm]:
     return [load_bundled(other) for other in bundled_arms() if other.split("_")[0] == model]
 
 
-def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
+def use_other_table(state: Screened) -> Screened:
     """Another table of the same model in the place of the one declared, where the data are of that one.
 
     Where they leave it open, the corrections decide. A declared chain that was asked for stays. Where it is a published
@@ -413,7 +402,7 @@ def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
     other table must halve the residuals. Where the chain is fitted, the other table must be likelier than the declared
     one, and than a fitted chain for its more numbers.
     """
-    arm = state.rigid_arm
+    arm, options = state.rigid_arm, state.options
     tables = tables_of_model(arm.arm.name)
     declared = [arm.arm]
     if arm.exact:
@@ -426,7 +415,12 @@ def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
     numbers: dict[str, Any] = {"declared": declared[0].name, "table": other.name}
     theirs = _with_table(arm, other).fitted(options.most_fitted)
     if arm.exact:
-        share, std = _share(arm, other, options)
+        # of the way from the declared table to the other at which the data lie
+        between = np.zeros((len(arm.links) + 1, 6))
+        T = other.links @ np.linalg.inv(arm.links)
+        between[:-1, :3], between[:-1, 3:] = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+        column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
+        share, std = (float(n[0]) for n in estimated(arm, physics_columns(arm, skip=("links",)), column, options))
         clear = std < options.share_std or theirs.scale < options.table_ratio * arm.scale
         there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
         decided, likelier, vague = bool(clear and there), bool(theirs.scale < arm.scale), bool(np.isinf(std))
@@ -453,29 +447,11 @@ def use_other_table(state: Screened, options: ScreeningOptions) -> Screened:
     return replace(state.corrected(fault, recording), arm=nominal, factory=factory)
 
 
-def _share(arm: RigidArm, other: Arm, options: ScreeningOptions) -> tuple[float, float]:
-    """Of the way from the arm's chain to another table at which the data lie, and its standard deviation."""
-    between = np.zeros((len(arm.links) + 1, 6))
-    for k, (link, there) in enumerate(zip(arm.links, other.links, strict=True)):
-        T = there @ np.linalg.inv(link)
-        between[k] = np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
-    column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
-    share, std = estimated(arm, physics_columns(arm, skip=("links",)), column, options)
-    return float(share[0]), float(std[0])
-
-
 def _with_table(arm: RigidArm, table: Arm) -> RigidArm:
     """With a chain that is not fitted, the sensor's frame and the tool as far as they are free, and its own numbers."""
     free_frame = arm.recording.settings.pose_frame != "base"
-    kept = [
-        k
-        for k, (name, _, _) in enumerate(arm.unknown)
-        if name in ("tool", "reading") or (name == "base" and free_frame)
-    ]
-    unknown = tuple(arm.unknown[k] for k in kept)
-    own = np.array([name == "reading" for name, _, _ in unknown], bool)  # of a sensor's numbers the prior stays
-    precision, offset = (np.where(own, each[kept], 0.0) for each in (arm.precision, arm.offset))
+    kept = [name in ("tool", "reading") or (name == "base" and free_frame) for name, _, _ in arm.unknown]
     T = arm.T_sensor_base if free_frame else np.eye(4)  # a known one was displaced for the first link
     rows = np.array([frames.row_from_transform(link) for link in table.links])
     start = ArmModel(rows.ravel(), T, arm.T_flange_tool)  # type: ignore[arg-type]
-    return replace(arm, start=start, unknown=unknown, precision=precision, offset=offset)
+    return replace(arm.keeping(kept), start=start)

@@ -66,12 +66,9 @@ class Projected:
         size = np.linalg.norm((columns * self.weight).reshape(len(columns), -1), axis=1)
         G = X @ X.T
         confounded = np.sqrt(np.diagonal(G)) <= np.sqrt(self.options.observable_share) * size
-        G[confounded, confounded] = (
-            np.inf if confounded.all() else np.maximum(G[confounded, confounded], size[confounded] ** 2 * 1e9 + 1e300)
-        )
-        inverse = np.linalg.pinv(np.where(np.isfinite(G), G, 0.0)) if confounded.all() else np.linalg.inv(G)
-        if confounded.any():
-            inverse[confounded] = inverse[:, confounded] = 0.0
+        G[confounded, confounded] = np.maximum(G[confounded, confounded], size[confounded] ** 2 * 1e9 + 1e300)
+        inverse = np.zeros_like(G) if confounded.all() else np.linalg.inv(G)
+        inverse[confounded] = inverse[:, confounded] = 0.0
         values = -inverse @ (X @ self.residual)
         left = self.residual + values @ X
         white = inverse * max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)

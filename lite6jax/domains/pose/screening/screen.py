@@ -3,7 +3,8 @@
 A screen finds a fault in a recording that all earlier screens have corrected, and corrects it before the next looks.
 The coarsest come first: faults of rows are found without an arm, those of columns with the nominal arm and frames in
 closed form, and those of the size of the sensor's noise with a fitted arm. A new fault is one entry here, its function,
-and its sentences in `report.faults`.
+and its sentences in `report.faults`. A screen returns the state with its fault corrected, or with the numbers that rule
+it out; those here need no fit.
 """
 
 from collections.abc import Callable
@@ -11,18 +12,124 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
+from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, rows, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, require_radians, require_samples
-from lite6jax.recordings.fault import DataFault
+from lite6jax.recordings import Recording, repeated_rows, require_radians, require_samples, time_disorder
+from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.motion import at_positions, without_turns
+
+Array = NDArray[np.floating]
+
+_GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
+"""Spacing of commands in rad, and the unit in which it is round."""
+
+
+def sort_rows(state: Screened) -> Screened:
+    """The rows of each run by time, where one is before an earlier row."""
+    recording = state.recording
+    disorder = time_disorder(recording)
+    if not disorder.rows.size:
+        return state.rule_out("time_order", samples=recording.samples, timed=recording.time is not None)
+    numbers = {"largest_step_back_s": disorder.largest_step_back_s}
+    fault = DataFault("time_order", row_numbers(disorder.rows), numbers)
+    return state.corrected(fault, recording.sorted_by_time())
+
+
+def drop_repeats(state: Screened) -> Screened:
+    """Each row once: rows that repeat an earlier one in joints and pose, to the last digit, are dropped."""
+    repeated = repeated_rows(state.recording)
+    if not repeated.rows.size:
+        return state.rule_out("repeated_rows", samples=state.recording.samples)
+    kept = np.ones(state.recording.samples, bool)
+    kept[repeated.samples] = False
+    first = repeated.first_rows[np.argsort(repeated.rows)]
+    fault = DataFault("repeated_rows", row_numbers(repeated.rows), {"first_rows": [int(row) for row in first]})
+    return state.corrected(fault, state.recording.select(kept))
+
+
+def convert_positions(state: Screened) -> Screened:
+    """Positions in m, where some rows are a thousand times too far away or too near."""
+    recording, position, options = state.recording, state.recording.position, state.options
+    assert position is not None
+    middle, size = np.median(position, axis=0), max(median_distance(position), 1e-6)
+
+    def distance(points: Array) -> Array:
+        return np.linalg.norm(points - middle, axis=1)
+
+    far = distance(position) > options.suspect_distances * size
+    far &= distance(position / 1000) < options.cluster_distances * size
+    near = np.linalg.norm(position, axis=1) < options.near_share * size
+    near &= distance(position * 1000) < options.near_distances * size
+    near &= np.mean(near) < options.most_in_another_unit  # positions of one point are near themselves in any unit
+    if not (far | near).any():
+        largest = float(distance(position).max())
+        return state.rule_out("position_unit", largest_distance_m=largest, median_distance_m=size)
+    factor = np.where(far, 1e3, np.where(near, 1e-3, 1.0))
+    numbers = {"factor": float(factor.max() if factor.max() > 1 else factor.min())}
+    fault = DataFault("position_unit", row_numbers(recording.row[factor != 1]), numbers)
+    return state.corrected(fault, replace(recording, position=position * (1 / factor)[:, None]))
+
+
+def note_commanded(state: Screened) -> Screened:
+    """As it is, where joints are round numbers: they were commanded."""
+    recording, options = state.recording, state.options
+    if recording.settings.joint_source == "commanded":
+        return state.rule_out("commanded_joints", reason="declared")
+    values = np.unique(np.abs(recording.joint_position))
+    values = values[values > options.grid_smallest_rad]
+
+    def share(grid: float) -> float:
+        on_grid = np.abs(values - np.round(values / grid) * grid) < options.grid_tolerance_rad
+        return float(np.mean(on_grid)) if values.size else 0.0
+
+    largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
+    named = {"grid_rad": grid, "grid_unit": unit}
+    if values.size >= options.grid_positions and largest == 1.0:
+        numbers = {"distinct_positions": int(values.size), **named}
+        return state.corrected(DataFault("commanded_joints", (), numbers))
+    return state.rule_out("commanded_joints", reason="not_round", share=largest, **named)
+
+
+def note_computed(state: Screened) -> Screened:
+    """As it is, where the chain reproduces the poses to their rounding: a controller computed them."""
+    arm, recording = state.rigid_arm, state.recording
+    if recording.settings.pose_source == "controller_fk":
+        return state.rule_out("computed_pose", reason="declared")
+    error, position = float(np.median(arm.distance)), recording.position
+    assert position is not None
+    computed = computed_by_controller(error, position, recording.joint_position)
+    computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
+    if not computed or float(np.median(arm.turn)) > state.options.computed_rad:
+        return state.rule_out("computed_pose", reason="measured")
+    numbers = {"median_error_m": error, "chain": "factory" if arm.exact else "nominal"}
+    return state.corrected(DataFault("computed_pose", (), numbers))
+
+
+def remove_turns(state: Screened) -> Screened:
+    """Joints without whole turns, where they wrap round in a trajectory or are beyond their limits by such turns."""
+    recording, slack = state.recording, state.options.limit_slack_rad
+    limits = state.rigid_arm.arm.joint_limits
+    q = without_turns(recording, limits, slack)
+    changed = np.abs(q - recording.joint_position) > 1.0
+    if not changed.any():
+        low, high = limits.T
+        beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
+        outside = float(np.max(beyond, initial=-np.inf))
+        return state.rule_out("joint_turns", outside_limits_rad=outside if outside > slack else 0.0)
+    joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
+    fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
+    state = state.corrected(fault, at_positions(recording, q))
+    return state.transformed(lambda r: at_positions(r, without_turns(r, limits, slack)))
 
 
 @final
@@ -41,19 +148,19 @@ class Screen:
 
     codes: tuple[str, ...]
     needs: Literal["recording", "arm", "fit"]
-    run: Callable[[Screened, ScreeningOptions], Screened]
+    run: Callable[[Screened], Screened]
     estimated: Callable[[DataFault], int] = lambda fault: 0
     located: bool = False
 
 
 SCREENS = (
-    Screen(("time_order",), "recording", rows.sort_rows),
-    Screen(("repeated_rows",), "recording", rows.drop_repeats),
-    Screen(("position_unit",), "recording", rows.convert_positions),
-    Screen(("commanded_joints",), "arm", rows.note_commanded),
+    Screen(("time_order",), "recording", sort_rows),
+    Screen(("repeated_rows",), "recording", drop_repeats),
+    Screen(("position_unit",), "recording", convert_positions),
+    Screen(("commanded_joints",), "arm", note_commanded),
     Screen((*hypotheses.CODES, "undecided", "other_arm", "unexplained"), "arm", hypotheses.correct_mismatch),
-    Screen(("computed_pose",), "arm", rows.note_computed),
-    Screen(("joint_turns",), "arm", rows.remove_turns),
+    Screen(("computed_pose",), "arm", note_computed),
+    Screen(("joint_turns",), "arm", remove_turns),
     Screen(("frame_jump",), "fit", frame_jumps.remove_jumps, estimated=lambda fault: 6, located=True),
     Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
     Screen(("nominal_table",), "fit", hypotheses.use_other_table),
@@ -105,7 +212,7 @@ def screen(
     """
     require_samples(recording, 1)
     options = options or ScreeningOptions()
-    state = Screened(recording, arm, geometry, corrections or Corrections(), factory=factory)
+    state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
     if recording.touches is not None:  # all faults that are screened for are of poses
         rigid = rigid_arm(recording, arm, geometry, factory)
         require_radians(recording.joint_position, rigid.arm.joint_limits, f"{recording.source}: joint_position")
@@ -119,7 +226,7 @@ def screen(
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
             state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
-        state = entry.run(state, options)
+        state = entry.run(state)
         if state.count("other_arm") and not allow_undecided:
             n = state.found[-1].numbers
             raise InputError(
@@ -141,8 +248,8 @@ def screen(
 def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
     """The recording in order, each row once and positions in m: the screens that need no arm."""
     require_samples(recording, 1)
-    state = Screened(recording, None, "declared", Corrections())
+    state = Screened(recording, None, "declared", Corrections(), options)
     for entry in SCREENS:
         if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
-            state = entry.run(state, options)
+            state = entry.run(state)
     return state

@@ -8,6 +8,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.rigid_arm import RigidArm
+from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 
@@ -43,6 +44,7 @@ class Screened:
         arm: the nominal arm; None until it has been read from the sidecar.
         geometry: what is known of it, as in `fit`.
         corrections: which of the faults that resemble physics are corrected.
+        options: the thresholds.
         found: the faults, in the order in which they were corrected.
         ruled_out: faults that were tested for and not found.
         rigid: the rigid arm with this recording, from the first screen on that needs it.
@@ -54,6 +56,7 @@ class Screened:
     arm: Arm | None
     geometry: Geometry
     corrections: Corrections
+    options: ScreeningOptions
     found: tuple[DataFault, ...] = ()
     ruled_out: tuple[DataFault, ...] = ()
     rigid: RigidArm | None = None

@@ -1,7 +1,6 @@
 """Joints that were read before the arm had settled: the poses are further along each move than the joints say."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
@@ -39,39 +38,38 @@ class Unsettled(NamedTuple):
     std: Array
 
 
-def settle_joints(state: Screened, options: ScreeningOptions) -> Screened:
+def settle_joints(state: Screened) -> Screened:
     """The joints of a static recording with the rest of their moves added, where they were read too early."""
     samples = state.recording.samples
     if state.recording.motion != "static":
         return state.rule_out("unsettled_readouts", reason="moving", samples=samples)
     if not state.corrections.settling:
         return state
-    arm = state.rigid_arm
-    found, ruled_out = seek_unsettled(arm, options)
+    found, ruled_out = seek_unsettled(state.rigid_arm, state.options)
     if found is None:
         return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
     joints = [j + 1 for j in found.joints]
-    numbers: dict[str, Any] = {"shape": found.shape, "joints": joints, "all_joints": len(joints) == len(found.rest)}
-    arm, found = settled(arm, found, options)
+    arm, found = settled(state.rigid_arm, found, state.options)
     largest = int(np.argmax(np.abs(found.rest)))
     correction = _rests(state.recording)[found.shape] * found.rest
-    numbers |= {
+    numbers = {
+        "shape": found.shape,
+        "joints": joints,
+        "all_joints": len(joints) == len(found.rest),
         "rest": float(found.rest[largest]),
         "rest_std": float(found.std[largest]),
         "largest_rms_rad": float(np.sqrt(np.mean(correction**2, 0)).max()),
     }
-    state = state.corrected(DataFault("unsettled_readouts", (), numbers), rigid=arm)
-    return state.transformed(partial(_settled_rows, found.shape, found.rest))
+
+    def settle(recording: Recording) -> Recording:
+        return replace(recording, joint_position=recording.joint_position + _rests(recording)[found.shape] * found.rest)
+
+    return state.corrected(DataFault("unsettled_readouts", (), numbers), rigid=arm).transformed(settle)
 
 
 def count_numbers(fault: DataFault) -> int:
     """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
     return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
-
-
-def _settled_rows(shape: Shape, rest: Array, recording: Recording) -> Recording:
-    """The correction in other rows of the same recording."""
-    return replace(recording, joint_position=recording.joint_position + _rests(recording)[shape] * rest)
 
 
 def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled | None, dict[str, Any]]:
@@ -90,8 +88,7 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     shapes: dict[Shape, Array] = {name: shape[few] for name, shape in _rests(recording).items()}
     arm = arm.select(few)
     # from where each joint is in the row after; zero in the last row of a run
-    future = -moves(recording)
-    future[_first_rows(recording)] = 0.0
+    future = np.where(np.diff(run_segments(recording.run), prepend=-1)[:, None] != 0, 0.0, -moves(recording))
     future = np.roll(future, -1, axis=0)[few]
     columns: dict[Shape, Array] = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
     known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
@@ -140,20 +137,17 @@ def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
     few, step = spread_rows(arm.samples, options.most_samples), found.rest
-    shape = _rests(arm.recording)[found.shape]
-    start = arm.recording
+    start, shape = arm.recording, _rests(arm.recording)[found.shape]
     for _ in range(options.refinements):
         rest = rest + step
         moved = replace(start, joint_position=start.joint_position + shape * rest)
         arm = arm.with_poses(moved).fitted(options.most_fitted)
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
-        known = [
-            physics_columns(part, skip=("direction",) if found.shape == "constant" else ()),
-            _curves(part, options),
-        ]
+        physics = physics_columns(part, skip=("direction",) if found.shape == "constant" else ())
+        known = np.concatenate([physics, _curves(part, options)])
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        if (more := next_step(part, np.concatenate(known), group, options)) is None:
+        if (more := next_step(part, known, group, options)) is None:
             break
         step = np.zeros_like(rest)
         step[concerned] = more
@@ -170,14 +164,9 @@ def _rests(recording: Recording) -> dict[Shape, Array]:
 
 def moves(recording: Recording) -> Array:
     """`(sample, joint)` rad from where each joint was in the row before; from zero in the first row of a run."""
-    q = recording.joint_position
-    before = np.concatenate([np.zeros((1, q.shape[1])), q[:-1]])
-    return q - np.where(_first_rows(recording)[:, None], 0.0, before)
-
-
-def _first_rows(recording: Recording) -> NDArray[np.bool_]:
-    """`(sample,)`, those that begin a run."""
-    return np.concatenate([[True], np.diff(run_segments(recording.run)) != 0])
+    moved = np.diff(recording.joint_position, axis=0, prepend=0.0)
+    first = np.diff(run_segments(recording.run), prepend=-1) != 0
+    return np.where(first[:, None], recording.joint_position, moved)
 
 
 def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
