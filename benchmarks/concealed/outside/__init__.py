@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside import places, vault, workshop
+from benchmarks.concealed.outside import places, vault
 from benchmarks.concealed.outside.family import Family, Fixed, Motion, Scene, column
 
 SEALED = float("inf")
@@ -28,7 +28,7 @@ _NAMES: dict[float, str] = {
     "leaking_table gel_pads parting_changer flowing_glue shaken_tripod",
     2481: "clamped_ring bent_sheath flipping_pull parting_pinion flattened_tube buckling_plate "
     "breathing_springs opening_chuck glass_pane",
-    9101: " ".join(workshop.FAMILIES),
+    9101: " ".join(places.WORKSHOP),
     SEALED: " ".join(vault.FAMILIES),
 }
 """By the first seed of a campaign that draws them without --sealed, the names of families.
@@ -40,7 +40,7 @@ a seed draws: new families go to the end. With --sealed, a seed from 2481 to 910
 OPENED: dict[str, float] = {name: first for first, names in _NAMES.items() for name in names.split()}
 """By name, that seed."""
 
-_WRITTEN = places.FAMILIES | workshop.FAMILIES | vault.FAMILIES
+_WRITTEN = places.FAMILIES | vault.FAMILIES
 FAMILIES: dict[str, Family] = {name: _WRITTEN[name] for name in OPENED}
 """By name. A `power` of 2 is the family's; of 1 it is the named effect that comes nearest."""
 

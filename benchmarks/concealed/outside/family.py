@@ -7,6 +7,7 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -185,6 +186,12 @@ class Family:
             tuple(f"{_OF[w]} {int(fixed[key or 'joint'])}" if w in _OF else w for w in words.split("/"))
             for words, _, key in each
         )
+
+
+joint, link, base, tool, sensor, image = (
+    partial(Family, place) for place in ("joint", "link", "base", "tool", "sensor", "image")
+)
+"""Families of a place."""
 
 
 def column(values: Array, fixed: Fixed, key: str = "joint") -> Array:
