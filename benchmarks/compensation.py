@@ -34,15 +34,10 @@ FLOOR = 1.5
 
 
 class Soft(NamedTuple):
-    """An arm with springs, seen from somewhere.
+    """An arm with springs, seen from somewhere."""
 
-    Attributes:
-        setup: as it was made and where the sensor stands.
-        arms: one a payload.
-    """
-
-    setup: Setup
-    arms: dict[float, Arm]
+    setup: Setup  # as it was made and where the sensor stands
+    arms: dict[float, Arm]  # one a payload
 
     def poses(self, q: Array, payload: Array) -> tuple[Array, Array]:
         """Rotations and positions in the sensor's frame with the arm at rest where its encoders say `q`."""

@@ -47,17 +47,12 @@ CERES = "Ceres in C++"
 
 
 class Rival(NamedTuple):
-    """Another way to fit one arm to the same whitened residual, from the nominal parameters.
+    """Another way to fit one arm to the same whitened residual, from the nominal parameters."""
 
-    Attributes:
-        name: for the table.
-        solve: of joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` the seed's 28 parameters.
-        arms: of a fleet, how many it is given; the slower, the fewer.
-    """
-
-    name: str
+    name: str  # for the table
+    # of joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` the seed's 28 parameters
     solve: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    arms: int
+    arms: int  # of a fleet, how many it is given; the slower, the fewer
 
 
 def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:

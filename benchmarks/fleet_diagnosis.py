@@ -39,17 +39,11 @@ Document = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Shared:
-    """An effect that arms of a fleet have.
+    """An effect that arms of a fleet have."""
 
-    Attributes:
-        effect: with values of size 1; those of a wave are turned to a phase of each arm.
-        thresholds: its size, in thresholds of one recording.
-        odd: the only arm that has it, from 0; None where all have.
-    """
-
-    effect: Hidden
-    thresholds: float
-    odd: int | None = None
+    effect: Hidden  # with values of size 1; those of a wave are turned to a phase of each arm
+    thresholds: float  # its size, in thresholds of one recording
+    odd: int | None = None  # the only arm that has it, from 0; None where all have
 
     def found_in(self, document: Document) -> bool:
         """Whether a document has it with its name, site and order."""

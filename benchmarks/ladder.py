@@ -46,21 +46,13 @@ _EDGE = 0.25
 
 
 class Half(NamedTuple):
-    """A stretch of a recording, low-passed, `(joint, sample)` each.
+    """A stretch of a recording, low-passed, `(joint, sample)` each."""
 
-    Attributes:
-        q: rad.
-        dq: rad/s.
-        ddq: rad/s².
-        torque: Nm.
-        scored: `(sample,)` bool, away from its ends.
-    """
-
-    q: Array
-    dq: Array
-    ddq: Array
-    torque: Array
-    scored: NDArray[np.bool_]
+    q: Array  # rad
+    dq: Array  # rad/s
+    ddq: Array  # rad/s²
+    torque: Array  # Nm
+    scored: NDArray[np.bool_]  # `(sample,)` bool, away from its ends
 
     @classmethod
     def of(cls, recording: Recording, rate: float, low: LowPass) -> "Half":

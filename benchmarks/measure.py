@@ -26,23 +26,14 @@ AGREES = 1e-9
 
 @dataclass(frozen=True)
 class Record:
-    """One number of a run.
+    """One number of a run."""
 
-    Attributes:
-        workload: what was to be done.
-        subject: who did it.
-        metric: what the number says.
-        value: the number; None where there is none because the subject failed.
-        unit: of `value`.
-        failed: why the answer behind the number is wrong; empty where it is right or has no check.
-    """
-
-    workload: str
-    subject: str
-    metric: str
-    value: float | None
-    unit: str = ""
-    failed: str = ""
+    workload: str  # what was to be done
+    subject: str  # who did it
+    metric: str  # what the number says
+    value: float | None  # the number; None where there is none because the subject failed
+    unit: str = ""  # of `value`
+    failed: str = ""  # why the answer behind the number is wrong; empty where it is right or has no check
 
     def as_json(self) -> dict[str, str | float | None]:
         """The record for the JSON list; the key `failed` is there only where it is."""

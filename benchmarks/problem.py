@@ -20,17 +20,11 @@ BLOCK = 50_000
 
 
 class Measured(NamedTuple):
-    """Simulated measurements.
+    """Simulated measurements."""
 
-    Attributes:
-        kinematics: the true `(arm, 6, 6)`.
-        joint_position: `(arm, sample, 6)` rad.
-        pose: what the sensor reads, `(arm, sample, 4, 4)`.
-    """
-
-    kinematics: np.ndarray
-    joint_position: np.ndarray
-    pose: np.ndarray
+    kinematics: np.ndarray  # the true `(arm, 6, 6)`
+    joint_position: np.ndarray  # `(arm, sample, 6)` rad
+    pose: np.ndarray  # what the sensor reads, `(arm, sample, 4, 4)`
 
 
 def simulated_arms(arms: int, seed: int) -> np.ndarray:

@@ -101,21 +101,13 @@ def _compare(options: argparse.Namespace, real: Path) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one of them makes of a recording.
+    """What one of them makes of a recording."""
 
-    Attributes:
-        subject: which.
-        errors: `(sample,)` m, each row predicted by a fit of the other folds.
-        parameters: of the fit of all rows, over the geometry's.
-        names: of the fit of all rows.
-        seconds: of all fits, the geometry's included.
-    """
-
-    subject: str
-    errors: Array
-    parameters: int
-    names: tuple[str, ...]
-    seconds: float
+    subject: str  # which
+    errors: Array  # `(sample,)` m, each row predicted by a fit of the other folds
+    parameters: int  # of the fit of all rows, over the geometry's
+    names: tuple[str, ...]  # of the fit of all rows
+    seconds: float  # of all fits, the geometry's included
 
     @property
     def figures(self) -> tuple[float, float, float]:
@@ -196,7 +188,8 @@ def transfer(recording: Recording, other: Recording) -> Iterator[Outcome]:
         seconds, fitted = time_call(partial(_fit, geometry, rival, recording))
         moved = fitted.correct(view)
         tool = np.tile(np.eye(4), (len(moved), 1, 1))
-        tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(moved[:, 3:]) @ view.tool_axes, view.tool + moved[:, :3]
+        tool[:, :3, :3] = rotation_from_vector(moved[:, 3:]) @ view.axes[:, -1]
+        tool[:, :3, 3] = view.tool + moved[:, :3]
         found = register(tool @ np.linalg.inv(geometry.after), other.position, R, view.noise)
         yield Outcome(name, found.distance, fitted.parameters, fitted.names, taken + seconds)
 

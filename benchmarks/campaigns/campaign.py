@@ -82,35 +82,24 @@ def diagnose_and_predict(given: Path) -> None:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A kind of trials; its functions stand in modules, so that other processes find them.
+    """A kind of trials; its functions stand in modules, so that other processes find them."""
 
-    Attributes:
-        name: of its command.
-        count: how many trials, if not said.
-        known: thresholds from which the intervals of an effect's numbers are to hold.
-        rounds: in which its kinds come.
-        schema: of the results, a row a trial; as `schema_of`.
-        draw: a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed
-            families.
-        score: the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error.
-        set_goals: those on rows, and on the intervals of effects that are `known` thresholds large.
-        unseen: a table on the errors of the unseen motion.
-        measuring: the sensors that its rows may name; empty where they name none.
-        answer: diagnoses the files of a folder and writes what comes of it there.
-        sensors: campaigns of other sensors, among which `--sensor` chooses.
-    """
-
-    name: str
-    count: int
-    known: float
-    rounds: Rounds
-    schema: pa.Schema
+    name: str  # of its command
+    count: int  # how many trials, if not said
+    known: float  # thresholds from which the intervals of an effect's numbers are to hold
+    rounds: Rounds  # in which its kinds come
+    schema: pa.Schema  # of the results, a row a trial; as `schema_of`
+    # a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed families
     draw: Callable[[int, int, bool], Any]
+    # the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error
     score: Callable[[Row, Row | None, Row | None, float, str], Row]
+    # those on rows, and on the intervals of effects that are `known` thresholds large
     set_goals: Callable[[Sequence[Row], float], list[Goal]]
-    unseen: Callable[[Sequence[Row]], Section]
-    measuring: Sequence[str] = ()
+    unseen: Callable[[Sequence[Row]], Section]  # a table on the errors of the unseen motion
+    measuring: Sequence[str] = ()  # the sensors that its rows may name; empty where they name none
+    # diagnoses the files of a folder and writes what comes of it there
     answer: Callable[[Path], None] = diagnose_and_predict
+    # campaigns of other sensors, among which `--sensor` chooses
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
 
     def goals(self, rows: Sequence[Row]) -> list[Goal]:
@@ -275,17 +264,11 @@ def truth_text(truth: Row) -> str:
 
 
 class Answer(NamedTuple):
-    """What the diagnosis of a trial leaves.
+    """What the diagnosis of a trial leaves."""
 
-    Attributes:
-        files: that it wrote, by name.
-        seconds: that it took.
-        error: empty where there was none.
-    """
-
-    files: dict[str, str]
-    seconds: float
-    error: str
+    files: dict[str, str]  # that it wrote, by name
+    seconds: float  # that it took
+    error: str  # empty where there was none
 
 
 def draw_trial(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> Any:

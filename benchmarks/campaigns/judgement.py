@@ -31,16 +31,12 @@ _ENDED = ("consistent", "explained")
 
 
 class Statement(NamedTuple):
-    """A diagnosis beside its truth.
+    """A diagnosis beside its truth."""
 
-    Attributes:
-        grade: right: every finding is true, and all that can be found is named; partial: nothing false is said, but
-            something is missing; misleading: a finding is false, or the verdict says that nothing is left where it is.
-        why: what is false or missing; empty where it is right.
-    """
-
+    # right: every finding is true, and all that can be found is named; partial: nothing false is said, but something is
+    # missing; misleading: a finding is false, or the verdict says that nothing is left where it is
     grade: Grade
-    why: str
+    why: str  # what is false or missing; empty where it is right
 
 
 def is_at_least(effect: Row, least: float) -> bool:

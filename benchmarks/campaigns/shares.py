@@ -78,17 +78,11 @@ def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> 
 
 
 class Goal(NamedTuple):
-    """A goal.
+    """A goal."""
 
-    Attributes:
-        asked: in words, with the number.
-        reached: the number with its interval.
-        met: None where there are no trials.
-    """
-
-    asked: str
-    reached: str
-    met: bool | None
+    asked: str  # in words, with the number
+    reached: str  # the number with its interval
+    met: bool | None  # None where there are no trials
 
 
 def goal(

@@ -19,7 +19,7 @@ from benchmarks.concealed import outside
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Drivers
-from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, loaded, moments, poses
+from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Effects, Hidden, loaded, moments, poses
 from benchmarks.concealed.plans import Plan
 from benchmarks.concealed.view import View, reported, reported_slopes, source
 
@@ -59,7 +59,7 @@ _COMPARED_ROWS = 400
 """Of a recording, evenly chosen, on which functions are compared; each counts for as many as it stands for."""
 
 
-def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...] | None:
+def hide(plan: Plan, rng: np.random.Generator, view: View) -> Effects | None:
     """Effects of the planned names and sizes; None where one of them is out of sight."""
     drawn: list[Hidden] = []
     for name in plan.effects:
@@ -71,7 +71,7 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         if effect is None or any((effect.name, effect.site, effect.fixed) == (o.name, o.site, o.fixed) for o in drawn):
             return None
         drawn.append(effect)
-    hidden: tuple[Hidden, ...] = ()
+    hidden: Effects = ()
     span = view.nuisance() if drawn else np.zeros((0, 0))
     for effect, times in zip(drawn, plan.sizes, strict=True):
         tried = (*hidden, effect)
@@ -189,7 +189,7 @@ def _draw_effect(name: str, rng: np.random.Generator, view: View, plan: Plan, at
     return Hidden(name, site, values, fixed)
 
 
-def describe(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
+def describe(view: View, hidden: Effects) -> list[dict[str, Any]]:
     """What is hidden, with its size in thresholds beside all the rest, its bound and its nearest rival."""
     if not hidden:
         return []
@@ -218,7 +218,7 @@ def describe(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
     return said
 
 
-def detection_threshold(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Threshold:
+def detection_threshold(view: View, hidden: Effects, place: int, span: Array) -> Threshold:
     """Of one of the hidden effects, the direction of its values given, across the columns of all that may vary."""
     effect, others = hidden[place], (*hidden[:place], *hidden[place + 1 :])
     # small enough for a derivative
@@ -229,7 +229,7 @@ def detection_threshold(view: View, hidden: tuple[Hidden, ...], place: int, span
     return detection.threshold(g, span, 1 if effect.name in OUTSIDE else effect.linear, float(moved))
 
 
-def bounds(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, float]]:
+def bounds(view: View, hidden: Effects) -> list[dict[str, float]]:
     """The Cramér–Rao bound of every reported number: one standard deviation of the best unbiased estimate."""
     if not hidden:
         return []
@@ -277,7 +277,7 @@ def candidates(dof: int, moving: bool, orientation: bool) -> Iterator[Hidden]:
         yield Hidden("time_offset", "clock", (0.0,))
 
 
-def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
+def nearest_rival(view: View, hidden: Effects, place: int, span: Array) -> Rival:
     """Which other candidate explains most of one of the hidden effects, beside the columns of all that may vary.
 
     Columns are taken where all effects are as they are: elsewhere, what cancels here would leave what effects do to
@@ -288,7 +288,7 @@ def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Arra
     return detection.nearest(view.padded(g[:, None])[:, 0], span, _names(view, hidden, hidden[place]))
 
 
-def _names(view: View, there: tuple[Hidden, ...], effect: Hidden) -> Iterator[tuple[str, str, Array]]:
+def _names(view: View, there: Effects, effect: Hidden) -> Iterator[tuple[str, str, Array]]:
     """Name, site and columns of the candidates other than `effect`, beside `there`."""
     for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
         order = effect.fixed.get("order")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed.chain import GRAVITY, Array, Chain, Poses, about_z, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.outside import FAMILIES, seen_shift
 from benchmarks.concealed.outside.family import Motion, Scene
 
@@ -47,19 +47,13 @@ _SUBSTEPS = 12
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect at a site.
+    """An effect at a site."""
 
-    Attributes:
-        name: a key of `COORDINATES`.
-        site: jointN, linkN, links, base, tool, sensor, clock or payload.
-        values: its numbers, one for each coordinate; a harmonic's order may be the third.
-        fixed: what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside
-            the catalogue, whatever `outside.draw_form` draws.
-    """
-
-    name: str
-    site: str
-    values: tuple[float, ...]
+    name: str  # a key of `COORDINATES`
+    site: str  # jointN, linkN, links, base, tool, sensor, clock or payload
+    values: tuple[float, ...]  # its numbers, one for each coordinate; a harmonic's order may be the third
+    # what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside the
+    # catalogue, whatever `outside.draw_form` draws
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -81,21 +75,18 @@ class Hidden:
         return self.sized(np.array([*(factor * v for v in self.values[: self.linear]), *self.values[self.linear :]]))
 
 
+Effects = tuple[Hidden, ...]
+"""All that are hidden together."""
+
+
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """An arm and where it is seen from.
+    """An arm and where it is seen from."""
 
-    Attributes:
-        chain: the arm as it is.
-        sensor: `(4, 4)` T_sensor_base.
-        tool: `(4, 4)` T_flange_tool.
-        payload_center: `(3,)` m in the flange's frame.
-    """
-
-    chain: Chain
-    sensor: Array
-    tool: Array
-    payload_center: Array
+    chain: Chain  # the arm as it is
+    sensor: Array  # `(4, 4)` T_sensor_base
+    tool: Array  # `(4, 4)` T_flange_tool
+    payload_center: Array  # `(3,)` m in the flange's frame
 
 
 def moments(chain: Chain, q: Array, payload: Array, payload_center: Array) -> tuple[Array, Array]:
@@ -130,8 +121,8 @@ def loaded(setup: Setup, motion: Motion, needed: bool = True) -> Motion:
     return replace(motion, moment=moment, base_moment=base_moment)
 
 
-def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Array, Array]:
-    """Rotations `(sample, 3, 3)` and positions `(sample, 3)` m that a sensor without noise would show."""
+def poses(setup: Setup, hidden: Effects, motion: Motion) -> Poses:
+    """What a sensor without noise would show."""
     chain = setup.chain
     for effect in hidden:
         if effect.name == "time_offset":

@@ -5,19 +5,19 @@ What is recorded are motions, and what sensor and encoders read of them with noi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from benchmarks.campaigns.rounds import Trial, csv_text, first_made
+from benchmarks.campaigns.rounds import Trial, csv_text, first_made, motion_columns
 from benchmarks.concealed import chain as chains
 from benchmarks.concealed import readings
 from benchmarks.concealed.chain import (
     Array,
     Chain,
+    Poses,
     description_text,
     factory_text,
     quaternion_from_rotation,
@@ -28,7 +28,7 @@ from benchmarks.concealed.hiding import describe, hide
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Curve
-from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
+from benchmarks.concealed.plain_physics import Effects, Motion, Setup, poses
 from benchmarks.concealed.plans import (
     ENCODERS,
     LOOSE,
@@ -152,8 +152,14 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     # the oracle knows of faults, and of a file that is another arm's; of noise it does not
     read = replace(view, motion=replace(motion, q=recorded)) if plan.noise == "in the joints" else view
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
-    fitted = _oracle(read, believed, hidden, measured, used, unseen, unseen_truth)
-    truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, {"oracle": fitted})
+    rotation, position = poses(*oracle(read, believed, hidden, measured, used), unseen)
+    turn = vector_from_rotation(np.swapaxes(unseen_truth[0], 1, 2) @ rotation)
+    fitted = {
+        "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - unseen_truth[1]) ** 2, 1)))),
+        "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
+        "estimated_numbers": left_open.size(actual.dof) + sum(len(effect.values) for effect in hidden),
+    }
+    truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, oracle=fitted)
     if plan.masses_off:
         truth["mass_errors"] = (actual.mass / nominal.mass - 1).tolist()
     files = files_of(plan, nominal, declared, motion, recorded, *pose_readings(plan, measured), unseen, faulty)
@@ -161,15 +167,9 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
 
 
 def _truth(
-    plan: Plan,
-    view: View,
-    hidden: tuple[Hidden, ...],
-    seen: tuple[Array, Array],
-    unseen: tuple[Array, Array],
-    faulty: Sequence[int] = (),
-    more: Mapping[str, Any] = MappingProxyType({}),
+    plan: Plan, view: View, hidden: Effects, seen: Poses, unseen: Poses, faulty: Sequence[int] = (), **more: Any
 ) -> dict[str, Any]:
-    """What is sealed of rotations and positions that were seen, and of those of the unseen motion."""
+    """What is sealed of poses that were seen, and of those of the unseen motion."""
     moved = seen[1] - poses(view.setup, (), view.motion)[1]
     return {
         "schema": "concealed/truth/1",
@@ -198,25 +198,6 @@ def _arms(plan: Plan, rng: np.random.Generator) -> tuple[Chain, Chain, Chain]:
         return nominal, actual, replace(nominal, mass=actual.mass)
     off = UNCERTAIN if plan.geometry == "uncertain" else OFF if plan.noise == "factory file off" else 0.0
     return nominal, actual, actual.moved(rng, off, off)
-
-
-def _oracle(
-    view: View,
-    believed: Setup,
-    hidden: tuple[Hidden, ...],
-    measured: tuple[Array, Array],
-    used: NDArray[np.bool_],
-    unseen: Motion,
-    truth: tuple[Array, Array],
-) -> dict[str, float]:
-    """How well the fit that knows the form of the truth predicts the unseen motion."""
-    rotation, position = poses(*oracle(view, believed, hidden, measured, used), unseen)
-    turn = vector_from_rotation(np.swapaxes(truth[0], 1, 2) @ rotation)
-    return {
-        "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - truth[1]) ** 2, 1)))),
-        "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
-        "estimated_numbers": view.open.size(view.setup.chain.dof) + sum(len(effect.values) for effect in hidden),
-    }
 
 
 # ------------------------------------------------------------------ what is recorded
@@ -280,8 +261,8 @@ def _draw_curve(rng: np.random.Generator, middle: Array, reach: Array) -> Curve:
 
 
 def measure(
-    plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: tuple[Array, Array]
-) -> tuple[tuple[Array, Array], Array, NDArray[np.bool_], list[int]]:
+    plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: Poses
+) -> tuple[Poses, Array, NDArray[np.bool_], list[int]]:
     """Poses and joints as they are read, which rows are no faults, and the rows (from 1) that are."""
     rows, dof = motion.q.shape
     noise = SENSORS[plan.sensor]
@@ -300,7 +281,7 @@ def measure(
         q += rng.normal(0, 5e-5, q.shape)
     position = seen[1] + noise[0] * draws[:, :3]
     rotation = seen[0] @ rotation_from_vector((noise[1] or 0.0) * draws[:, 3:])
-    used, faulty = np.ones(rows, bool), []
+    used = np.ones(rows, bool)
     if plan.fault.startswith("outliers"):
         used[rng.choice(rows, rows // 30, replace=False)] = False
         push = rng.normal(size=(rows, 3))
@@ -321,8 +302,7 @@ def measure(
     elif plan.fault == "unsettled_readouts":
         # the encoder is read while this share of the move is still to come
         q[1:] -= 1e-3 * np.diff(motion.q, axis=0)
-    faulty = [int(k) + 1 for k in np.flatnonzero(~used)]
-    return (rotation, position), q, used, faulty
+    return (rotation, position), q, used, [int(k) + 1 for k in np.flatnonzero(~used)]
 
 
 def files_of(
@@ -349,8 +329,23 @@ def files_of(
         unseen: what is to be predicted.
         faulty: rows (from 1) that are faults.
     """
+    said = {
+        "arm": nominal.name if nominal.bundled else "arm.yaml",
+        "joint_source": "measured",
+        "pose_source": said["pose_source"],
+        "motion": "trajectory" if plan.moving else "static",
+        "pose_frame": "unknown" if plan.mounted else "base",
+        "tool": "unknown" if plan.mounted else "none",
+    } | dict(said)
+    files = {} if nominal.bundled else {"arm.yaml": description_text(nominal)}
+    if plan.geometry != "unknown":
+        said["factory_calibration"] = "factory.yaml"
+        files["factory.yaml"] = factory_text(declared.rows)
+    if plan.geometry == "uncertain":
+        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
     (count,) = {len(column) // len(q) for column in readings.values()}
-    columns = {name: np.repeat(column, count) for name, column in _columns(motion, q, plan.moving).items()}
+    moved = motion_columns(motion, q, motion.dq if plan.moving else None)
+    columns = {name: np.repeat(column, count) for name, column in moved.items()}
     columns |= {name: column for name, column in readings.items() if name != "inside"}
     rows = readings.get("inside", np.arange(len(q) * count))
     if plan.fault == "time_order":
@@ -358,14 +353,14 @@ def files_of(
         rows[k : k + 12] = rows[k : k + 12][::-1]
     if plan.fault == "repeated_rows":
         rows = np.sort(np.concatenate([rows, np.array(faulty) - 1]))
-    return {
-        **_declared(plan, nominal, declared, said),
+    return files | {
+        "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
         "recording.csv": csv_text({name: column[rows] for name, column in columns.items()}),
-        "unseen.csv": csv_text(_columns(unseen, unseen.q, plan.moving)),
+        "unseen.csv": csv_text(motion_columns(unseen, unseen.q, unseen.dq if plan.moving else None)),
     }
 
 
-def pose_readings(plan: Plan, measured: tuple[Array, Array]) -> tuple[dict[str, Array], dict[str, Any]]:
+def pose_readings(plan: Plan, measured: Poses) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns of poses that were measured, and what the sidecar says of the sensor."""
     position, rotation, word = SENSORS[plan.sensor]
     said: dict[str, Any] = {"pose_source": word, "position_noise_m": position, "payload_com_m": list(PAYLOAD_CENTER)}
@@ -374,33 +369,3 @@ def pose_readings(plan: Plan, measured: tuple[Array, Array]) -> tuple[dict[str, 
         said["orientation_noise_rad"] = rotation
         columns.update(zip(("qw", "qx", "qy", "qz"), quaternion_from_rotation(measured[0]).T, strict=True))
     return columns, said
-
-
-def _declared(plan: Plan, nominal: Chain, declared: Chain, sensor: Mapping[str, Any]) -> dict[str, str]:
-    """The sidecar, with what it says of the sensor, and the files that it names."""
-    said: dict[str, Any] = {
-        "arm": nominal.name if nominal.bundled else "arm.yaml",
-        "joint_source": "measured",
-        "pose_source": sensor["pose_source"],
-        "motion": "trajectory" if plan.moving else "static",
-        "pose_frame": "unknown" if plan.mounted else "base",
-        "tool": "unknown" if plan.mounted else "none",
-    } | dict(sensor)
-    files: dict[str, str] = {}
-    if plan.geometry != "unknown":
-        said["factory_calibration"] = "factory.yaml"
-        files["factory.yaml"] = factory_text(declared.rows)
-    if plan.geometry == "uncertain":
-        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
-    if not nominal.bundled:
-        files["arm.yaml"] = description_text(nominal)
-    return files | {"recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False)}
-
-
-def _columns(motion: Motion, q: Array, moving: bool) -> dict[str, Array]:
-    joints = range(q.shape[1])
-    columns = {"time_s": motion.time} | {f"q{i + 1}_rad": q[:, i] for i in joints}
-    if moving:
-        columns |= {f"dq{i + 1}_rad_per_s": motion.dq[:, i] for i in joints}
-    columns |= {f"temp{i + 1}_degC": motion.temperature[:, i] for i in joints}
-    return columns | {"payload_kg": motion.payload}

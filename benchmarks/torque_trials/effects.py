@@ -31,26 +31,16 @@ _LEAST_LOAD = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What an arm does: arrays with the sample first.
+    """What an arm does: arrays with the sample first."""
 
-    Attributes:
-        time: `(sample,)` s.
-        q: `(sample, joint)` rad.
-        dq: `(sample, joint)` rad/s.
-        ddq: `(sample, joint)` rad/s².
-        temperature: `(sample, joint)` °C.
-        payload: `(sample,)` kg, as declared.
-        curve: the motion at any time.
-        load: `(sample, joint)` Nm of the rigid bodies, once it is known.
-    """
-
-    time: Array
-    q: Array
-    dq: Array
-    ddq: Array
-    temperature: Array
-    payload: Array
-    curve: Curve
+    time: Array  # `(sample,)` s
+    q: Array  # `(sample, joint)` rad
+    dq: Array  # `(sample, joint)` rad/s
+    ddq: Array  # `(sample, joint)` rad/s²
+    temperature: Array  # `(sample, joint)` °C
+    payload: Array  # `(sample,)` kg, as declared
+    curve: Curve  # the motion at any time
+    # `(sample, joint)` Nm of the rigid bodies, once it is known
     load: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def later(self, offset: float) -> "Motion":
@@ -102,19 +92,12 @@ class Joint:
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect at a site.
+    """An effect at a site."""
 
-    Attributes:
-        name: a key of `NAMED` or `FAMILIES`.
-        site: jointN, linkN, base, payload or clock.
-        values: its numbers under the names that the library reports; of a family, its `size`.
-        fixed: what else belongs to its form, that nobody asks for.
-    """
-
-    name: str
-    site: str
-    values: Values
-    fixed: Values = field(default_factory=dict)
+    name: str  # a key of `NAMED` or `FAMILIES`
+    site: str  # jointN, linkN, base, payload or clock
+    values: Values  # its numbers under the names that the library reports; of a family, its `size`
+    fixed: Values = field(default_factory=dict)  # what else belongs to its form, that nobody asks for
 
     @property
     def number(self) -> int:
@@ -147,19 +130,13 @@ def sign(velocity: Array) -> Array:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect of the catalogue.
+    """An effect of the catalogue."""
 
-    Attributes:
-        sizes: the numbers that say how large it is.
-        torque: what it adds to a joint's torque; None where it changes the arm, gravity, the payload or the clock.
-        linear: in how many coordinates it is linear: a ripple of a known order in two.
-        shapes: its other numbers, which are estimated as well.
-    """
-
-    sizes: tuple[str, ...]
+    sizes: tuple[str, ...]  # the numbers that say how large it is
+    # what it adds to a joint's torque; None where it changes the arm, gravity, the payload or the clock
     torque: Callable[[Joint], Array] | None = None
-    linear: int = 1
-    shapes: tuple[str, ...] = ()
+    linear: int = 1  # in how many coordinates it is linear: a ripple of a known order in two
+    shapes: tuple[str, ...] = ()  # its other numbers, which are estimated as well
 
 
 def _stribeck(m: Joint) -> Array:
@@ -203,27 +180,18 @@ NAMED: dict[str, Named] = {
 
 @dataclass(frozen=True)
 class Family:
-    """A family of physics outside the catalogue.
+    """A family of physics outside the catalogue."""
 
-    Attributes:
-        torque: what a size of 1 adds to the torque of a joint.
-        on: quantities on which it depends, of the joint itself or "of by".
-        keys: what is drawn for it beside the joint.
-        beside: effects of the catalogue that are true beside an unnamed one of the same joint: its straight part.
-        sum_of: effects of the catalogue, at the same joint, that describe it whole together.
-        warm: whether it needs temperatures that vary.
-        nameless: whether no curve over anything recorded can be it, so that only a wrong name is wrong.
-        positive: whether its size is positive by physics: friction takes energy, a spring pulls back, a sensor that
-            saturates reads less. Where it may also be negative, it is a change of something that is there.
-    """
-
-    torque: Callable[[Joint], Array]
-    on: str
-    keys: tuple[str, ...] = ()
+    torque: Callable[[Joint], Array]  # what a size of 1 adds to the torque of a joint
+    on: str  # quantities on which it depends, of the joint itself or "of by"
+    keys: tuple[str, ...] = ()  # what is drawn for it beside the joint
+    # effects of the catalogue that are true beside an unnamed one of the same joint: its straight part
     beside: tuple[str, ...] = ()
-    sum_of: tuple[str, ...] = ()
-    warm: bool = False
-    nameless: bool = False
+    sum_of: tuple[str, ...] = ()  # effects of the catalogue, at the same joint, that describe it whole together
+    warm: bool = False  # whether it needs temperatures that vary
+    nameless: bool = False  # whether no curve over anything recorded can be it, so that only a wrong name is wrong
+    # whether its size is positive by physics: friction takes energy, a spring pulls back, a sensor that saturates reads
+    # less. Where it may also be negative, it is a change of something that is there.
     positive: bool = False
 
     def drivers(self, joint: int, fixed: Values) -> Drivers:

@@ -28,27 +28,17 @@ _MASSES_OFF = 0.03
 
 
 class Spoiled(NamedTuple):
-    """What is read of a motion.
+    """What is read of a motion."""
 
-    Attributes:
-        q: `(sample, joint)` rad.
-        dq: `(sample, joint)` rad/s.
-        torque: `(sample, joint)` Nm, or whatever it is.
-        joints: that the fault concerns, counted from 1.
-        numbers: how large it is: `added_rad` that undoes a zero, `factors` of torques, `gravity_m_per_s2` as it acts.
-        rows: of a contact, from 0.
-        gravity: `(3,)` m/s², as it is declared.
-        turns: whether positions are from 0 to a turn.
-    """
-
-    q: Array
-    dq: Array
-    torque: Array
-    joints: list[int]
+    q: Array  # `(sample, joint)` rad
+    dq: Array  # `(sample, joint)` rad/s
+    torque: Array  # `(sample, joint)` Nm, or whatever it is
+    joints: list[int]  # that the fault concerns, counted from 1
+    # how large it is: `added_rad` that undoes a zero, `factors` of torques, `gravity_m_per_s2` as it acts
     numbers: dict[str, Any]
-    rows: list[int]
-    gravity: Array
-    turns: bool = False
+    rows: list[int]  # of a contact, from 0
+    gravity: Array  # `(3,)` m/s², as it is declared
+    turns: bool = False  # whether positions are from 0 to a turn
 
 
 def friction(rng: np.random.Generator, setup: Setup, motion: Motion) -> tuple[Hidden, ...]:

@@ -50,19 +50,13 @@ _POSITIVE = ("viscous_friction", "coulomb_friction", "load_friction", "rotor_ine
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A motion as its torques show it.
+    """A motion as its torques show it."""
 
-    Attributes:
-        setup: the arm as it is.
-        motion: what it does.
-        noise: `(joint,)` Nm that a sample is worth: the noise's standard deviation over the root of effective samples.
-        inertial: the relative uncertainty of the declared inertial numbers: 0 declared, infinite unknown.
-    """
-
-    setup: Setup
-    motion: Motion
+    setup: Setup  # the arm as it is
+    motion: Motion  # what it does
+    # `(joint,)` Nm that a sample is worth: the noise's standard deviation over the root of effective samples
     noise: Array
-    inertial: float = 0.0
+    inertial: float = 0.0  # the relative uncertainty of the declared inertial numbers: 0 declared, infinite unknown
     _scenes: dict[str, Motion] = field(default_factory=dict)
 
     @classmethod

@@ -39,41 +39,23 @@ SIMULATED = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn first.
+    """What is drawn first."""
 
-    Attributes:
-        seed: of the campaign.
-        index: of the trial in it.
-        kind: what is hidden.
-        engine: which physics: plain or mujoco.
-        arm: lite6 or seven.
-        inertial: declared, uncertain or unknown.
-        source: torque or current.
-        noise: one of `NOISES`.
-        rate: Hz.
-        seconds: of the recording.
-        effects: names.
-        sizes: of the effects, in thresholds.
-        edge: one of `EDGES`, or none.
-        fault: one of `FAULTS`, or none.
-        sealed: whether what is outside the catalogue is of a sealed family.
-    """
-
-    seed: int
-    index: int
-    kind: Kind
-    engine: str
-    arm: str
-    inertial: str
-    source: str
-    noise: str
-    rate: float
-    seconds: float
-    effects: tuple[str, ...]
-    sizes: tuple[float, ...]
-    edge: str = ""
-    fault: str = ""
-    sealed: bool = False
+    seed: int  # of the campaign
+    index: int  # of the trial in it
+    kind: Kind  # what is hidden
+    engine: str  # which physics: plain or mujoco
+    arm: str  # lite6 or seven
+    inertial: str  # declared, uncertain or unknown
+    source: str  # torque or current
+    noise: str  # one of `NOISES`
+    rate: float  # Hz
+    seconds: float  # of the recording
+    effects: tuple[str, ...]  # names
+    sizes: tuple[float, ...]  # of the effects, in thresholds
+    edge: str = ""  # one of `EDGES`, or none
+    fault: str = ""  # one of `FAULTS`, or none
+    sealed: bool = False  # whether what is outside the catalogue is of a sealed family
 
 
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
@@ -95,23 +77,11 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     if kind == "outside" or edge == "slow":
         seconds = max(seconds, 25.0)
     built = all(name in SIMULATED for name in effects) and not edge and kind != "faulty" and noise == NOISES[0]
-    return Plan(
-        seed=seed,
-        index=index,
-        kind=kind,
-        engine="mujoco" if built and rng.random() < 0.7 else "plain",
-        arm=str(rng.choice(["lite6", "seven"], p=[0.75, 0.25])),
-        inertial=inertial,
-        source=str(rng.choice(["torque", "current"], p=[0.85, 0.15])),
-        noise=noise,
-        rate=rate,
-        seconds=min(seconds, _MOST_ROWS / rate),
-        effects=effects,
-        sizes=sizes,
-        edge=edge,
-        fault=fault,
-        sealed=sealed and kind == "outside",
-    )
+    engine = "mujoco" if built and rng.random() < 0.7 else "plain"
+    arm = str(rng.choice(["lite6", "seven"], p=[0.75, 0.25]))
+    source = str(rng.choice(["torque", "current"], p=[0.85, 0.15]))
+    drawn = (seed, index, kind, engine, arm, inertial, source, noise, rate, min(seconds, _MOST_ROWS / rate))
+    return Plan(*drawn, effects, sizes, edge, fault, sealed=sealed and kind == "outside")
 
 
 def _effects(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.campaigns.rounds import Trial, csv_text, first_made
+from benchmarks.campaigns.rounds import Trial, csv_text, first_made, motion_columns
 from benchmarks.concealed.chain import Array, rotation_from_vector
 from benchmarks.torque_trials.effects import FAMILIES
 from benchmarks.torque_trials.faults import Spoiled, describe_arm, friction, spoil
@@ -164,7 +164,7 @@ def files_of(
         said["inertial"] = UNCERTAIN if plan.inertial == "uncertain" else "unknown"
     if plan.fault == "estimated_torque":
         del said["torque_source"]
-    columns = _columns(motion, read.q, read.dq, read.turns)
+    columns = motion_columns(motion, read.q, read.dq, read.turns)
     joints = range(1, torque.shape[1] + 1)
     if plan.source == "current":
         constants = np.round(rng.uniform(2.0, 12.0, torque.shape[1]), 3)
@@ -176,16 +176,5 @@ def files_of(
         "arm.yaml": arm_text(told),
         "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
         "recording.csv": csv_text(columns, _DIGITS),
-        "unseen.csv": csv_text(_columns(unseen, unseen.q, unseen.dq), _DIGITS),
+        "unseen.csv": csv_text(motion_columns(unseen, unseen.q, unseen.dq), _DIGITS),
     }
-
-
-def _columns(motion: Motion, q: Array, dq: Array, turns: bool = False) -> dict[str, Array]:
-    joints = range(1, q.shape[1] + 1)
-    places = {f"q{i}_rad": q[:, i - 1] for i in joints}
-    if turns:
-        places = {f"q{i}_deg": np.rad2deg(np.mod(q[:, i - 1], 2 * np.pi)) for i in joints}
-    columns = {"time_s": motion.time} | places
-    columns |= {f"dq{i}_rad_per_s": dq[:, i - 1] for i in joints}
-    columns |= {f"temp{i}_degC": motion.temperature[:, i - 1] for i in joints}
-    return columns | {"payload_kg": motion.payload}
