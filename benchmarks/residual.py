@@ -24,8 +24,7 @@ from lite6jax.recordings import Recording
 
 Array = NDArray[Any]
 
-_WILD = 8.0
-"""Times the median distance from the median beyond which a row is not fitted."""
+_WILD = 8.0  # times the median distance from the median beyond which a row is not fitted
 _GP_TUNED, _GP_ROWS = 800, 3000
 """Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
 ORDERS = tuple(range(1, 61))
@@ -93,8 +92,7 @@ class Fitted(NamedTuple):
     names: tuple[str, ...] = ()  # the physics that it names, as `effect:site`
 
 
-Rival = Callable[[View], Fitted]
-"""Fits what is left of the geometry's residuals."""
+Rival = Callable[[View], Fitted]  # fits what is left of the geometry's residuals
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,20 +18,10 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from benchmarks import residual
 from benchmarks.concealed.chain import rotation_from_vector
 from benchmarks.measure import DONE, OURS, Record, run_command, time_call, write_records
-from benchmarks.residual import (
-    Array,
-    Fitted,
-    Geometry,
-    Rival,
-    gaussian_process,
-    geometry_alone,
-    neural_network,
-    ridge,
-    rotations,
-    stepwise,
-)
+from benchmarks.residual import Array, Fitted, Geometry, Rival, rotations
 from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model, write_document
@@ -41,8 +31,7 @@ from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable
 
 FOLDS = 5
-REAL = "LITE6JAX_REAL"
-"""The variable that names the folder of real series."""
+REAL = "LITE6JAX_REAL"  # the variable that names the folder of real series
 _NAMED = 8
 
 
@@ -148,11 +137,11 @@ def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcom
 def rivals(free: bool) -> dict[str, Rival]:
     """By name."""
     return {
-        "geometry alone": geometry_alone,
-        "geometry and Gaussian process": gaussian_process,
-        "geometry and neural network": neural_network,
-        "ridge, orders 1–60": partial(ridge, free),
-        "stepwise, BIC": partial(stepwise, free),
+        "geometry alone": residual.geometry_alone,
+        "geometry and Gaussian process": residual.gaussian_process,
+        "geometry and neural network": residual.neural_network,
+        "ridge, orders 1–60": partial(residual.ridge, free),
+        "stepwise, BIC": partial(residual.stepwise, free),
     }
 
 

@@ -18,8 +18,7 @@ Array = NDArray[np.floating]
 
 SEARCHED = 100
 ALARM = 0.01
-LEAST_SEEN = 0.01
-"""The share of what an effect does that the rest cannot do, below which it is out of sight."""
+LEAST_SEEN = 0.01  # the share of what an effect does that the rest cannot do, below which it is out of sight
 
 
 @dataclass(frozen=True)

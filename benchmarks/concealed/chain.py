@@ -10,8 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
-Poses = tuple[Array, Array]
-"""Rotations `(sample, 3, 3)` and positions `(sample, 3)` m."""
+Poses = tuple[Array, Array]  # rotations `(sample, 3, 3)` and positions `(sample, 3)` m
 
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -22,18 +22,13 @@ mujoco: Any = _mujoco  # its names are made at run time, where no type checker s
 
 SPRINGS = ("joint_compliance", "hardening_spring", "yielding_spring")
 GEARS = (*SPRINGS, "joint_backlash")
-OFFERED = (*GEARS, "base_compliance", "time_offset", "payload_error")
-"""The effects that can be built."""
+OFFERED = (*GEARS, "base_compliance", "time_offset", "payload_error")  # the effects that can be built
 REMEMBERING = ("joint_backlash", "yielding_spring")
 
-STEP = 1e-3
-"""s."""
-_MOVE, _REST = 1.0, 0.4
-"""s: from pose to pose, and until the arm is read."""
-_FLANK = 1e8
-"""Nm/rad of a gear's flank: at 1e6, what gravity pressed into it was found as the compliance that it was."""
-_SERVO = 4e4
-"""Nm/rad."""
+STEP = 1e-3  # s
+_MOVE, _REST = 1.0, 0.4  # s: from pose to pose, and until the arm is read
+_FLANK = 1e8  # Nm/rad of a gear's flank: at 1e6, what gravity pressed into it was found as the compliance that it was
+_SERVO = 4e4  # Nm/rad
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.concealed.chain import GRAVITY, Array, Chain, Poses, about_z, rotation_from_rpy, rotation_from_vector
-from benchmarks.concealed.outside import FAMILIES, seen_shift
+from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Motion, Scene
 
 TWIST = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -35,13 +35,10 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     **{name: (family.number,) for name, family in FAMILIES.items()},
 }
 """The numbers of each effect in which it is linear (a clock's offset: nearly); a harmonic's are A cos φ and A sin φ."""
-OUTSIDE = tuple(FAMILIES)
-"""Those that the library's catalogue does not have."""
+OUTSIDE = tuple(FAMILIES)  # those that the library's catalogue does not have
 
-HARDENING = 4.0
-"""τ/T = x + HARDENING x³: at T the spring gives way by 0.54 of what its start promises."""
-YIELD = 0.25
-"""In turns of x, where a second spring of stiffness 2 beside one of 0.5 begins to slip: at 0.6 T."""
+HARDENING = 4.0  # τ/T = x + HARDENING x³: at T the spring gives way by 0.54 of what its start promises
+YIELD = 0.25  # in turns of x, where a second spring of stiffness 2 beside one of 0.5 begins to slip: at 0.6 T
 _SUBSTEPS = 12
 
 
@@ -75,8 +72,7 @@ class Hidden:
         return self.sized(np.array([*(factor * v for v in self.values[: self.linear]), *self.values[self.linear :]]))
 
 
-Effects = tuple[Hidden, ...]
-"""All that are hidden together."""
+Effects = tuple[Hidden, ...]  # all that are hidden together
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +179,15 @@ def poses(setup: Setup, hidden: Effects, motion: Motion) -> Poses:
     if sensor.any():
         turn = rotation_from_vector(sensor[:, 3:])
         p, R = sensor[:, :3] + np.einsum("sab,sb->sa", turn, p), turn @ R
-    shifts = [effect.values[0] * seen_shift(effect.name, effect.fixed, motion, p) for effect in image]
-    return R, scale * sum(shifts, p)
+    seen = p
+    for effect in image:
+        family = FAMILIES[effect.name]
+        assert family.image is not None
+        shift = family.image(seen.T).T
+        if family.signal is not None:
+            shift = shift * family.signal(Scene(effect.fixed, motion))[:, None]
+        p = p + effect.values[0] * shift
+    return R, scale * p
 
 
 _LOADED = {"joint_compliance", "link_compliance", "base_compliance", "joint_backlash"} | {

@@ -18,15 +18,12 @@ SIZES = (1.0, 1.5, 2.0, 2.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 OUTSIDE_SIZES = (3.0, 5.0, 10.0, 20.0)
 EDGES = ("masses off", "two harmonics", "few rows", "loaded backlash")
 """What makes it hard to name an effect that the catalogue has."""
-NAMES_AT_STAKE: tuple[Kind, ...] = ("outside", "edge")
-"""The kinds in which the rate of wrong names is measured."""
-ROWS = 300
-"""Of a recording, but for the kinds in which names are at stake."""
+NAMES_AT_STAKE: tuple[Kind, ...] = ("outside", "edge")  # the kinds in which the rate of wrong names is measured
+ROWS = 300  # of a recording, but for the kinds in which names are at stake
 FEW, FEWEST = 40, 15
 _ROW_RANGES = ((0.2, FEWEST, 60), (0.65, 60, 500), (0.15, 500, 3000))
 """Share, and between which numbers of rows it is uniform in the logarithm; most are moderate, to bound the time."""
-_TRAJECTORY = 100
-"""Rows, 5 s: on a shorter way an arm does not come far."""
+_TRAJECTORY = 100  # rows, 5 s: on a shorter way an arm does not come far
 SINGLE = tuple(name for name in COORDINATES if name not in (*OUTSIDE, "payload_error"))
 NOISES = (
     *("as declared",) * 5,
@@ -44,14 +41,12 @@ SENSORS = {
     "controller": (3e-8, 3e-7, "controller_fk"),
 }
 """m and rad per axis, one standard deviation, and the sidecar's word."""
-UNCERTAIN = 5e-5
-"""m and rad: the standard deviation that an uncertain factory file says of itself."""
+UNCERTAIN = 5e-5  # m and rad: the standard deviation that an uncertain factory file says of itself
 LOOSE = (5 * MADE[0], 5 * MADE[1])
 """m and rad: what anyone believes of an arm of whose numbers nothing is said; it settles what no pose can."""
 TOUCHED, ENCODERS = (1e-3, 5e-3), 2e-4
 """m and rad: what is believed of the chain, and of each encoder once a turn, where touches are all that is measured."""
-OFF = 1e-5
-"""m and rad: how far the factory file is off that says nothing of it."""
+OFF = 1e-5  # m and rad: how far the factory file is off that says nothing of it
 
 READERS = {"contact": 120, "plane": 150, "distance": 200, "axis": 200, "fixed_camera": 60, "flange_camera": 60}
 """Sensors that measure no poses, and how many readings or images each takes."""

@@ -16,16 +16,13 @@ from benchmarks.concealed.view import Reading, transform
 
 CONTACT_NOISE, PLANE_NOISE, DISTANCE_NOISE, AXIS_NOISE, PIXEL_NOISE = 1e-4, 2e-5, 5e-5, 2e-5, 0.15
 """One standard deviation, m, and px."""
-APART, APART_NOISE = 0.05, 5e-5
-"""m, of two sockets on one plate, and its standard deviation."""
-_PLATE = 0.15
-"""m, half a plate's side."""
+APART, APART_NOISE = 0.05, 5e-5  # m, of two sockets on one plate, and its standard deviation
+_PLATE = 0.15  # m, half a plate's side
 _FOCUS, _CENTRE, _SIZE = np.array([1450.0, 1452.0]), np.array([958.0, 603.0]), np.array([1920.0, 1200.0])
 _DISTORTION = (-0.11, 0.09, 4e-4, -3e-4, -0.02)
 _COLUMNS, _ROWS, _SQUARE, _PRINTED = 6, 4, 0.02, 2e-5
 """Inner corners of the board, m, and m of each coordinate of a corner, one standard deviation."""
-_FAR = (0.9, 0.35)
-"""m, of a camera that stands, and of one on the flange, from the board."""
+_FAR = (0.9, 0.35)  # m, of a camera that stands, and of one on the flange, from the board
 _STARTS, _STEPS, _LONGEST, _REACHED = 4, 60, 0.3, 1e-7
 """Starts for each sample; steps; rad of a joint in one; m and rad."""
 

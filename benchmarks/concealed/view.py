@@ -10,8 +10,7 @@ from scipy.linalg import block_diag
 from benchmarks.concealed.chain import Array, Poses, rotation_from_rpy, rotation_from_vector, vector_from_rotation
 from benchmarks.concealed.plain_physics import COORDINATES, Effects, Hidden, Motion, Setup, poses
 
-_ROUNDS, _HALVINGS = 3, 5
-"""Of Gauss and Newton's method, which starts at the truth."""
+_ROUNDS, _HALVINGS = 3, 5  # of Gauss and Newton's method, which starts at the truth
 _STEPS = {"m": 1e-5, "rad": 1e-5, "s": 1e-4, "Nm": 1e-6, "K": 1e-6, "kg": 1e-3}
 
 
@@ -95,7 +94,8 @@ class View:
         def at(moved: Array) -> Poses:
             return poses(self.setup, (*hidden[:place], effect.sized(moved), *hidden[place + 1 :]), self.motion)
 
-        return self._slopes(at, values, [_step(name) for name in coordinates(effect)])
+        steps = [_STEPS.get(name.rsplit("_", 1)[-1], 1e-5) for name in coordinates(effect)]
+        return self._slopes(lambda a, b: self.difference(at(a), at(b)), values, steps)
 
     def nuisance(self, hidden: Effects = ()) -> Array:
         """`(number, open)`: what moves with the numbers that are left open, the prior's rows below."""
@@ -104,24 +104,17 @@ class View:
         def at(x: Array) -> Poses:
             return poses(self.open.moved(self.setup, x), hidden, self.motion)
 
-        found = self._slopes(at, np.zeros(size), [1e-6] * size)
+        found = self._slopes(lambda a, b: self.difference(at(a), at(b)), np.zeros(size), [1e-6] * size)
         if self.open.encoders:
             joints = range(1, self.setup.chain.dof + 1)
             waves = (Hidden("joint_harmonic", f"joint{k}", (0.0, 0.0), {"order": 1.0}) for k in joints)
             found = np.hstack([found, *(self.columns((*hidden, wave), len(hidden)) for wave in waves)])
         if self.reading:
-            found = np.hstack([found, self._by_own(poses(self.setup, hidden, self.motion))])
+            shown, read, own = poses(self.setup, hidden, self.motion), self.reading.read, self.reading.numbers
+            by_own = self._slopes(lambda a, b: (read(shown, b) - read(shown, a)).ravel(), own, [1e-6] * len(own))
+            found = np.hstack([found, by_own])
         known = self.prior()
         return np.concatenate([found, known]) if len(known) else found
-
-    def _by_own(self, shown: Poses) -> Array:
-        """`(number, own)`: how readings move with their own numbers."""
-        assert self.reading is not None
-        x, step = self.reading.numbers, 1e-6
-        found = np.empty((len(self.motion.q) * self._rows(), len(x)))
-        for i, move in enumerate(step * np.eye(len(x))):
-            found[:, i] = (self.reading.read(shown, x + move) - self.reading.read(shown, x - move)).ravel() / (2 * step)
-        return found
 
     def prior(self) -> Array:
         """`(row, open)`: the rows by which what is known beforehand counts as measured."""
@@ -146,12 +139,13 @@ class View:
         """How many numbers a sample has."""
         return self.reading.rows if self.reading else 6 if self.noise[1] else 3
 
-    def _slopes(self, at: Callable[[Array], Poses], x: Array, steps: Sequence[float]) -> Array:
+    def _slopes(self, between: Callable[[Array, Array], Array], x: Array, steps: Sequence[float]) -> Array:
+        """`(number, coordinate)`: central differences of whitened numbers `between` two values of all coordinates."""
         found = np.empty((len(self.motion.q) * self._rows(), len(x)))
         for i, step in enumerate(steps):
             move = np.zeros(len(x))
             move[i] = step
-            found[:, i] = self.difference(at(x - move), at(x + move)) / (2 * step)
+            found[:, i] = between(x - move, x + move) / (2 * step)
         return found
 
 
@@ -159,10 +153,6 @@ def coordinates(effect: Hidden) -> tuple[str, ...]:
     """The names of an effect's numbers; a harmonic's order is one of them where it has three."""
     names = COORDINATES[effect.name][: len(effect.values)]
     return (*names, "order") if effect.name == "joint_harmonic" and len(effect.values) == 3 else names
-
-
-def _step(name: str) -> float:
-    return _STEPS.get(name.rsplit("_", 1)[-1], 1e-5)
 
 
 def reported(effect: Hidden) -> dict[str, float]:

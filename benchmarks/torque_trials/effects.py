@@ -14,19 +14,13 @@ from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import bump
 
 Values = Mapping[str, float]
-Curve = Callable[[Array], tuple[Array, Array, Array]]
-"""`(sample, joint)` rad, rad/s and rad/s² at `(sample,)` s."""
-Drivers = list[list[str]]
-"""Each of these is a driver; one of several phrases is enough to name it."""
+Curve = Callable[[Array], tuple[Array, Array, Array]]  # `(sample, joint)` rad, rad/s and rad/s² at `(sample,)` s
+Drivers = list[list[str]]  # each of these is a driver; one of several phrases is enough to name it
 
-SMOOTH = 2e-3
-"""rad/s within which a sign turns: sign(v) is tanh(v / SMOOTH)."""
-AMBIENT = 25.0
-"""°C."""
-_WARMER = 10.0
-"""K: families count temperatures in these."""
-_LEAST_LOAD = 0.05
-"""Nm below which a load is none."""
+SMOOTH = 2e-3  # rad/s within which a sign turns: sign(v) is tanh(v / SMOOTH)
+AMBIENT = 25.0  # °C
+_WARMER = 10.0  # K: families count temperatures in these
+_LEAST_LOAD = 0.05  # Nm below which a load is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +133,6 @@ class Named:
     shapes: tuple[str, ...] = ()  # its other numbers, which are estimated as well
 
 
-def _stribeck(m: Joint) -> Array:
-    return m["stribeck_Nm"] * np.exp(-((m.dq / m["velocity_rad_per_s"]) ** 2)) * m.sign
-
-
 def _coupled(m: Joint) -> Array:
     """As either of two joints feels it: of the sum of their velocities."""
     both = m.dq + m.s.dq[:, int(m["source_joint"]) - 1]
@@ -152,7 +142,11 @@ def _coupled(m: Joint) -> Array:
 NAMED: dict[str, Named] = {
     "viscous_friction": Named(("viscous_Nm_s_per_rad",), lambda m: m["viscous_Nm_s_per_rad"] * m.dq),
     "coulomb_friction": Named(("coulomb_Nm",), lambda m: m["coulomb_Nm"] * m.sign),
-    "stribeck_friction": Named(("stribeck_Nm",), _stribeck, shapes=("velocity_rad_per_s",)),
+    "stribeck_friction": Named(
+        ("stribeck_Nm",),
+        lambda m: m["stribeck_Nm"] * np.exp(-((m.dq / m["velocity_rad_per_s"]) ** 2)) * m.sign,
+        shapes=("velocity_rad_per_s",),
+    ),
     "load_friction": Named(("coefficient",), lambda m: m["coefficient"] * np.abs(m.load) * m.sign),
     "friction_temperature": Named(("viscous_Nm_s_per_rad_K",), lambda m: m["viscous_Nm_s_per_rad_K"] * m.warmth * m.dq),
     "coupled_friction": Named(("viscous_Nm_s_per_rad", "coulomb_Nm"), _coupled, 2),
@@ -213,22 +207,12 @@ _WORDS = {
 }
 
 
-def _mesh(m: Joint) -> Array:
-    ripples = np.sin(m["order"] * m.q) + np.sin(m["second"] * m.q)
-    return m.load / m["load_Nm"] * ripples
-
-
 def _presliding(m: Joint) -> Array:
     bent = np.zeros(len(m.q))
     for k, step in enumerate(np.diff(m.q)):
         rest = np.sign(step)
         bent[k + 1] = rest + (bent[k] - rest) * np.exp(-abs(step) / m["bristle_rad"])
     return bent
-
-
-def _hardening(m: Joint) -> Array:
-    way = m.q - m["rest"]
-    return way * np.abs(way)
 
 
 _FRICTION = ("coulomb_friction", "viscous_friction", "stribeck_friction")
@@ -254,7 +238,10 @@ FAMILIES: dict[str, Family] = {
         positive=True,
     ),
     # a gear's mesh that ripples with two orders, the more the joint is loaded
-    "loaded_ripple": Family(_mesh, "position, load", ("order", "second", "load_Nm"), ("torque_ripple", "torque_scale")),
+    "loaded_ripple": Family(
+        lambda m: m.load / m["load_Nm"] * (np.sin(m["order"] * m.q) + np.sin(m["second"] * m.q)),
+        *("position, load", ("order", "second", "load_Nm"), ("torque_ripple", "torque_scale")),
+    ),
     # an end stop of rubber: nothing before it, then the square of the way into it
     "soft_stop": Family(lambda m: np.maximum(0.0, m.q - m["at"]) ** 2, "position", ("at",), _SPRING, positive=True),
     # bristles that bend over an angle before they slide (P. Dahl, 1968), exact between samples
@@ -283,7 +270,9 @@ FAMILIES: dict[str, Family] = {
         positive=True,
     ),
     # a cable whose stiffness grows as it is drawn out
-    "hardening_cable": Family(_hardening, "position", ("rest",), _SPRING, positive=True),
+    "hardening_cable": Family(
+        lambda m: (m.q - m["rest"]) * np.abs(m.q - m["rest"]), "position", ("rest",), _SPRING, positive=True
+    ),
     # dry friction that falls or rises with temperature
     "warming_coulomb": Family(
         lambda m: m.warmth / _WARMER * m.sign,

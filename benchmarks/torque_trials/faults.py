@@ -17,12 +17,10 @@ from benchmarks.torque_trials.plans import Plan
 _SEEN, _SEEN_NOISES = 0.3, 10.0
 """Of the torque of some joint, and of its noise, RMS: what a wrong position or gravity changes at least."""
 _ZEROS = np.deg2rad([15.0, -15.0, 30.0, -45.0, 90.0, -90.0, 180.0])
-_FACTORS = (0.1, 0.25, 4.0, 10.0)
-"""Of a constant that is wrong in some joints."""
+_FACTORS = (0.1, 0.25, 4.0, 10.0)  # of a constant that is wrong in some joints
 _CONSTANTS, _RATINGS = (4.0, 12.0), (8.0, 30.0)
 """Nm/A, and Nm of 100 per cent, of joints whose torques are currents or per cent."""
-_BIAS = (0.005, 0.02)
-"""rad/s."""
+_BIAS = (0.005, 0.02)  # rad/s
 _MASSES_OFF = 0.03
 """Relative, one standard deviation of the masses and centres of half the arms: descriptions are never exact."""
 

@@ -30,10 +30,8 @@ _LITE6_INERTIA = (
 """1e-6 kg·m², the maker's."""
 _LITE6_NOISE = (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
 _SEVEN_NOISE = (0.25, 0.3, 0.2, 0.15, 0.06, 0.05, 0.03)
-_SEVEN_SIZE = 0.09, 0.11, 0.2
-"""m, of the boxes whose inertia the links of the arm of seven joints have."""
-_INERTIAL_SPREAD = 0.3
-"""Relative, of the masses and inertias of drawn arms about the vendor's."""
+_SEVEN_SIZE = 0.09, 0.11, 0.2  # m, of the boxes whose inertia the links of the arm of seven joints have
+_INERTIAL_SPREAD = 0.3  # relative, of the masses and inertias of drawn arms about the vendor's
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +173,8 @@ def arm_text(arm: Arm) -> str:
 # ------------------------------------------------------------------ how they move
 
 _SINES = 5
-_REACH = 1.5
-"""rad, the most that a joint moves to either side of its middle."""
-_SLACK = 0.9
-"""The share of its limits that a motion uses at most."""
+_REACH = 1.5  # rad, the most that a joint moves to either side of its middle
+_SLACK = 0.9  # the share of its limits that a motion uses at most
 
 
 def draw_motion(
@@ -230,8 +226,7 @@ def draw_motion(
 # ------------------------------------------------------------------ what is hidden in them
 
 BODIES = ("link_mass", "link_com", "payload_error", "base_tilt")
-RIGID = (*BODIES, "time_offset")
-"""The effects that change what the rigid bodies ask for."""
+RIGID = (*BODIES, "time_offset")  # the effects that change what the rigid bodies ask for
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,7 @@ from benchmarks.campaigns.rounds import Kind, Rounds, turn
 from benchmarks.torque_trials.effects import FAMILIES, NAMED, OPEN, SEALED
 
 ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}, 21)
-SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
-"""Times the threshold; twice it is drawn twice as often, for a goal is set there."""
+SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)  # times the threshold; twice it is drawn twice as often, for a goal is set there
 OUTSIDE_SIZES = (4.0, 8.0, 20.0)
 EDGES = ("short", "slow", "two ripples", "resting joints")
 """What makes it hard to name an effect that the catalogue has."""
@@ -20,16 +19,13 @@ DATA_FAULTS = (
     *("estimated_torque", "joint_zero"),  # twice, so that it comes twice as often
 )
 """What is wrong with the file, under the names that the library has for it."""
-FAULTS = ("contact", *DATA_FAULTS)
-"""What is wrong with a faulty recording: an event, or the file."""
+FAULTS = ("contact", *DATA_FAULTS)  # what is wrong with a faulty recording: an event, or the file
 SINGLE = tuple(NAMED)
 NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy velocities")
 AUTOCORRELATION = 0.9
-RATES = (100.0, 125.0, 200.0, 250.0)
-"""Hz."""
+RATES = (100.0, 125.0, 200.0, 250.0)  # Hz
 _MOST_ROWS = 6000
-MASSES = ("link_mass", "link_com", "payload_error")
-"""Effects that are none where the inertial numbers are unknown."""
+MASSES = ("link_mass", "link_com", "payload_error")  # effects that are none where the inertial numbers are unknown
 SIMULATED = (
     *("viscous_friction", "coulomb_friction", "rotor_inertia", "joint_spring", "link_mass", "link_com"),
     *("payload_error", "base_tilt"),

@@ -20,14 +20,10 @@ Curve = Callable[[Array], tuple[Array, Array]]
 Drivers = tuple[tuple[str, ...], ...]
 """Each of these is a driver of the signal; one of several phrases is enough to name it."""
 
-PRELOAD = 0.5
-"""Of the load: the moment at which bolts that are tightened begin to give, or a detent does."""
-ROCKING = 4.0
-"""A moment of one part in so many of the load tips a base from one foot to another."""
-WARMER = 10.0
-"""K: temperatures count in these."""
-_AMBIENT = 25.0
-"""°C."""
+PRELOAD = 0.5  # of the load: the moment at which bolts that are tightened begin to give, or a detent does
+ROCKING = 4.0  # a moment of one part in so many of the load tips a base from one foot to another
+WARMER = 10.0  # K: temperatures count in these
+_AMBIENT = 25.0  # °C
 
 
 @dataclass(frozen=True, eq=False)

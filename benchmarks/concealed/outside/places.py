@@ -29,30 +29,18 @@ from benchmarks.concealed.outside.family import (
     wound,
 )
 
-_PULLEY = 1.5
-"""Turns of a pulley in one turn of the joint that drives it: between the orders that a wobbling axis has."""
-_TENSIONER = 0.2
-"""Of the load: the torque at which the spring of a tensioner begins to give."""
-_SHEATH = 0.3
-"""Friction of a cable in its sheath, over a rad of the bend."""
-_DEAD_POINT = 0.2
-"""rad to either side of a dead point in which a spring goes over it."""
-_CREEP = 4.0
-"""Time constants of a creep that a recording lasts."""
-_ROLLS = 0.1
-"""Of the load: the moment about which a ball begins to roll."""
-_CYCLE = 0.4
-"""m of distance in which the error of a distance meter comes round."""
-_GLASS = 1.5
-"""Refractive index."""
-_FRINGE = 0.25
-"""m from one wave of the depth to the next."""
-_FADES = 0.2
-"""m in which what steel does to a field fades."""
-_SWITCHING = 0.15
-"""In tens of K, to either side: where a fan turns on and off."""
-_BRUSHED = 0.3
-"""rad to either side of where hoses reach a mast."""
+_PULLEY = 1.5  # turns of a pulley in one turn of the joint that drives it: between the orders that a wobbling axis has
+_TENSIONER = 0.2  # of the load: the torque at which the spring of a tensioner begins to give
+_SHEATH = 0.3  # friction of a cable in its sheath, over a rad of the bend
+_DEAD_POINT = 0.2  # rad to either side of a dead point in which a spring goes over it
+_CREEP = 4.0  # time constants of a creep that a recording lasts
+_ROLLS = 0.1  # of the load: the moment about which a ball begins to roll
+_CYCLE = 0.4  # m of distance in which the error of a distance meter comes round
+_GLASS = 1.5  # refractive index
+_FRINGE = 0.25  # m from one wave of the depth to the next
+_FADES = 0.2  # m in which what steel does to a field fades
+_SWITCHING = 0.15  # in tens of K, to either side: where a fan turns on and off
+_BRUSHED = 0.3  # rad to either side of where hoses reach a mast
 _AXES = (0, 1, 2)
 
 

@@ -18,10 +18,8 @@ from benchmarks.concealed.outside.family import (
     tool,
 )
 
-_STICKING = 0.4
-"""In tens of K: the growth that friction holds back."""
-_SEAM = 0.05
-"""m to either side in which two volumes are blended."""
+_STICKING = 0.4  # in tens of K: the growth that friction holds back
+_SEAM = 0.05  # m to either side in which two volumes are blended
 
 
 def _threefold(x: Array, y: Array) -> Array:
