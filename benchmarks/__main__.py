@@ -14,22 +14,20 @@ from rich.table import Table
 from benchmarks.measure import DONE, MISSED, UNUSABLE, Record, Workload, run_command, write_records
 from lite6jax.storage import check_writable
 
-MODULES = {
-    "fits": ("one", "fleet", "samples", "devices", "ceres"),
-    "study": ("study", "models", "regressor"),
-    "commands": ("command", "folders", "diagnose"),
-    "fleet_diagnosis": ("fleet_diagnosis",),
-    "compensation": ("compensation",),
-    "soak": ("soak",),
-}
+MODULES = (
+    ("fits", ("one", "fleet", "samples", "devices", "ceres")),
+    ("study", ("study", "models", "regressor")),
+    ("commands", ("command", "folders", "diagnose")),
+    *((name, (name,)) for name in ("fleet_diagnosis", "compensation")),
+    ("commands", ("soak",)),
+)
 """Workloads in the order in which they run: functions of this folder's modules."""
-WORKLOADS = {name: module for module, names in MODULES.items() for name in names}
+WORKLOADS = {name: module for module, names in MODULES for name in names}
 BY_NAME = ("devices", "ceres", "fleet_diagnosis", "soak")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
 PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}
 """Those of the extra `benchmark`, by the module that is imported."""
-OF_WORKLOADS = ("scipy", "pinocchio", "mujoco")
-"""What the workloads cannot do without."""
+OF_WORKLOADS = ("scipy", "pinocchio", "mujoco")  # what the workloads cannot do without
 COMMANDS = {
     "concealed": ("concealed.campaign", "mujoco"),
     "torque": ("torque_trials.campaign", "mujoco"),

@@ -21,28 +21,19 @@ from lite6jax.recordings import Recording, RecordingSettings, read_recording, wr
 from lite6jax.storage import write_atomically
 
 WORK = "soft Lite 6 in MuJoCo"
-NOISE = (2e-5, 1e-4)
-"""m and rad per axis."""
-SPRINGS = {2: 9e-5, 3: 6e-5, 5: 1.2e-4}
-"""rad/Nm of the joints' springs."""
-BASE = (1.5e-5, 2.5e-5)
-"""rad/Nm of what it stands on."""
+NOISE = (2e-5, 1e-4)  # m and rad per axis
+SPRINGS = {2: 9e-5, 3: 6e-5, 5: 1.2e-4}  # rad/Nm of the joints' springs
+BASE = (1.5e-5, 2.5e-5)  # rad/Nm of what it stands on
 PAYLOADS = (0.0, 0.8)
 CENTER = (0.01, 0.0, 0.05)
-FLOOR = 1.5
-"""After compensation the error may be so many times what the tracker's own noise makes of a position."""
+FLOOR = 1.5  # after compensation the error may be so many times what the tracker's own noise makes of a position
 
 
 class Soft(NamedTuple):
-    """An arm with springs, seen from somewhere.
+    """An arm with springs, seen from somewhere."""
 
-    Attributes:
-        setup: as it was made and where the sensor stands.
-        arms: one a payload.
-    """
-
-    setup: Setup
-    arms: dict[float, Arm]
+    setup: Setup  # as it was made and where the sensor stands
+    arms: dict[float, Arm]  # one a payload
 
     def poses(self, q: Array, payload: Array) -> tuple[Array, Array]:
         """Rotations and positions in the sensor's frame with the arm at rest where its encoders say `q`."""
@@ -61,16 +52,10 @@ class Soft(NamedTuple):
         rotation, position = self.poses(q, payload)
         position = position + NOISE[0] * rng.standard_normal(position.shape)
         rotation = rotation @ rotation_from_vector(NOISE[1] * rng.standard_normal(position.shape))
-        told = RecordingSettings(
-            arm="lite6",
-            factory_calibration=str(calibration) if calibration else None,
-            motion="static",
-            joint_source="measured",
-            pose_source="laser_tracker",
-            position_noise_m=NOISE[0],
-            orientation_noise_rad=NOISE[1] if turned else None,
-            payload_com_m=CENTER,
-        )
+        noise = {"position_noise_m": NOISE[0], "orientation_noise_rad": NOISE[1] if turned else None}
+        where = {"arm": "lite6", "factory_calibration": str(calibration) if calibration else None, "motion": "static"}
+        source = {"joint_source": "measured", "pose_source": "laser_tracker", "payload_com_m": CENTER}
+        told = RecordingSettings(**where, **source, **noise)
         quaternion = quaternion_from_rotation(rotation) if turned else None
         return Recording.from_arrays(q, position=position, quaternion=quaternion, payload=payload, settings=told)
 

@@ -1,5 +1,8 @@
 """Fits of simulated arms to noisy poses: beside SciPy and Ceres in C++, of many samples, and on an accelerator.
 
+The arms are of the seed's tolerance, and the tests' oracle says what a noisy sensor reads of them: nothing of the
+library is used but the bundled arm's nominal numbers.
+
 Ceres takes a C++ compiler and Debian's `libceres-dev`; both are compiled with what this machine's processor has. Ratios
 are of processor time, which other work on the machine changes less than wall time.
 """
@@ -25,7 +28,6 @@ from scipy.optimize import least_squares
 
 from benchmarks import seed_way
 from benchmarks.measure import AGREES, OURS, ROOT, Record, disagreement, median_time, time_call, unlikely
-from benchmarks.problem import NOISE, SCALE, Measured, chain_error, measured
 from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
@@ -36,28 +38,65 @@ from lite6jax.calibration.residual import Observations, evaluate, linearise, obs
 from lite6jax.calibration.solve import inverse
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm, arm_model
+from tests.oracles.arms import ASSEMBLY
+from tests.oracles.chains import seed_poses, six_parameter_poses
+from tests.oracles.transforms import perturb_poses
 
-TOLERANCE = 1e-12
-"""Of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place."""
-STEPS = 1000
-"""Most evaluations a fit may take."""
+NOISE = (20e-6, 0.1e-3)  # one standard deviation of a measured position (m) and orientation (rad), per axis
+SCALE = (1 / NOISE[0], 1 / NOISE[1])
+BLOCK = 50_000
+TOLERANCE = 1e-12  # of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place
+STEPS = 1000  # most evaluations a fit may take
 SOURCE = Path(__file__).with_name("ceres.cpp")
 HEADERS = Path("/usr/include/ceres/ceres.h")
 CERES = "Ceres in C++"
 
 
+class Measured(NamedTuple):
+    """Simulated measurements."""
+
+    kinematics: np.ndarray  # the true `(arm, 6, 6)`
+    joint_position: np.ndarray  # `(arm, sample, 6)` rad
+    pose: np.ndarray  # what the sensor reads, `(arm, sample, 4, 4)`
+
+
+def simulated_arms(arms: int, seed: int) -> np.ndarray:
+    """True six-parameter chains `(arm, 6, 6)`, each number normal about the Lite 6's with the seed's size as its sd."""
+    spread = ASSEMBLY * np.random.default_rng(seed).standard_normal((arms, 6, 6))
+    return load_bundled("lite6").kinematics + spread
+
+
+def measured(arms: int, samples: int, seed: int) -> Measured:
+    """Arms that each take their own joint positions, and their noisy poses."""
+    rng = np.random.default_rng((seed, 1))
+    kinematics = simulated_arms(arms, seed)
+    joint_position = sample_joints(arms * samples, rng).reshape(arms, samples, 6)
+    pose = np.empty((arms, samples, 4, 4))
+    for arm in range(arms):
+        for first in range(0, samples, BLOCK):
+            part = slice(first, first + BLOCK)
+            pose[arm, part] = perturb_poses(
+                rng, six_parameter_poses(kinematics[arm], joint_position[arm, part]), *NOISE
+            )
+    return Measured(kinematics, joint_position, pose)
+
+
+def chain_error(kinematics: np.ndarray, parameters: np.ndarray, joint_position: np.ndarray) -> float:
+    """The largest difference in any entry of the flange pose of true chains `(arm, 6, 6)` and models `(arm, 28)`."""
+    pairs = zip(kinematics, parameters, strict=True)
+    return max(
+        float(np.abs(six_parameter_poses(true, joint_position) - seed_poses(model, joint_position)).max())
+        for true, model in pairs
+    )
+
+
 class Rival(NamedTuple):
-    """Another way to fit one arm to the same whitened residual, from the nominal parameters.
+    """Another way to fit one arm to the same whitened residual, from the nominal parameters."""
 
-    Attributes:
-        name: for the table.
-        solve: of joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` the seed's 28 parameters.
-        arms: of a fleet, how many it is given; the slower, the fewer.
-    """
-
-    name: str
+    name: str  # for the table
+    # of joint positions `(sample, 6)` and measured poses `(sample, 4, 4)` the seed's 28 parameters
     solve: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    arms: int
+    arms: int  # of a fleet, how many it is given; the slower, the fewer
 
 
 def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -88,18 +127,11 @@ def by_minpack(
         parameters[free] = moved
         return parameters
 
-    solved = least_squares(
-        lambda moved: np.asarray(_residuals(form, whole(moved), observed)),
-        start[free],
-        # its stub knows only the names of finite differences
-        lambda moved: np.asarray(_jacobian(form, whole(moved), observed))[free].T,  # pyright: ignore[reportArgumentType]
-        method="lm",
-        x_scale="jac",
-        xtol=tolerance,
-        ftol=tolerance,
-        gtol=tolerance,
-        max_nfev=STEPS,
-    )
+    # any, as its stub knows only the names of finite differences
+    jacobian: Any = lambda moved: np.asarray(_jacobian(form, whole(moved), observed))[free].T  # noqa: E731
+    tight: dict[str, Any] = dict.fromkeys(("xtol", "ftol", "gtol"), tolerance) | {"max_nfev": STEPS}
+    left = lambda moved: np.asarray(_residuals(form, whole(moved), observed))  # noqa: E731
+    solved = least_squares(left, start[free], jacobian, method="lm", x_scale="jac", **tight)
     return whole(solved.x), solved.jac
 
 

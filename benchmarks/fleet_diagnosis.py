@@ -16,40 +16,30 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.campaigns.shares import share
+from benchmarks.campaigns.judgement import share
 from benchmarks.concealed import chain as chains
 from benchmarks.concealed.hiding import beyond_named, detection_threshold
 from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, Setup, poses
 from benchmarks.concealed.plans import SENSORS, Plan
-from benchmarks.concealed.trials import PAYLOAD_CENTER, draw_motion, files_of, measure, pose_readings
+from benchmarks.concealed.trials import PAYLOAD_CENTER, draw_motion, files_of, measure
 from benchmarks.concealed.view import Open, View, transform
 from benchmarks.measure import ROOT, Record
 
-HALF = 0.5
-"""Thresholds of one recording, of an effect that all arms have."""
-_ODD = 4.0
-"""Thresholds of an effect that one arm has and the others have not."""
-_MIDDLE = {1: 0.0, 2: 0.0, 3: 1.8, 4: 0.0, 5: 0.0}
-"""rad, in the middle of what each joint does."""
-_WIDTH = 0.4
-"""rad, of a bump over the position of a joint."""
+HALF = 0.5  # thresholds of one recording, of an effect that all arms have
+_ODD = 4.0  # thresholds of an effect that one arm has and the others have not
+_MIDDLE = {1: 0.0, 2: 0.0, 3: 1.8, 4: 0.0, 5: 0.0}  # rad, in the middle of what each joint does
+_WIDTH = 0.4  # rad, of a bump over the position of a joint
 
 Document = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Shared:
-    """An effect that arms of a fleet have.
+    """An effect that arms of a fleet have."""
 
-    Attributes:
-        effect: with values of size 1; those of a wave are turned to a phase of each arm.
-        thresholds: its size, in thresholds of one recording.
-        odd: the only arm that has it, from 0; None where all have.
-    """
-
-    effect: Hidden
-    thresholds: float
-    odd: int | None = None
+    effect: Hidden  # with values of size 1; those of a wave are turned to a phase of each arm
+    thresholds: float  # its size, in thresholds of one recording
+    odd: int | None = None  # the only arm that has it, from 0; None where all have
 
     def found_in(self, document: Document) -> bool:
         """Whether a document has it with its name, site and order."""
@@ -97,13 +87,14 @@ def _hidden(kind: str, number: int, arms: int, seed: int) -> Shared:
     """What a fleet has."""
     rng = np.random.default_rng([seed, 3, number])
     order = float(rng.integers(20, 121))
+    wave = (1.0, 0.0, order), {"order": order}
     effects = (
         Hidden("joint_compliance", "joint2", (1.0,)),
-        Hidden("joint_harmonic", f"joint{rng.integers(1, 6)}", (1.0, 0.0, order), {"order": order}),
+        Hidden("joint_harmonic", f"joint{rng.integers(1, 6)}", *wave),
         Hidden("joint_backlash", f"joint{rng.integers(1, 6)}", (1.0,)),
         Hidden("joint_compliance", "joint3", (1.0,)),
         Hidden("joint_coupling", "joint3", (1.0,), {"source_joint": 2}),
-        Hidden("joint_harmonic", f"joint{rng.integers(1, 6)}", (1.0, 0.0, order), {"order": order}),
+        Hidden("joint_harmonic", f"joint{rng.integers(1, 6)}", *wave),
     )
     effect = effects[number % len(effects)]
     if kind == "outside":
@@ -136,23 +127,19 @@ def _judged(kind: str, answers: Sequence[tuple[Shared, Document]]) -> dict[str, 
             "with a name, which is wrong": named,
         }
     found = [hidden.found_in(document) for hidden, document in answers]
-    flags: dict[str, Iterable[bool]] = {"found and named": found}
     if kind == "half":
-        flags["recordings that do not show it alone"] = (
+        said = "recordings that do not show it alone"
+        flags = [
             all(one["label"] != f"{hidden.effect.name}:{hidden.effect.site}" for one in member["found_alone"])
             for hidden, document in answers
             for member in document["recordings"]
-        )
+        ]
     else:
-        flags["that arm named, and no other"] = (
-            [member["file"] for member in document["recordings"] if member["outlier_in"]]
-            == [f"arm{(hidden.odd or 0) + 1:02d}.csv"]
-            for hidden, document in answers
-        )
-    flags["with another effect too"] = (
-        len(document["effects"]) > one for one, (_, document) in zip(found, answers, strict=True)
-    )
-    return flags
+        said, files = "that arm named, and no other", [f"arm{(hidden.odd or 0) + 1:02d}.csv" for hidden, _ in answers]
+        odd = ([each["file"] for each in document["recordings"] if each["outlier_in"]] for _, document in answers)
+        flags = [one == [file] for one, file in zip(odd, files, strict=True)]
+    more = [len(document["effects"]) > one for one, (_, document) in zip(found, answers, strict=True)]
+    return {"found and named": found, said: flags, "with another effect too": more}
 
 
 def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared]) -> None:
@@ -167,9 +154,8 @@ def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[
     for arm in range(arms):
         rng = np.random.default_rng([seed, 2, arm])
         actual = chains.lite6().moved(rng, *chains.MADE)
-        plan = Plan(
-            seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows
-        )
+        where = ("lite6", "tracker", False, "known", True, "as declared")
+        plan = Plan(seed, arm, "single", "plain", *where, "", (), (), rows)
         sensor = transform(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
         tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
         setup, noise = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER)), SENSORS[plan.sensor][:2]
@@ -189,8 +175,7 @@ def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[
                 effect = effect.sized(np.array([np.cos(phase), np.sin(phase), *effect.values[2:]]))
             there.append(effect.scaled(size * one.thresholds if one.odd in (None, arm) else 0.0))
         seen = poses(setup, tuple(there), motion)
-        measured, q, _, _ = measure(plan, rng, setup, motion, seen)
-        files = files_of(plan, chains.lite6(), actual, motion, q, *pose_readings(plan, measured), motion)
+        files = files_of(plan, chains.lite6(), actual, motion, measure(plan, rng, setup, motion, seen)[1], motion)
         name = f"arm{arm + 1:02d}"
         said = yaml.safe_load(files["recording.yaml"])
         said["recording"]["factory_calibration"] = f"{name}_factory.yaml"

@@ -29,38 +29,24 @@ from lite6jax.recordings import Recording, read_recording
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
 
 Array = NDArray[np.floating]
-LowPass = Callable[[Array], Array]
-"""Of rows `(…, sample)`, zero phase, of fourth order."""
+LowPass = Callable[[Array], Array]  # of rows `(…, sample)`, zero phase, of fourth order
 
 STEPS = ("rigid body alone", "+ viscous, Coulomb, offset", "+ all other terms")
-_SMOOTH = 2e-3
-"""rad/s within which the direction of motion turns."""
-_STRIBECK = (0.05, 0.15)
-"""rad/s, velocities of the Stribeck terms."""
-_DETERMINED = 1e-4
-"""Singular value over the largest, below which a combination of columns is not determined."""
-_WEIGHTINGS = 3
-"""Rounds of weighting by what is left."""
-_EDGE = 0.25
-"""s at each end of a half that are not scored, as the filter rings there."""
+_SMOOTH = 2e-3  # rad/s within which the direction of motion turns
+_STRIBECK = (0.05, 0.15)  # rad/s, velocities of the Stribeck terms
+_DETERMINED = 1e-4  # singular value over the largest, below which a combination of columns is not determined
+_WEIGHTINGS = 3  # rounds of weighting by what is left
+_EDGE = 0.25  # s at each end of a half that are not scored, as the filter rings there
 
 
 class Half(NamedTuple):
-    """A stretch of a recording, low-passed, `(joint, sample)` each.
+    """A stretch of a recording, low-passed, `(joint, sample)` each."""
 
-    Attributes:
-        q: rad.
-        dq: rad/s.
-        ddq: rad/s².
-        torque: Nm.
-        scored: `(sample,)` bool, away from its ends.
-    """
-
-    q: Array
-    dq: Array
-    ddq: Array
-    torque: Array
-    scored: NDArray[np.bool_]
+    q: Array  # rad
+    dq: Array  # rad/s
+    ddq: Array  # rad/s²
+    torque: Array  # Nm
+    scored: NDArray[np.bool_]  # `(sample,)` bool, away from its ends
 
     @classmethod
     def of(cls, recording: Recording, rate: float, low: LowPass) -> "Half":

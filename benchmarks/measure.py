@@ -20,37 +20,22 @@ ROOT = Path(__file__).resolve().parents[1]
 DONE, MISSED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 OURS = "lite6jax"
-AGREES = 1e-9
-"""m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open."""
+AGREES = 1e-9  # m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open
 
 
 @dataclass(frozen=True)
 class Record:
-    """One number of a run.
+    """One number of a run."""
 
-    Attributes:
-        workload: what was to be done.
-        subject: who did it.
-        metric: what the number says.
-        value: the number; None where there is none because the subject failed.
-        unit: of `value`.
-        failed: why the answer behind the number is wrong; empty where it is right or has no check.
-    """
-
-    workload: str
-    subject: str
-    metric: str
-    value: float | None
-    unit: str = ""
-    failed: str = ""
-
-    def as_json(self) -> dict[str, str | float | None]:
-        """The record for the JSON list; the key `failed` is there only where it is."""
-        return {key: value for key, value in asdict(self).items() if key != "failed" or value}
+    workload: str  # what was to be done
+    subject: str  # who did it
+    metric: str  # what the number says
+    value: float | None  # the number; None where there is none because the subject failed
+    unit: str = ""  # of `value`
+    failed: str = ""  # why the answer behind the number is wrong; empty where it is right or has no check
 
 
-Workload = Callable[..., Iterator[Record]]
-"""Runs without arguments; those it takes are for smaller runs."""
+Workload = Callable[..., Iterator[Record]]  # runs without arguments; those it takes are for smaller runs
 
 
 def time_call(call: Callable[[], T]) -> tuple[float, T]:
@@ -92,8 +77,9 @@ def unlikely(parameters: np.ndarray, covariance: np.ndarray, truth: np.ndarray) 
 
 
 def write_records(path: Path, records: Sequence[Record]) -> None:
-    """The records as JSON, over an older file."""
-    write_atomically(path, json.dumps([each.as_json() for each in records], indent=1, allow_nan=False), overwrite=True)
+    """The records as a JSON list, over an older file; the key `failed` is there only where an answer is wrong."""
+    said = [{key: value for key, value in asdict(each).items() if key != "failed" or value} for each in records]
+    write_atomically(path, json.dumps(said, indent=1, allow_nan=False), overwrite=True)
 
 
 def run_command(work: Callable[[], int], refused: tuple[type[Exception], ...] = (InputError,), kept: str = "") -> int:

@@ -4,7 +4,7 @@ Linear are a ridge regression on Fourier orders and gravity, and a stepwise sear
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import pairwise, product
@@ -24,8 +24,7 @@ from lite6jax.recordings import Recording
 
 Array = NDArray[Any]
 
-_WILD = 8.0
-"""Times the median distance from the median beyond which a row is not fitted."""
+_WILD = 8.0  # times the median distance from the median beyond which a row is not fitted
 _GP_TUNED, _GP_ROWS = 800, 3000
 """Rows by which a Gaussian process' kernel is chosen, and rows that it then keeps at most."""
 ORDERS = tuple(range(1, 61))
@@ -40,35 +39,33 @@ _GAUGE = 1e-9
 class View:
     """Rows of a recording as a fitted geometry sees them, in the base's axes.
 
-    Attributes:
-        recording: the rows.
-        axes: rotations `(sample, joint, 3, 3)` after each joint.
-        origins: `(sample, joint, 3)` m, where these are.
-        tool_axes: `(sample, 3, 3)`.
-        tool: `(sample, 3)` m.
-        missed: `(sample, 3)` m, measured less predicted; None without poses.
-        turned: `(sample, 3)` rad; None without orientations.
-        moment: `(sample, joint, 3)` Nm about each frame's origin in its axes; None where the masses are not known.
-        base_moment: `(sample, 3)` Nm; likewise.
-        noise: m and rad, what residuals are weighed by.
+    The sites are the base, every joint and the tool.
     """
 
     recording: Recording
-    axes: Array
-    origins: Array
-    tool_axes: Array
-    tool: Array
-    missed: Array | None
-    turned: Array | None
+    axes: Array  # rotations `(sample, site, 3, 3)`, after each joint
+    origins: Array  # `(sample, site, 3)` m, where these are
+    missed: Array | None  # `(sample, 3)` m, measured less predicted; None without poses
+    turned: Array | None  # `(sample, 3)` rad; None without orientations
+    # `(sample, site, 3)` Nm about each frame's origin in its axes, but not the tool's; None where masses are not known
     moment: Array | None
-    base_moment: Array | None
-    noise: tuple[float, float]
+    noise: tuple[float, float]  # m and rad, what residuals are weighed by
+
+    @property
+    def tool(self) -> Array:
+        """`(sample, 3)` m."""
+        return self.origins[:, -1]
 
     def rows(self, chosen: NDArray) -> "View":
         """Some of them."""
         arrays = {each.name: getattr(self, each.name) for each in fields(self)[1:-1]}
         some = {name: None if array is None else array[chosen] for name, array in arrays.items()}
         return replace(self, recording=self.recording.select(chosen), **some)
+
+    def pieces(self) -> Iterator["View"]:
+        """All of them, some after the other, so that memory does not matter."""
+        samples = self.recording.samples
+        return map(self.rows, np.array_split(np.arange(samples), 1 + samples // _PIECE))
 
     @property
     def whitened(self) -> Array:
@@ -86,41 +83,27 @@ class View:
 
 
 class Fitted(NamedTuple):
-    """A rival after it has seen its rows.
+    """A rival after it has seen its rows."""
 
-    Attributes:
-        correct: what it adds to the geometry's poses of other rows, `(sample, 6)` m and rad in the base's axes; turns
-            are zero of one that says nothing of orientation.
-        parameters: how many numbers it has fitted over the geometry; those of a Gaussian process are its weights.
-        names: the physics that it names, as `effect:site`.
-    """
-
+    # what it adds to the geometry's poses of other rows, `(sample, 6)` m and rad in the base's axes; turns are zero of
+    # one that says nothing of orientation
     correct: Callable[[View], Array]
-    parameters: int
-    names: tuple[str, ...] = ()
+    parameters: int  # how many numbers it has fitted over the geometry; those of a Gaussian process are its weights
+    names: tuple[str, ...] = ()  # the physics that it names, as `effect:site`
 
 
-Rival = Callable[[View], Fitted]
-"""Fits what is left of the geometry's residuals."""
+Rival = Callable[[View], Fitted]  # fits what is left of the geometry's residuals
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A fitted arm.
+    """A fitted arm."""
 
-    Attributes:
-        chain: its six-parameter form with masses, zero where not known.
-        weighed: whether they are known.
-        sensor: `(4, 4)` T_sensor_base.
-        after: `(4, 4)` from the last joint's frame to the tool.
-        free: whether the chain was fitted; else only frame and tool.
-    """
-
-    chain: Chain
-    weighed: bool
-    sensor: Array
-    after: Array
-    free: bool
+    chain: Chain  # its six-parameter form with masses, zero where not known
+    weighed: bool  # whether they are known
+    sensor: Array  # `(4, 4)` T_sensor_base
+    after: Array  # `(4, 4)` from the last joint's frame to the tool
+    free: bool  # whether the chain was fitted; else only frame and tool
 
     @classmethod
     def of(cls, recording: Recording) -> "Geometry":
@@ -140,20 +123,23 @@ class Geometry:
 
     def view(self, recording: Recording) -> View:
         """Rows of a recording, with residuals where it has poses."""
+        told, eye = recording.settings, np.eye(3)
         R, o = self.chain.frames(recording.joint_position)
         Rt, p = R[:, -1] @ self.after[:3, :3], o[:, -1] + R[:, -1] @ self.after[:3, 3]
         S, s = self.sensor[:3, :3], self.sensor[:3, 3]
-        missed = turned = moment = base = None
+        axes = np.concatenate([np.broadcast_to(eye, Rt.shape)[:, None], R, Rt[:, None]], 1)
+        origins = np.concatenate([np.zeros_like(p)[:, None], o, p[:, None]], 1)
+        missed = turned = moment = None
         if recording.position is not None:
             missed = (recording.position - s) @ S - p
         if recording.quaternion is not None:
             turned = vector_from_rotation(S.T @ rotations(recording.quaternion) @ np.swapaxes(Rt, 1, 2))
-        told = recording.settings
         if self.weighed:
             center = np.array(told.payload_com_m)
-            moment, base = moments(self.chain, recording.joint_position, recording.payload, center)
+            of_joints, base = moments(self.chain, recording.joint_position, recording.payload, center)
+            moment = np.concatenate([base[:, None], of_joints], 1)
         noise = (told.position_noise_m or UNDECLARED_NOISE[0], told.orientation_noise_rad or UNDECLARED_NOISE[1])
-        return View(recording, R, o, Rt, p, missed, turned, moment, base, noise)
+        return View(recording, axes, origins, missed, turned, moment, noise)
 
 
 def rotations(quaternion: Array) -> Array:
@@ -275,15 +261,15 @@ def gravity(view: View) -> list[Group]:
     if view.moment is None:
         return []
 
-    def moment(i: int, axis: int, v: View) -> Array:
-        whole: Any = v.base_moment if i < 0 else v.moment
-        return whole[:, axis] if i < 0 else whole[:, i, axis]
+    def moment(site: int, axis: int, v: View) -> Array:
+        assert v.moment is not None
+        return v.moment[:, site, axis]
 
-    joints = range(view.recording.dof)
-    found = [Group(f"joint_compliance:joint{i + 1}", (Column(i + 1, 5, partial(moment, i, 2)),)) for i in joints]
-    for i in (*joints, -1):
-        name = f"link_compliance:link{i + 1}" if i >= 0 else "base_compliance:base"
-        found.append(Group(name, tuple(Column(i + 1, 3 + k, partial(moment, i, k)) for k in (0, 1))))
+    joints = range(1, view.recording.dof + 1)
+    found = [Group(f"joint_compliance:joint{i}", (Column(i, 5, partial(moment, i, 2)),)) for i in joints]
+    for i in (*joints, 0):
+        name = f"link_compliance:link{i}" if i else "base_compliance:base"
+        found.append(Group(name, tuple(Column(i, 3 + k, partial(moment, i, k)) for k in (0, 1))))
     return found
 
 
@@ -311,93 +297,78 @@ def other_physics(view: View) -> list[Group]:
 
 def design(view: View, columns: Sequence[Column], turned: bool = False) -> Array:
     """`(sample, row, column)`, how each column moves the tool, in base axes, over the noise; `turned` has six rows."""
-    samples, dof = view.origins.shape[:2]
     rows = 6 if turned or view.turned is not None else 3
-    J = np.zeros((samples, rows, len(columns)))
+    J = np.zeros((len(view.tool), rows, len(columns)))
     for k, (site, component, driver) in enumerate(columns):
-        if site == 0:
-            axes, origin = np.broadcast_to(np.eye(3), (samples, 3, 3)), np.zeros_like(view.tool)
-        elif site > dof:
-            axes, origin = view.tool_axes, view.tool
-        else:
-            axes, origin = view.axes[:, site - 1], view.origins[:, site - 1]
-        axis = axes[:, :, component % 3] * driver(view)[:, None]
+        axis = view.axes[:, site, :, component % 3] * driver(view)[:, None]
         turns = component > 2
-        J[:, :3, k] = (np.cross(axis, view.tool - origin) if turns else axis) / view.noise[0]
+        J[:, :3, k] = (np.cross(axis, view.tool - view.origins[:, site]) if turns else axis) / view.noise[0]
         if rows == 6 and turns:
             J[:, 3:, k] = axis / view.noise[1]
     return J
 
 
-class Gram(NamedTuple):
-    """Normal equations of columns, block by block of neighbouring rows, and their residuals' sum of squares."""
+class Gram:
+    """Normal equations of columns of unit length, block by block of neighbouring rows.
 
-    A: Array
-    b: Array
-    squares: Array
-    numbers: int
+    Args:
+        seen: the rows, in this order.
+        free: whether the geometry's fit moved the chain; the first `held` columns are what it moved.
+        groups: of the other columns.
+        blocks: how many.
+    """
 
-    @classmethod
-    def of(cls, view: View, columns: Sequence[Column], blocks: int) -> "Gram":
-        """Summed in pieces."""
-        size, samples = len(columns), view.recording.samples
-        A, b, squares = np.zeros((blocks, size, size)), np.zeros((blocks, size)), np.zeros(blocks)
-        block = np.arange(samples) * blocks // samples
+    def __init__(self, seen: View, free: bool, groups: Sequence[Group], blocks: int):
+        fixed = nuisance(seen, free)
+        self.columns = [*fixed, *(column for group in groups for column in group.columns)]
+        self.held, self.numbers, size = len(fixed), seen.whitened.size, len(self.columns)
+        self.A, self.b, self.squares = np.zeros((blocks, size, size)), np.zeros((blocks, size)), np.zeros(blocks)
+        block = np.arange(seen.recording.samples) * blocks // seen.recording.samples
         for k in range(blocks):
-            for rows in np.array_split(np.flatnonzero(block == k), 1 + np.sum(block == k) // _PIECE):
-                part = view.rows(rows)
-                J, r = design(part, columns).reshape(-1, size), part.whitened.ravel()
-                A[k] += J.T @ J
-                b[k] += J.T @ r
-                squares[k] += r @ r
-        return cls(A, b, squares, view.whitened.size)
+            for part in seen.rows(np.flatnonzero(block == k)).pieces():
+                J, r = design(part, self.columns).reshape(-1, size), part.whitened.ravel()
+                self.A[k] += J.T @ J
+                self.b[k] += J.T @ r
+                self.squares[k] += r @ r
+        self.scale = np.sqrt(np.maximum(np.diagonal(self.A.sum(0)), 1e-300))
+        self.A, self.b = self.A / self.scale / self.scale[:, None], self.b / self.scale
 
+    def fitted(self, at: NDArray[np.integer], beta: Array, names: tuple[str, ...] = ()) -> Fitted:
+        """What the columns at some places do, so many times each."""
+        used, beta = [self.columns[k] for k in at], beta / self.scale[at]
 
-def _corrected(columns: Sequence[Column], beta: Array) -> Callable[[View], Array]:
-    def correct(view: View) -> Array:
-        pieces = np.array_split(np.arange(len(view.tool)), 1 + len(view.tool) // _PIECE)
-        moved = np.concatenate([design(view.rows(rows), columns, turned=True) @ beta for rows in pieces])
-        return moved * np.repeat(view.noise, 3)
+        def correct(view: View) -> Array:
+            moved = np.concatenate([design(part, used, turned=True) @ beta for part in view.pieces()])
+            return moved * np.repeat(view.noise, 3)
 
-    return correct
+        return Fitted(correct, len(at) - self.held, names)
 
 
 def ridge(free: bool, seen: View) -> Fitted:
     """Fourier orders 1–60 of every joint and gravity's moments, shrunk by what contiguous blocks of the rows prefer."""
-    fixed = nuisance(seen, free)
-    columns = [*fixed, *(c for group in (*waves(seen, ORDERS), *gravity(seen)) for c in group.columns)]
-    gram = Gram.of(seen, columns, _BLOCKS)
-    A, b = gram.A.sum(0), gram.b.sum(0)
-    scale = np.sqrt(np.maximum(np.diagonal(A), 1e-300))
+    gram = Gram(seen, free, [*waves(seen, ORDERS), *gravity(seen)], _BLOCKS)
+    A, b, size = gram.A.sum(0), gram.b.sum(0), len(gram.columns)
 
     def solved(A: Array, b: Array, strength: float) -> Array:
-        penalty = np.where(np.arange(len(b)) < len(fixed), _GAUGE, strength)
-        return np.linalg.solve(A / scale / scale[:, None] + np.diag(penalty), b / scale) / scale
+        return np.linalg.solve(A + np.diag(np.where(np.arange(size) < gram.held, _GAUGE, strength)), b)
 
     missed = np.zeros(len(_RIDGES))
     for held_A, held_b, squares in zip(gram.A, gram.b, gram.squares, strict=True):
         for i, strength in enumerate(_RIDGES):
             beta = solved(A - held_A, b - held_b, strength)
             missed[i] += squares - 2 * beta @ held_b + beta @ held_A @ beta
-    beta = solved(A, b, float(_RIDGES[np.argmin(missed)]))
-    return Fitted(_corrected(columns, beta), len(columns) - len(fixed))
+    return gram.fitted(np.arange(size), solved(A, b, float(_RIDGES[np.argmin(missed)])))
 
 
 def stepwise(free: bool, seen: View) -> Fitted:
     """The catalogue and all orders: one more while the Bayesian information criterion falls, then less likewise."""
-    fixed = nuisance(seen, free)
     groups = [*gravity(seen), *other_physics(seen), *waves(seen, ORDERS)]
-    columns = [*fixed, *(c for group in groups for c in group.columns)]
-    ends = np.cumsum([len(fixed), *(len(group.columns) for group in groups)])
-    slices = [slice(a, b) for a, b in pairwise(ends)]
-    gram = Gram.of(seen, columns, 1)
+    gram = Gram(seen, free, groups, 1)
     A, b, n = gram.A[0], gram.b[0], gram.numbers
-    scale = np.sqrt(np.maximum(np.diagonal(A), 1e-300))
-    A, b = A / scale / scale[:, None], b / scale
-    held = np.arange(len(fixed))
+    slices = [slice(*ends) for ends in pairwise(np.cumsum([gram.held, *(len(group.columns) for group in groups)]))]
 
     def squares(chosen: Sequence[int]) -> tuple[float, Array, NDArray]:
-        at = np.concatenate([held, *(np.arange(len(b))[slices[g]] for g in chosen)]).astype(int)
+        at = np.concatenate([np.arange(gram.held), *(np.arange(len(b))[slices[g]] for g in chosen)]).astype(int)
         beta = np.linalg.solve(A[np.ix_(at, at)] + _GAUGE * np.eye(len(at)), b[at])
         return float(gram.squares[0] - b[at] @ beta), beta, at
 
@@ -433,7 +404,4 @@ def stepwise(free: bool, seen: View) -> Fitted:
             break
         chosen = without[best]
         now, beta, at = squares(chosen)
-    _, beta, at = squares(chosen)
-    names = tuple(sorted({groups[g].name for g in chosen}))
-    used = [columns[k] for k in at]
-    return Fitted(_corrected(used, beta / scale[at]), len(at) - len(held), names)
+    return gram.fitted(at, beta, tuple(sorted({groups[g].name for g in chosen})))

@@ -18,20 +18,10 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from benchmarks import residual
 from benchmarks.concealed.chain import rotation_from_vector
 from benchmarks.measure import DONE, OURS, Record, run_command, time_call, write_records
-from benchmarks.residual import (
-    Array,
-    Fitted,
-    Geometry,
-    Rival,
-    gaussian_process,
-    geometry_alone,
-    neural_network,
-    ridge,
-    rotations,
-    stepwise,
-)
+from benchmarks.residual import Array, Fitted, Geometry, Rival, rotations
 from lite6jax.calibration.compiled import keep_compiled_code
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model, write_document
@@ -41,8 +31,7 @@ from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable
 
 FOLDS = 5
-REAL = "LITE6JAX_REAL"
-"""The variable that names the folder of real series."""
+REAL = "LITE6JAX_REAL"  # the variable that names the folder of real series
 _NAMED = 8
 
 
@@ -101,21 +90,13 @@ def _compare(options: argparse.Namespace, real: Path) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one of them makes of a recording.
+    """What one of them makes of a recording."""
 
-    Attributes:
-        subject: which.
-        errors: `(sample,)` m, each row predicted by a fit of the other folds.
-        parameters: of the fit of all rows, over the geometry's.
-        names: of the fit of all rows.
-        seconds: of all fits, the geometry's included.
-    """
-
-    subject: str
-    errors: Array
-    parameters: int
-    names: tuple[str, ...]
-    seconds: float
+    subject: str  # which
+    errors: Array  # `(sample,)` m, each row predicted by a fit of the other folds
+    parameters: int  # of the fit of all rows, over the geometry's
+    names: tuple[str, ...]  # of the fit of all rows
+    seconds: float  # of all fits, the geometry's included
 
     @property
     def figures(self) -> tuple[float, float, float]:
@@ -156,11 +137,11 @@ def _diagnosed(recording: Recording, other: Recording | None) -> Iterator[Outcom
 def rivals(free: bool) -> dict[str, Rival]:
     """By name."""
     return {
-        "geometry alone": geometry_alone,
-        "geometry and Gaussian process": gaussian_process,
-        "geometry and neural network": neural_network,
-        "ridge, orders 1–60": partial(ridge, free),
-        "stepwise, BIC": partial(stepwise, free),
+        "geometry alone": residual.geometry_alone,
+        "geometry and Gaussian process": residual.gaussian_process,
+        "geometry and neural network": residual.neural_network,
+        "ridge, orders 1–60": partial(residual.ridge, free),
+        "stepwise, BIC": partial(residual.stepwise, free),
     }
 
 
@@ -196,7 +177,8 @@ def transfer(recording: Recording, other: Recording) -> Iterator[Outcome]:
         seconds, fitted = time_call(partial(_fit, geometry, rival, recording))
         moved = fitted.correct(view)
         tool = np.tile(np.eye(4), (len(moved), 1, 1))
-        tool[:, :3, :3], tool[:, :3, 3] = rotation_from_vector(moved[:, 3:]) @ view.tool_axes, view.tool + moved[:, :3]
+        tool[:, :3, :3] = rotation_from_vector(moved[:, 3:]) @ view.axes[:, -1]
+        tool[:, :3, 3] = view.tool + moved[:, :3]
         found = register(tool @ np.linalg.inv(geometry.after), other.position, R, view.noise)
         yield Outcome(name, found.distance, fitted.parameters, fitted.names, taken + seconds)
 

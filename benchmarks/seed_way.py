@@ -23,12 +23,10 @@ TABLE = np.array(
     ]
 )
 """The published nominal table of the Lite 6: theta_off (rad), d (m), a (m), alpha (rad)."""
-D2 = 5
-"""Where d2, which is zero, stands in the flat table."""
+D2 = 5  # where d2, which is zero, stands in the flat table
 NOMINAL = np.concatenate([np.zeros(4), np.delete(TABLE.ravel(), D2), [0.0]])
 """x, y, roll, pitch; theta_off, d, a, alpha a joint without d2; beta2."""
-LEVER = 0.1
-"""m a radian counts."""
+LEVER = 0.1  # m a radian counts
 
 
 def rotation(axis: int, angle: float) -> np.ndarray:

@@ -31,16 +31,21 @@ TRIALS = (35, 45, 100, 0, 3, 5, 10, 25, 55, 60)
 """Mixed, outside, faulty, clean and single ones, static and moving, of chains known, uncertain and unknown."""
 
 
-Change = tuple[str, float, float, int, int, float, int]
-"""An option, its value and the one tried; then trials whose findings differ, whose faults do, the shift, failures."""
-
-
 class Outcome(NamedTuple):
-    """What a diagnosis says of a trial: findings with their estimates and deviations, faults, or an error."""
+    """What a diagnosis says of a trial."""
 
-    findings: dict[tuple[str, str, float | None], tuple[list[float], list[float]]]
+    findings: dict[tuple[str, str, float | None], tuple[list[float], list[float]]]  # with estimates and deviations
     faults: tuple[str, ...]
-    error: str = ""
+    failed: bool = False
+
+
+class Dependence(NamedTuple):
+    """What depends on a change of an option."""
+
+    findings: int  # trials whose findings differ
+    faults: int  # trials whose faults do
+    shift: float  # the largest of an unchanged finding, in its standard deviations
+    failed: int  # trials that fail
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,40 +64,31 @@ def main(arguments: Sequence[str]) -> int:
     changes = [change for change in variations() if change[0] in (chosen.only or known)]
     with tempfile.TemporaryDirectory() as name:
         folder, indices = Path(name), TRIALS[: chosen.trials]
+        for index in indices:
+            write_files(draw(SEED, index).files, folder / str(index))
         with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
-            list(pool.map(partial(_write, folder), indices))
-            before = list(pool.map(partial(_outcome, folder, None, 0.0), indices))
-            jobs = [pool.map(partial(_outcome, folder, option, tried), indices) for option, _, tried in changes]
-            rows: list[Change] = []
-            for k, (change, after) in enumerate(zip(changes, jobs, strict=True), 1):
-                rows.append((*change, *_compare(before, list(after))))
+            before = list(pool.map(partial(_diagnosed, folder, None, 0.0), indices))
+            jobs = [pool.map(partial(_diagnosed, folder, option, tried), indices) for option, _, tried in changes]
+            found = []
+            for k, after in enumerate(jobs, 1):
+                found.append(_compare(before, list(after)))
                 print(f"\r{k} of {len(jobs)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    heads = ("value", "tried", "findings differ", "faults differ", "largest shift (σ)", "errors")
-    table = Table(
-        "option", *heads, title=f"sensitivity over {len(indices)} trials of seed {SEED}", title_justify="left"
+    rows = sorted(
+        zip(changes, found, strict=True),
+        key=lambda row: (-(row[1].findings + row[1].faults + row[1].failed), -row[1].shift),
     )
-    for option, value, tried, findings, faults, shift, failed in sorted(rows, key=_dependence):
-        cells = (f"{value:.4g}", f"{tried:.4g}", str(findings), str(faults), f"{shift:.2g}", str(failed))
+    heads = ("option", "value", "tried", "findings differ", "faults differ", "largest shift (σ)", "errors")
+    table = Table(*heads, title=f"sensitivity over {len(indices)} trials of seed {SEED}", title_justify="left")
+    for (option, *values), (findings, faults, shift, failed) in rows:
+        cells = (*(f"{value:.4g}" for value in values), str(findings), str(faults), f"{shift:.2g}", str(failed))
         table.add_row(option, *cells)
     Console().print(table)
-    options, idle = {row[0] for row in rows}, idle_options(rows)
+    changing = {name for (name, *_), on in rows if on.findings or on.faults or on.failed or on.shift > 0.01}
+    options = {name for name, *_ in changes}
+    idle = sorted(options - changing)
     Console().print(f"{len(idle)} of {len(options)} options change nothing here: {', '.join(idle)}.")
     return 0
-
-
-def idle_options(rows: Sequence[Change]) -> list[str]:
-    """The options of whose changes none has other findings, other faults, a shift above 0.01 σ or a failure."""
-    changing = {
-        name for name, _, _, findings, faults, shift, failed in rows if findings or faults or failed or shift > 0.01
-    }
-    return sorted({name for name, *_ in rows} - changing)
-
-
-def _dependence(row: Change) -> tuple[int, float]:
-    """By which rows are sorted, those on which most depends first."""
-    *_, findings, faults, shift, failed = row
-    return -findings - faults - failed, -shift
 
 
 def variations() -> Iterator[tuple[str, float, float]]:
@@ -100,8 +96,7 @@ def variations() -> Iterator[tuple[str, float, float]]:
     from lite6jax.diagnosis.options import Options
 
     options = Options()
-    groups = {"engine": options.engine, "screening": options.screening, "diagnosis": options}
-    for group, holder in groups.items():
+    for group, holder in {"engine": options.engine, "screening": options.screening, "diagnosis": options}.items():
         for field in fields(holder):
             value = getattr(holder, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -114,11 +109,7 @@ def variations() -> Iterator[tuple[str, float, float]]:
                     yield f"{group}.{field.name}", value, tried
 
 
-def _write(folder: Path, index: int) -> None:
-    write_files(draw(SEED, index).files, folder / str(index))
-
-
-def _outcome(folder: Path, option: str | None, tried: float, index: int) -> Outcome:
+def _diagnosed(folder: Path, option: str | None, tried: float, index: int) -> Outcome:
     """The search of all rows of a trial; held-out errors are not part of it."""
     from lite6jax.diagnosis.explanation import Case, explain
     from lite6jax.diagnosis.options import Options
@@ -128,15 +119,15 @@ def _outcome(folder: Path, option: str | None, tried: float, index: int) -> Outc
     options: Any = Options()
     if option is not None:
         group, name = option.split(".")
-        if group == "diagnosis":
-            options = replace(options, **{name: tried})
-        else:
-            options = replace(options, **{group: replace(getattr(options, group), **{name: tried})})
+        changed = {name: tried}
+        if group != "diagnosis":
+            changed = {group: replace(getattr(options, group), **changed)}
+        options = replace(options, **changed)
     try:
         found = explain(Case(read_recording(folder / str(index) / "recording.csv"), None, "declared", options))
         state = final_estimates(found.problem, found.selection.state, options.engine)
-    except Exception as problem:  # an option may be moved to where nothing works: that is a result too
-        return Outcome({}, (), f"{type(problem).__name__}: {problem}"[:200])
+    except Exception:  # an option may be moved to where nothing works: that is a result too
+        return Outcome({}, (), failed=True)
     findings = {}
     for term, part in zip(state.fit.terms.terms, state.fit.terms.slices, strict=True):
         std = np.sqrt(np.diagonal(state.fit.covariance)[part])
@@ -145,8 +136,7 @@ def _outcome(folder: Path, option: str | None, tried: float, index: int) -> Outc
     return Outcome(findings, tuple(fault.code for fault in found.screened.found))
 
 
-def _compare(before: Sequence[Outcome], after: Sequence[Outcome]) -> tuple[int, int, float, int]:
-    """Trials whose findings differ and whose faults do, the largest shift of an unchanged finding, trials that fail."""
+def _compare(before: Sequence[Outcome], after: Sequence[Outcome]) -> Dependence:
     pairs, shifts = list(zip(before, after, strict=True)), [0.0]
     for old, new in pairs:
         for key in old.findings.keys() & new.findings.keys():
@@ -155,4 +145,4 @@ def _compare(before: Sequence[Outcome], after: Sequence[Outcome]) -> tuple[int, 
                 shifts += [abs(y - x) / s for x, y, s in zip(a, b, std, strict=True) if s > 0]
     findings = sum(old.findings.keys() != new.findings.keys() for old, new in pairs)
     faults = sum(old.faults != new.faults for old, new in pairs)
-    return findings, faults, max(shifts), sum(bool(new.error) and not old.error for old, new in pairs)
+    return Dependence(findings, faults, max(shifts), sum(new.failed and not old.failed for old, new in pairs))

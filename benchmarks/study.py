@@ -8,15 +8,14 @@ import jax
 import numpy as np
 import pinocchio
 
-from benchmarks.fits import by_minpack
+from benchmarks.fits import NOISE, by_minpack, simulated_arms
 from benchmarks.measure import AGREES, OURS, Record, disagreement, median_time, time_call
-from benchmarks.problem import NOISE, simulated_arms
 from benchmarks.seed_way import LEVER, NOMINAL, sample_joints
 from lite6jax.arms import dynamics
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.quality import CONVERGED
-from lite6jax.calibration.solve import Fits, Known, fit_chunks
+from lite6jax.calibration.solve import Known, fit_chunks
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.design.poses import Criterion, Design, Pool, choose
 from lite6jax.design.sensor import Sensor
@@ -27,16 +26,11 @@ from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regresso
 
 pin: Any = pinocchio  # a compiled module, which a type checker cannot look into
 
-STEP = 1e-6
-"""m and rad of the rival's forward differences."""
-DIFFERENCES = 1e-4
-"""How near forward differences come to a derivative, relative."""
-EXACT = 1e-13
-"""m: the 1e-10 mm to which the whole model reproduces a calibration."""
-SAME = 1e-9
-"""m: position errors nearer than this are the same."""
-WITHIN = 1e-10
-"""N·m per unit of a parameter."""
+STEP = 1e-6  # m and rad of the rival's forward differences
+DIFFERENCES = 1e-4  # how near forward differences come to a derivative, relative
+EXACT = 1e-13  # m: the 1e-10 mm to which the whole model reproduces a calibration
+SAME = 1e-9  # m: position errors nearer than this are the same
+WITHIN = 1e-10  # n·m per unit of a parameter
 
 
 # ------------------------------------------------------------------ information and choice of poses
@@ -147,8 +141,11 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
 
     def error(form: HayatiForm, parameters: np.ndarray) -> np.ndarray:
         """Each arm's largest position error, m."""
-        predicted = np.array([_positions(form, row, checked) for row in parameters])
-        return np.linalg.norm(predicted - truth, axis=2).max(1)
+        predicted = []
+        for base, table, beta in (table_of_parameters(form, row) for row in parameters):
+            betas = dict(zip(form.parallel, beta, strict=True))
+            predicted.append(hayati_poses(base, table, betas, checked)[:, :3, 3])
+        return np.linalg.norm(np.array(predicted) - truth, axis=2).max(1)
 
     def errors(subject: str, error: np.ndarray, wrong: str) -> Iterator[Record]:
         for name, value in (("median", np.median(error)), ("p95", np.quantile(error, 0.95)), ("most", error.max())):
@@ -167,7 +164,11 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
                 parameters.append(found)
                 condition.append(values[0] / values[-1])
             reached = error(form, np.array(parameters))
-            own = _library(form, start, free, sampled, pose)
+            whole = ModelForm(form)
+            movable = np.isin(np.arange(whole.size), free).astype(float)
+            scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
+            known = Known(movable, start, np.zeros(whole.size))
+            own = fit_chunks(whole, arm_model(start), sampled, pose, weight, scale, known=known)
             geometry = np.asarray(own.model.geometry)
             worse = np.where(np.asarray(own.status) == CONVERGED, error(form, geometry) - reached, 0.0)
             wrong = disagreement(reached, 0.0, EXACT, "positions (m)") if base and hayati else ""
@@ -177,22 +178,6 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
                 wrong = wrong or same
             yield from errors(subject, reached, wrong)
             yield Record("models", subject, "condition, median", float(np.median(condition)), "", wrong)
-
-
-def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarray, pose: np.ndarray) -> Fits:
-    """The same fits by the library's own solver."""
-    form = ModelForm(chain)
-    movable = np.isin(np.arange(form.size), free).astype(float)
-    scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
-    known = Known(movable, start, np.zeros(form.size))
-    return fit_chunks(form, arm_model(start), q, pose, weight, scale, known=known)
-
-
-def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
-    """Flange positions `(sample, 3)` in plain NumPy."""
-    base, table, beta = table_of_parameters(form, parameters)
-    betas = dict(zip(form.parallel, beta, strict=True))
-    return hayati_poses(base, table, betas, joint_position)[:, :3, 3]
 
 
 # ------------------------------------------------------------------ the regressor of torques

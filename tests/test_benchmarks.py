@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as harness
-from benchmarks import fits, measure, problem, seed_way
+from benchmarks import fits, measure, seed_way
 from benchmarks.measure import Record
 from tests.oracles.chains import seed_poses, six_parameter_poses
 
@@ -21,7 +21,7 @@ def some_parameters(rng):
 
 def test_the_rivals_chains_are_those_of_the_oracle():
     rng = np.random.default_rng(RNG_SEED)
-    kinematics, parameters = problem.simulated_arms(1, RNG_SEED)[0], some_parameters(rng)
+    kinematics, parameters = fits.simulated_arms(1, RNG_SEED)[0], some_parameters(rng)
     q = seed_way.sample_joints(20, rng)
     np.testing.assert_allclose(
         [seed_way.factory_pose(kinematics, each) for each in q], six_parameter_poses(kinematics, q), atol=1e-14
@@ -32,14 +32,14 @@ def test_the_rivals_chains_are_those_of_the_oracle():
 
 
 def test_the_simulated_sensor_has_the_noise_it_says():
-    read = problem.measured(2, 2000, RNG_SEED)
+    read = fits.measured(2, 2000, RNG_SEED)
     for arm in range(2):
         true = six_parameter_poses(read.kinematics[arm], read.joint_position[arm])
         shift = read.pose[arm, :, :3, 3] - true[:, :3, 3]
         relative = np.swapaxes(true[:, :3, :3], 1, 2) @ read.pose[arm, :, :3, :3]
         spin = np.stack([relative[:, 2, 1], relative[:, 0, 2], relative[:, 1, 0]], 1)
-        np.testing.assert_allclose(shift.std(0), problem.NOISE[0], rtol=0.1)
-        np.testing.assert_allclose(spin.std(0), problem.NOISE[1], rtol=0.1)
+        np.testing.assert_allclose(shift.std(0), fits.NOISE[0], rtol=0.1)
+        np.testing.assert_allclose(spin.std(0), fits.NOISE[1], rtol=0.1)
     assert np.abs(read.joint_position[0] - read.joint_position[1]).max() > 1
 
 

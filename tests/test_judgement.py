@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trial_answers import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
 
-from benchmarks.campaigns import judgement, shares
+from benchmarks.campaigns import judgement
 from benchmarks.campaigns.report import sections
 from benchmarks.concealed import campaign
 from benchmarks.concealed.campaign import POSES, score
@@ -179,8 +179,8 @@ def test_bars_hold_unseen_positions_or_not():
 
 
 def test_shares_have_the_intervals_of_clopper_and_pearson():
-    found = shares.share([True] * 95 + [False] * 5)
+    found = judgement.share([True] * 95 + [False] * 5)
     assert (found.low, found.high) == pytest.approx((0.8872, 0.9836), abs=1e-4)
-    assert shares.Share(0, 367).high == pytest.approx(0.01, abs=1e-4)
-    assert (shares.Share(0, 5).low, shares.Share(5, 5).high) == (0.0, 1.0)
-    assert str(shares.Share(0, 0)) == "none"
+    assert judgement.Share(0, 367).high == pytest.approx(0.01, abs=1e-4)
+    assert (judgement.Share(0, 5).low, judgement.Share(5, 5).high) == (0.0, 1.0)
+    assert str(judgement.Share(0, 0)) == "none"

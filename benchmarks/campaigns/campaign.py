@@ -14,22 +14,19 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.campaigns.judgement import Row
+from benchmarks.campaigns.judgement import Goal, Row
 from benchmarks.campaigns.rounds import Rounds, read_columns
-from benchmarks.campaigns.shares import Goal
 from lite6jax.workers import Workers, write_tables
 
-LONGEST = 600
-"""s: a trial that takes longer has failed."""
+LONGEST = 600  # s: a trial that takes longer has failed
 
 TEXT, NUMBER, FLAG = pa.string(), pa.float64(), pa.bool_()
-Section = tuple[str, Sequence[str], Sequence[Sequence[str]]]
-"""Title, head and rows of a table."""
+Section = tuple[str, Sequence[str], Sequence[Sequence[str]]]  # title, head and rows of a table
 
 
 def fields(kinds: dict[str, pa.DataType]) -> list[pa.Field]:
@@ -82,47 +79,29 @@ def diagnose_and_predict(given: Path) -> None:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A kind of trials; its functions stand in modules, so that other processes find them.
+    """A kind of trials; its functions stand in modules, so that other processes find them."""
 
-    Attributes:
-        name: of its command.
-        count: how many trials, if not said.
-        known: thresholds from which the intervals of an effect's numbers are to hold.
-        rounds: in which its kinds come.
-        schema: of the results, a row a trial; as `schema_of`.
-        draw: a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed
-            families.
-        score: the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error.
-        set_goals: those on rows, and on the intervals of effects that are `known` thresholds large.
-        unseen: a table on the errors of the unseen motion.
-        measuring: the sensors that its rows may name; empty where they name none.
-        answer: diagnoses the files of a folder and writes what comes of it there.
-        sensors: campaigns of other sensors, among which `--sensor` chooses.
-    """
-
-    name: str
-    count: int
-    known: float
-    rounds: Rounds
-    schema: pa.Schema
+    name: str  # of its command
+    count: int  # how many trials, if not said
+    known: float  # thresholds from which the intervals of an effect's numbers are to hold
+    rounds: Rounds  # in which its kinds come
+    schema: pa.Schema  # of the results, a row a trial; as `schema_of`
+    # a trial (`files` by name and `truth`), of a seed, an index, and whether what is outside is of the sealed families
     draw: Callable[[int, int, bool], Any]
+    # the row of a truth, the diagnosis, the columns predicted, the seconds that both took, and their error
     score: Callable[[Row, Row | None, Row | None, float, str], Row]
+    # those on rows, and on the intervals of effects that are `known` thresholds large
     set_goals: Callable[[Sequence[Row], float], list[Goal]]
-    unseen: Callable[[Sequence[Row]], Section]
-    measuring: Sequence[str] = ()
+    unseen: Callable[[Sequence[Row]], Section]  # a table on the errors of the unseen motion
+    measuring: Sequence[str] = ()  # the sensors that its rows may name; empty where they name none
+    # diagnoses the files of a folder and writes what comes of it there
     answer: Callable[[Path], None] = diagnose_and_predict
+    # campaigns of other sensors, among which `--sensor` chooses
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
 
     def goals(self, rows: Sequence[Row]) -> list[Goal]:
         """The goals on rows, and whether they are met."""
         return self.set_goals(rows, self.known)
-
-    def export(self, seed: int, index: int, sealed_families: bool, folder: Path) -> Path:
-        """Writes a trial with its open truth into a folder of its own, which it names: to look for what went wrong."""
-        trial = self.draw(seed, index, sealed_families)
-        case = folder / f"{seed}_{index:05d}_{trial.truth['kind']}"
-        write_files(trial.files | {"truth.json": truth_text(trial.truth)}, case)
-        return case
 
     def run(
         self,
@@ -155,7 +134,12 @@ class Campaign:
             ValueError: the file has trials of another campaign, seed or sensor, or of families that are sealed where
                 these are not.
         """
-        if out.exists() and not _hidden_columns(pq.read_schema(out)) <= _hidden_columns(self.schema):
+        # poses and torques differ in what a hidden effect moves
+        there, ours = (
+            {field.name for field in schema.field("hidden").type.value_type}
+            for schema in (pq.read_schema(out) if out.exists() else self.schema, self.schema)
+        )
+        if not there <= ours:
             raise ValueError(f"{out}: has trials of another campaign than {self.name}; give another file")
         rows = {row["index"]: row for row in self.read_rows(out)} if out.exists() else {}
         if any(row["seed"] != seed for row in rows.values()):
@@ -177,7 +161,8 @@ class Campaign:
                 advance("diagnosed", done, len(wanted))
             batches = ((index, [_read_files(given_in(folder, index))]) for index in left)
             with workers(len(left)) as at_work:
-                work: Any = at_work.outcomes(answer_trial, batches, (self.answer,), died=_died)
+                died: Any = lambda given: ({}, 0.0, "WorkerDiedError: the process died")  # noqa: E731
+                work: Any = at_work.outcomes(answer_trial, batches, (self.answer,), died=died)
                 for count, (index, (files, seconds, error)) in enumerate(work, done + 1):
                     diagnosis = json.loads(files.get("diagnosis.json", "null"))
                     predicted = read_columns(files["predicted.csv"]) if "predicted.csv" in files else None
@@ -199,11 +184,6 @@ class Campaign:
     def read_rows(self, path: Path) -> list[Row]:
         """The rows of a file of results."""
         return pq.read_table(path, schema=self.schema).to_pylist()
-
-
-def _hidden_columns(schema: pa.Schema) -> set[str]:
-    """What rows say of a hidden effect: poses and torques differ in what it moves."""
-    return {field.name for field in schema.field("hidden").type.value_type}
 
 
 def _seal(
@@ -274,20 +254,6 @@ def truth_text(truth: Row) -> str:
 # ------------------------------------------------------------------ what a worker does with one trial
 
 
-class Answer(NamedTuple):
-    """What the diagnosis of a trial leaves.
-
-    Attributes:
-        files: that it wrote, by name.
-        seconds: that it took.
-        error: empty where there was none.
-    """
-
-    files: dict[str, str]
-    seconds: float
-    error: str
-
-
 def draw_trial(indices: Sequence[int], draw: Callable[..., Any], seed: int, sealed_families: bool) -> Any:
     """The files and the truth of a trial."""
     (index,) = indices
@@ -296,7 +262,7 @@ def draw_trial(indices: Sequence[int], draw: Callable[..., Any], seed: int, seal
 
 
 def answer_trial(given: Sequence[Mapping[str, str]], answer: Callable[[Path], None]) -> Any:
-    """The `Answer` to the files of a trial."""
+    """What the diagnosis of a trial leaves: files by name, the seconds that it took, an error or an empty text."""
     (files,) = given
     with tempfile.TemporaryDirectory() as name:
         folder, error = Path(name), ""
@@ -311,11 +277,7 @@ def answer_trial(given: Sequence[Mapping[str, str]], answer: Callable[[Path], No
             error = f"{type(problem).__name__}: {problem}"[:300]
         seconds = time.perf_counter() - start
         written = {file: text for file, text in _read_files(folder).items() if file not in files}
-        return Answer(written, seconds, error)
-
-
-def _died(given: Any) -> Any:
-    return Answer({}, 0.0, "WorkerDiedError: the process died")
+        return written, seconds, error
 
 
 def _not_drawn(index: int) -> Any:

@@ -11,7 +11,7 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmarks.campaigns.campaign import Campaign, open_truth
+from benchmarks.campaigns.campaign import Campaign, open_truth, truth_text, write_files
 from benchmarks.campaigns.judgement import Row
 from benchmarks.campaigns.report import draw_detection, markdown, sections, tables
 from benchmarks.measure import DONE, MISSED, run_command
@@ -26,47 +26,25 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         description="Recordings of simulated arms whose hidden physics is drawn by a generator that shares no code "
         "with the library, sealed before the diagnosis begins and opened after it; and what the diagnosis is worth.",
     )
-    count = campaign.count
-    parser.add_argument(
-        "--trials", type=at_least(1), default=count, metavar="N", help=f"how many, {count} if not given"
-    )
-    parser.add_argument("--seed", type=at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
-    parser.add_argument(
-        "--kind",
-        choices=list(campaign.rounds.shares),
-        action="append",
-        help="only trials of this kind; give it again for one more",
-    )
+    count, add = campaign.count, parser.add_argument
+    add("--trials", type=at_least(1), default=count, metavar="N", help=f"how many, {count} if not given")
+    add("--seed", type=at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
+    kinds = "only trials of this kind; give it again for one more"
+    add("--kind", choices=list(campaign.rounds.shares), action="append", help=kinds)
     if campaign.sensors:
-        parser.add_argument(
-            "--sensor",
-            choices=list(campaign.sensors),
-            help="only recordings of this sensor, which measures no poses: clean ones and single effects",
-        )
-    parser.add_argument(
-        "--sealed",
-        action="store_true",
-        help="draw what is outside the catalogue from the families that are put aside, and from no other: to be looked "
-        "at once, when the development is over",
-    )
-    parser.add_argument(
-        "--trial", type=at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped"
-    )
-    parser.add_argument("--compare", type=Path, metavar="BEFORE.parquet", help="say what differs from earlier results")
-    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="draw what is found by the size of the effect")
-    parser.add_argument(
-        "--export", type=Path, metavar="DIR", help="diagnose nothing; write the files here, truth and all"
-    )
-    parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
-    parser.add_argument(
-        "--processes", type=at_least(1), metavar="P", help="that work at a time; one a core if not given"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
-    )
+        sensors = "only recordings of this sensor, which measures no poses: clean ones and single effects"
+        add("--sensor", choices=list(campaign.sensors), help=sensors)
+    sealed = "draw what is outside the catalogue from the families that are put aside, and from no other: to be looked "
+    add("--sealed", action="store_true", help=f"{sealed}at once, when the development is over")
+    add("--trial", type=at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it")
+    add("--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped")
+    add("--compare", type=Path, metavar="BEFORE.parquet", help="say what differs from earlier results")
+    add("--figure", type=Path, metavar="FILE.png", help="draw what is found by the size of the effect")
+    add("--export", type=Path, metavar="DIR", help="diagnose nothing; write the files here, truth and all")
+    add("--markdown", action="store_true", help="print the tables as Markdown")
+    add("--processes", type=at_least(1), metavar="P", help="that work at a time; one a core if not given")
+    cluster = "of a Dask cluster that works in place of processes, as tcp://HOST:8786"
+    add("--scheduler", metavar="ADDRESS", help=cluster)
     options = parser.parse_args(arguments)
     campaign = campaign.sensors.get(getattr(options, "sensor", None) or "", campaign)
     if not set(options.kind or ()) <= set(campaign.rounds.shares):
@@ -135,10 +113,13 @@ def _one(campaign: Campaign, options: argparse.Namespace, console: Console) -> i
 
 
 def _exported(campaign: Campaign, options: argparse.Namespace, console: Console) -> int:
+    """Writes each trial with its open truth into a folder of its own: to look for what went wrong."""
     wanted = campaign.rounds.indices(options.seed, options.trials, *(options.kind or ()))
     for index in wanted if options.trial is None else [options.trial]:
-        path = campaign.export(options.seed, index, options.sealed, options.export)
-        console.print(f"Wrote {path}", soft_wrap=True)
+        trial = campaign.draw(options.seed, index, options.sealed)
+        case = options.export / f"{options.seed}_{index:05d}_{trial.truth['kind']}"
+        write_files(trial.files | {"truth.json": truth_text(trial.truth)}, case)
+        console.print(f"Wrote {case}", soft_wrap=True)
     return DONE
 
 
@@ -149,8 +130,9 @@ def differences(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
     agreeing = 0
     for old, new in pairs:
         said = _said(old), _said(new)
-        agreeing += said[0] == said[1]
-        if said[0] != said[1]:
+        if said[0] == said[1]:
+            agreeing += 1
+        else:
             yield f"trial {new['index']} ({new['kind']}): before {said[0]}, now {said[1]}"
     yield f"{agreeing} of {len(pairs)} trials have the same findings and data faults."
 

@@ -18,38 +18,25 @@ Array = NDArray[np.floating]
 
 SEARCHED = 100
 ALARM = 0.01
-LEAST_SEEN = 0.01
-"""The share of what an effect does that the rest cannot do, below which it is out of sight."""
+LEAST_SEEN = 0.01  # the share of what an effect does that the rest cannot do, below which it is out of sight
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """How large an effect must be.
+    """How large an effect must be."""
 
-    Attributes:
-        size: by what its sizes must be multiplied to be at the threshold.
-        seen: the share of what it does that all the rest cannot do as well.
-        moved: m or Nm RMS, what it does at the threshold.
-    """
-
-    size: float
-    seen: float
-    moved: float
+    size: float  # by what its sizes must be multiplied to be at the threshold
+    seen: float  # the share of what it does that all the rest cannot do as well
+    moved: float  # m or Nm RMS, what it does at the threshold
 
 
 @dataclass(frozen=True)
 class Rival:
-    """The candidate that comes nearest to an effect.
+    """The candidate that comes nearest to an effect."""
 
-    Attributes:
-        name: of the effect.
-        site: of it.
-        apart: standard deviations by which the data tell them apart; below 4 no name is expected (`DISTINGUISHED`).
-    """
-
-    name: str
-    site: str
-    apart: float
+    name: str  # of the effect
+    site: str  # of it
+    apart: float  # standard deviations by which the data tell them apart; below 4 no name is expected (`DISTINGUISHED`)
 
     def or_nearer(self, name: str, site: str, apart: float) -> "Rival":
         """This one, or another if it is nearer."""

@@ -7,40 +7,33 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.campaigns.shares import WITHIN, Share, share
+import numpy as np
+from scipy.stats import beta
 
 Row = dict[str, Any]
 Grade = Literal["right", "partial", "misleading"]
 
-ORDER = 0.2
-"""By how much a harmonic's order may be off, or by two of its standard deviations."""
-ADMITTED, GAP = 3, 6.0
-"""A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
-LEFT = 1.3
-"""Times the noise above which something is left, whatever the verdict says."""
-DETECTABLE = 2.0
-"""Thresholds from which theory says that an effect can be found; a smaller one may be missed."""
+WITHIN = 1.959964  # standard deviations on either side that hold 95 %
+ORDER = 0.2  # by how much a harmonic's order may be off, or by two of its standard deviations
+ADMITTED, GAP = 3, 6.0  # a set declared inseparable holds at most so many rivals, each within this log-likelihood
+LEFT = 1.3  # times the noise above which something is left, whatever the verdict says
+DETECTABLE = 2.0  # thresholds from which theory says that an effect can be found; a smaller one may be missed
 LARGE, LARGE_IN_FEW, FEW = 1.5, 4.5, 60
 """Times the noise from which a missed effect contradicts the verdict; the second with fewer than `FEW` rows."""
 DISTINGUISHED = 4.0
 """Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
 _ROUNDING = 0.01
 """The share by which the size of a trial may be below the planned one: sizes are computed again of what is hidden."""
-_ENDED = ("consistent", "explained")
-"""The verdicts that say that nothing is left."""
+_ENDED = ("consistent", "explained")  # the verdicts that say that nothing is left
 
 
 class Statement(NamedTuple):
-    """A diagnosis beside its truth.
+    """A diagnosis beside its truth."""
 
-    Attributes:
-        grade: right: every finding is true, and all that can be found is named; partial: nothing false is said, but
-            something is missing; misleading: a finding is false, or the verdict says that nothing is left where it is.
-        why: what is false or missing; empty where it is right.
-    """
-
+    # right: every finding is true, and all that can be found is named; partial: nothing false is said, but something is
+    # missing; misleading: a finding is false, or the verdict says that nothing is left where it is
     grade: Grade
-    why: str
+    why: str  # what is false or missing; empty where it is right
 
 
 def is_at_least(effect: Row, least: float) -> bool:
@@ -76,9 +69,8 @@ def same(effect: Row, finding: Row) -> bool:
 
 def unnamed_of(effect: Row, finding: Row) -> bool:
     """Whether a finding without a name is a function at one of `sites_of` the effect, of a driver of the effect."""
-    if finding["effect"] != "unnamed" or finding["site"] not in sites_of(effect):
-        return False
-    return is_driven(finding.get("driver", ""), drivers_of(effect))
+    there = finding["effect"] == "unnamed" and finding["site"] in sites_of(effect)
+    return there and is_driven(finding.get("driver", ""), drivers_of(effect))
 
 
 def is_driven(driver: str, drivers: Sequence[Sequence[str]]) -> bool:
@@ -116,15 +108,11 @@ def drivers_of(effect: Row) -> list[list[str]]:
 
 
 def admits(effect: Row, finding: Row) -> bool:
-    """Whether a finding is the hidden effect or says that it may be."""
+    """Whether a finding is the hidden effect or lists it among the alternatives that are inseparable."""
+    listed = [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
     return same(effect, finding) or any(
-        rival["effect"] == called(effect) and rival["site"] in sites_of(effect) for rival in rivals_of(finding)
+        rival["effect"] == called(effect) and rival["site"] in sites_of(effect) for rival in listed
     )
-
-
-def rivals_of(finding: Row) -> list[Row]:
-    """The alternatives that a finding lists as inseparable."""
-    return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
 
 
 def paired(hidden: Sequence[Row], findings: Sequence[Row], test: Callable[[Row, Row], bool]) -> bool:
@@ -257,11 +245,7 @@ def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
                 off = value_of(said) - true
                 off = math.remainder(off, math.tau) if name == "phase_rad" else off
                 numbers.append({"name": name, "true": true, "off": off, "std": float(said["std"]), "bound": bound})
-    return {
-        "effect": effect["effect"],
-        "site": effect["site"],
-        "size": effect["size"],
-        "seen": effect["seen"],
+    return {key: effect[key] for key in ("effect", "site", "size", "seen")} | {
         "rival": rival["name"],
         "rival_site": rival["site"],
         "apart": rival["apart"],
@@ -274,17 +258,105 @@ def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
 
 def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
     parameters = finding["parameters"]
-    return {
-        "effect": finding["effect"],
-        "site": finding["site"],
-        "driver": finding.get("driver", ""),
-        "p_value": finding["p_value"],
-        "gain": finding.get("log_likelihood_gain"),
-        "order": value_of(parameters["order"]) if "order" in parameters else None,
-        "source_joint": value_of(parameters["source_joint"]) if "source_joint" in parameters else None,
-        "true": any(same(effect, finding) for effect in hidden),
-        "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
-    }
+    form = {key: value_of(parameters[key]) if key in parameters else None for key in ("order", "source_joint")}
+    return (
+        {key: finding[key] for key in ("effect", "site", "p_value")}
+        | form
+        | {
+            "driver": finding.get("driver", ""),
+            "gain": finding.get("log_likelihood_gain"),
+            "true": any(same(effect, finding) for effect in hidden),
+            "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
+        }
+    )
+
+
+# ------------------------------------------------------------------ shares and ratios of trials, and goals set on them
+
+
+class Share(NamedTuple):
+    """So many of so many, and the 95 % interval of the share (Clopper and Pearson, 1934)."""
+
+    hits: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        """The share itself."""
+        return self.hits / self.of if self.of else math.nan
+
+    @property
+    def low(self) -> float:
+        """The interval's lower end."""
+        return float(beta.ppf(0.025, self.hits, self.of - self.hits + 1)) if self.hits else 0.0
+
+    @property
+    def high(self) -> float:
+        """The interval's upper end."""
+        return float(beta.ppf(0.975, self.hits + 1, self.of - self.hits)) if self.hits < self.of else 1.0
+
+    def __str__(self) -> str:
+        return f"{self.short} of {self.of}" if self.of else "none"
+
+    @property
+    def short(self) -> str:
+        """In words, where the count stands beside it."""
+        return f"{100 * self.value:.3g} % ({_percent(self.low)}–{_percent(self.high)})" if self.of else "none"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f}" if 0 < value < 0.1 or 0.9 < value < 1 else f"{100 * value:.0f}"
+
+
+def share(flags: Iterable[bool]) -> Share:
+    """Of flags, those set."""
+    found = [bool(flag) for flag in flags]
+    return Share(sum(found), len(found))
+
+
+class Ratio(NamedTuple):
+    """A ratio of root mean squares over trials, and its 95 % interval by drawing trials again (B. Efron, 1979)."""
+
+    value: float
+    low: float
+    high: float
+    median: float
+    of: int
+
+    def __str__(self) -> str:
+        said = f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f}), median {self.median:.2f}, of {self.of}"
+        return said if self.of else "none"
+
+
+def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> Ratio:
+    """Ratio of RMS errors, both in one unit, by paired bootstrap."""
+    a, b = np.square(np.asarray(ours, float)), np.square(np.asarray(theirs, float))
+    if not len(a) or not b.any():
+        return Ratio(math.nan, math.nan, math.nan, math.nan, 0)
+    chosen = np.random.default_rng(0).integers(0, len(a), (draws, len(a)))
+    again = np.sqrt(a[chosen].sum(1) / np.maximum(b[chosen].sum(1), 1e-300))
+    each = np.sqrt(a[b > 0] / b[b > 0])
+    low, high = np.percentile(again, [2.5, 97.5])
+    return Ratio(float(np.sqrt(a.sum() / b.sum())), float(low), float(high), float(np.median(each)), len(a))
+
+
+class Goal(NamedTuple):
+    """A goal."""
+
+    asked: str  # in words, with the number
+    reached: str  # the number with its interval
+    met: bool | None  # None where there are no trials
+
+
+def goal(
+    asked: str, found: Share | Ratio, least: float = -math.inf, most: float = math.inf, upper: float = math.inf
+) -> Goal:
+    """A goal on a share or a ratio of trials, and on the upper end of its interval.
+
+    Where there are no trials it is neither met nor missed.
+    """
+    met = least <= found.value <= most and found.high <= upper
+    return Goal(asked, str(found), met if found.of else None)
 
 
 def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> list[Row]:

@@ -14,8 +14,16 @@ from scipy.stats import norm
 
 from benchmarks.campaigns.campaign import Campaign, Section
 from benchmarks.campaigns.detection import ALARM, SEARCHED
-from benchmarks.campaigns.judgement import DISTINGUISHED, Row, covered, distinguishable, exact_orders, numbers, singles
-from benchmarks.campaigns.shares import share
+from benchmarks.campaigns.judgement import (
+    DISTINGUISHED,
+    Row,
+    covered,
+    distinguishable,
+    exact_orders,
+    numbers,
+    share,
+    singles,
+)
 
 Groups = Iterable[tuple[str, Sequence[Row]]]
 Columns = dict[str, str | Callable[[Row], Any]]
@@ -23,8 +31,7 @@ Columns = dict[str, str | Callable[[Row], Any]]
 
 _APART = (0.0, DISTINGUISHED, 8.0, 16.0, math.inf)
 """Standard deviations between which trials outside the catalogue are counted together."""
-_ROWS = ((15, 40), (41, 200), (201, 3000))
-"""The fewest and the most rows of trials at stake that are counted together."""
+_ROWS = ((15, 40), (41, 200), (201, 3000))  # the fewest and the most rows of trials at stake that are counted together
 _SINGLE: Columns = {
     "something detected": "detected",
     "found, effect and site": "found",
@@ -43,6 +50,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
     several = [row for row in rows if row["kind"] in ("mixture", "edge")]
     outside = [row for row in rows if row["kind"] == "outside"]
     judged = [row for row in rows if row.get("statement") and row["kind"] in ("outside", "edge")]
+    effect, apart = (lambda row, key=key: row["hidden"][0][key] for key in ("effect", "apart"))
     words = {True: "yes", False: "NO", None: "no trials"}
     goals = [(goal.asked, goal.reached, words[goal.met]) for goal in campaign.goals(rows)]
     for title, head, cells in (
@@ -59,7 +67,7 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
         _shares("One effect hidden, by size", _split(singles(rows), "planned_size"), _SINGLE),
         _shares(
             "One effect hidden, twice the threshold or more",
-            [*_split(large, _effect), *_split(large, "engine")],
+            [*_split(large, effect), *_split(large, "engine")],
             _SINGLE,
         ),
         _shares(
@@ -83,12 +91,12 @@ def sections(campaign: Campaign, rows: Sequence[Row]) -> Iterator[Section]:
             "Outside the catalogue",
             [
                 ("all", outside),
-                *_split(outside, _effect),
+                *_split(outside, effect),
                 *_split(outside, lambda row: f"× {row['planned_size']:g}"),
                 *(
                     (f"{a:g} to {b:g} standard deviations from what is nearest", found)
                     for a, b in pairwise(_APART)
-                    if (found := [row for row in outside if _apart(row) is not None and a <= _apart(row) < b])
+                    if (found := [row for row in outside if (at := apart(row)) is not None and a <= at < b])
                 ),
             ],
             {
@@ -135,14 +143,6 @@ def _split(rows: Sequence[Row], of: str | Callable[[Row], Any]) -> list[tuple[st
         if said is not None:
             found.setdefault(said, []).append(row)
     return [(f"{said:g}" if isinstance(said, float) else str(said), found[said]) for said in sorted(found)]
-
-
-def _apart(row: Row) -> Any:
-    return row["hidden"][0]["apart"]
-
-
-def _effect(row: Row) -> str:
-    return row["hidden"][0]["effect"]
 
 
 def best_chance(row: Row) -> float | None:
@@ -225,12 +225,8 @@ def draw_detection(rows: Sequence[Row], path: Path) -> Path:
         ("right name, or within the set said inseparable", _GREEN, "^", lambda row: row["top_in_set"]),
         ("right name, where the data distinguish it", _RED, "D", _SINGLE["right name where the data distinguish it"]),  # type: ignore[list-item]
     ]
-    plain: dict[Any, Any] = {
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "legend.frameon": False,
-        "font.size": 13,
-    }
+    plain: dict[Any, Any] = dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False)
+    plain["font.size"] = 13
     with plt.rc_context(plain):
         figure, axes = plt.subplots(figsize=(9, 5.2), layout="constrained")
         for k, (label, colour, marker, hit) in enumerate(curves):
@@ -238,10 +234,8 @@ def draw_detection(rows: Sequence[Row], path: Path) -> Path:
             there = [(size, each) for size, each in zip(sizes, found, strict=True) if each.of]
             at = np.array([size for size, _ in there]) * 1.025 ** (k - 1.5)
             value, low, high = 100 * np.array([(s.value, s.low, s.high) for _, s in there]).reshape(-1, 3).T
-            bars = [value - low, high - value]
-            axes.errorbar(
-                at, value, bars, color=colour, marker=marker, ms=8, capsize=3, lw=2, elinewidth=1.2, label=label
-            )
+            style: Any = {"color": colour, "marker": marker, "ms": 8, "capsize": 3, "lw": 2, "elinewidth": 1.2}
+            axes.errorbar(at, value, [value - low, high - value], label=label, **style)
         if sizes:
             at = np.geomspace(min(sizes), max(sizes), 80)
             limit = norm.isf(ALARM / SEARCHED / 2)
@@ -251,9 +245,8 @@ def draw_detection(rows: Sequence[Row], path: Path) -> Path:
         axes.set_xscale("log")
         axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axes.minorticks_off()
-        axes.set(
-            ylim=(0, 110), xlabel="size of the hidden effect, in detection thresholds", ylabel="share of trials (%)"
-        )
+        axes.set(ylim=(0, 110), ylabel="share of trials (%)")
+        axes.set_xlabel("size of the hidden effect, in detection thresholds")
         axes.set_title(f"One hidden effect, {len(singles(rows))} trials: bars are 95 % intervals", loc="left")
         axes.legend(loc="lower right")
         path.parent.mkdir(parents=True, exist_ok=True)

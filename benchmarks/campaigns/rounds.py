@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 T = TypeVar("T")
+Array = NDArray[np.floating]
 _TRIES = 200
 
 Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
@@ -18,15 +19,10 @@ KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "fau
 
 
 class Rounds(NamedTuple):
-    """Kinds that come in rounds, each in its share, in an order of the round's own.
+    """Kinds that come in rounds, each in its share, in an order of the round's own."""
 
-    Attributes:
-        shares: how many trials of each kind a round has.
-        stream: of random numbers.
-    """
-
-    shares: Mapping[str, int]
-    stream: int
+    shares: Mapping[str, int]  # how many trials of each kind a round has
+    stream: int  # of random numbers
 
     def kind_of(self, seed: int, index: int) -> Any:
         """The kind of a trial."""
@@ -71,17 +67,11 @@ def first_made(make: Callable[[np.random.Generator], T | None], seed: int, strea
 
 
 class Trial(NamedTuple):
-    """A trial as it is written.
+    """A trial as it is written."""
 
-    Attributes:
-        plan: what was drawn.
-        truth: for the sealed file.
-        files: name to text, all that the diagnosis is given.
-    """
-
-    plan: Any
-    truth: dict[str, Any]
-    files: dict[str, str]
+    plan: Any  # what was drawn
+    truth: dict[str, Any]  # for the sealed file
+    files: dict[str, str]  # name to text, all that the diagnosis is given
 
 
 def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
@@ -89,6 +79,24 @@ def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = ([v if isinstance(v, str) else f"{v:.{digits}g}" for v in row] for row in rows)
     return "\n".join([",".join(columns), *map(",".join, lines)]) + "\n"
+
+
+def motion_columns(motion: Any, q: Array, dq: Array | None, turns: bool = False) -> dict[str, Array]:
+    """The columns of a motion: times, joints as they are read, temperatures, the payload.
+
+    Args:
+        motion: with `time`, `temperature` and `payload`.
+        q: `(sample, joint)` rad.
+        dq: `(sample, joint)` rad/s; None where velocities are not read.
+        turns: whether positions are from 0 to a turn.
+    """
+    columns = {"time_s": motion.time}
+    for i in range(q.shape[1]):
+        columns |= {f"q{i + 1}_deg": np.rad2deg(np.mod(q[:, i], 2 * np.pi))} if turns else {f"q{i + 1}_rad": q[:, i]}
+    if dq is not None:
+        columns |= {f"dq{i + 1}_rad_per_s": column for i, column in enumerate(dq.T)}
+    columns |= {f"temp{i + 1}_degC": column for i, column in enumerate(motion.temperature.T)}
+    return columns | {"payload_kg": motion.payload}
 
 
 def read_columns(text: str) -> dict[str, list[float]]:

@@ -7,35 +7,15 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.campaigns import command
+from benchmarks.campaigns import command, judgement
 from benchmarks.campaigns.campaign import FLAG, NUMBER, TEXT, Campaign, Section, schema_of
-from benchmarks.campaigns.judgement import (
-    Row,
-    covered,
-    covering,
-    distinguishable,
-    grade,
-    is_at_least,
-    score_findings,
-    share_found,
-    singles,
-)
-from benchmarks.campaigns.shares import (
-    WITHIN,
-    Goal,
-    Ratio,
-    Share,
-    goal,
-    ratio,
-    share,
-)
+from benchmarks.campaigns.judgement import WITHIN, Goal, Ratio, Row, Share, goal, ratio, share
 from benchmarks.concealed.plans import NAMES_AT_STAKE, NOISES, READ_ROUNDS, READERS, ROUNDS, ROWS, SENSORS
 from benchmarks.concealed.trials import draw, draw_reading
 
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
-_ABSENT: Row = {"rows": ROWS, "edge": "", "masses_off": False, "sealed": False}
-"""Defaults that `Plan.told` leaves out."""
+_ABSENT: Row = {"rows": ROWS, "edge": "", "masses_off": False, "sealed": False}  # defaults that `Plan.told` leaves out
 _UNSEEN = ("unseen_m", "inside_components", "inside_covered", "outside_components", "outside_covered")
 SCHEMA = schema_of(
     "moved_m",
@@ -51,28 +31,23 @@ SCHEMA = schema_of(
 def score(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
     """The row of a trial; `predicted` has columns `x_m` …, `qw` … of the unseen motion."""
     truth = _ABSENT | truth
-    statement = grade(truth, diagnosis)
-    row = score_findings(truth, diagnosis, seconds, error, "moved_m")
+    statement = judgement.grade(truth, diagnosis)
+    row = judgement.score_findings(truth, diagnosis, seconds, error, "moved_m")
     said = diagnosis or {"data_faults": [], "before": {}, "after": {}, "noise": {}}
     nearest = said.get("nearest") or {}
     keys = ("arm", "sensor", "moving", "geometry", "mounted", "masses_off", "noise_m")
-    return (
-        row
-        | {key: truth[key] for key in keys}
-        | {
-            "statement": statement.grade,
-            "why": statement.why,
-            "fault_found": truth["fault"].split(" ")[0] in row["faults"],
-            "before_m": said["before"].get("heldout_position_rms_m"),
-            "after_m": said["after"].get("heldout_position_rms_m"),
-            "estimated_noise_m": said["noise"].get("estimated", {}).get("position_m"),
-            "nearest_effect": nearest.get("effect"),
-            "nearest_site": nearest.get("site"),
-            "nearest_p": nearest.get("p_value"),
-            "moved_m": truth["moved_rms_m"],
-        }
-        | _unseen(truth, predicted)
-    )
+    row |= {key: truth[key] for key in keys} | _unseen(truth, predicted)
+    row |= {f"nearest_{key}": nearest.get(key) for key in ("effect", "site")}
+    return row | {
+        "statement": statement.grade,
+        "why": statement.why,
+        "fault_found": truth["fault"].split(" ")[0] in row["faults"],
+        "before_m": said["before"].get("heldout_position_rms_m"),
+        "after_m": said["after"].get("heldout_position_rms_m"),
+        "estimated_noise_m": said["noise"].get("estimated", {}).get("position_m"),
+        "nearest_p": nearest.get("p_value"),
+        "moved_m": truth["moved_rms_m"],
+    }
 
 
 def _unseen(truth: Row, predicted: Row | None) -> Row:
@@ -98,13 +73,9 @@ def _unseen(truth: Row, predicted: Row | None) -> Row:
 
 
 def wrong_names(rows: Iterable[Row]) -> Share:
-    """Of the trials outside the catalogue and at its edge, those in which something false is said."""
-    return share(row["statement"] == "misleading" for row in at_stake(rows))
-
-
-def at_stake(rows: Iterable[Row]) -> list[Row]:
-    """The trials outside the catalogue and at its edge that were judged."""
-    return [row for row in rows if row["kind"] in NAMES_AT_STAKE and row["statement"]]
+    """Of the trials outside the catalogue and at its edge that were judged, those in which something false is said."""
+    judged = (row for row in rows if row["kind"] in NAMES_AT_STAKE and row["statement"])
+    return share(row["statement"] == "misleading" for row in judged)
 
 
 def against_oracle(rows: Iterable[Row]) -> Ratio:
@@ -115,14 +86,14 @@ def against_oracle(rows: Iterable[Row]) -> Ratio:
 
 def goals(rows: Sequence[Row], known: float) -> list[Goal]:
     """The goals of the project, honestly; intervals are to hold from so many thresholds on."""
-    twice = singles(rows, 2.0, 2.0)
+    twice = judgement.singles(rows, 2.0, 2.0)
     clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
     declared = [row for row in clean if row["noise"] == "as declared"]
     outside = [row for row in rows if row["kind"] == "outside"]
-    unlike = [row for row in outside if distinguishable(row)]
-    distinct = [row for row in twice if distinguishable(row)]
+    unlike = [row for row in outside if judgement.distinguishable(row)]
+    distinct = [row for row in twice if judgement.distinguishable(row)]
     named = [row for row in rows if row["kind"] in ("single", "mixture")]
-    large = [row for row in named if all(is_at_least(effect, 2.0) for effect in row["hidden"])]
+    large = [row for row in named if all(judgement.is_at_least(effect, 2.0) for effect in row["hidden"])]
     others = "— where the data distinguish it from all other names"
     functions = "— where the data distinguish it from names, and from functions elsewhere or of others"
     alarms = "false alarms, upper end of the interval: 1 %"
@@ -133,14 +104,14 @@ def goals(rows: Sequence[Row], known: float) -> list[Goal]:
             most=WRONG_NAMES,
             upper=WRONG_NAMES_AT_MOST,
         ),
-        goal("found at twice the threshold, effect and site: 95 %", share_found(twice), least=0.95),
-        goal(others, share_found(distinct), least=0.95),
+        goal("found at twice the threshold, effect and site: 95 %", judgement.share_found(twice), least=0.95),
+        goal(others, judgement.share_found(distinct), least=0.95),
         goal("at the right site at twice the threshold: 90 %", _sited(twice), least=0.9),
         goal(others, _sited(distinct), least=0.9),
         goal(alarms, _alarms(clean), upper=0.01),
         goal("— noise as declared", _alarms(declared), upper=0.01),
         goal("unseen error: 1.1 × the oracle's", against_oracle(large), most=1.1),
-        goal(covering(known), covered(rows, known), 0.93, 0.97),
+        goal(judgement.covering(known), judgement.covered(rows, known), 0.93, 0.97),
         goal("outside the catalogue: unnamed, at its site, by its driver: 90 %", _found(outside, "named"), least=0.9),
         Goal("— or listed among the alternatives", str(_found(outside, "in_set")), None),
         goal(functions, _found(unlike, "named"), least=0.9),
@@ -151,13 +122,13 @@ def goals(rows: Sequence[Row], known: float) -> list[Goal]:
 
 def reading_goals(rows: Sequence[Row], known: float) -> list[Goal]:
     """Those of a sensor that measures no poses; intervals are to hold from so many thresholds on."""
-    twice = singles(rows, 2.0)
+    twice = judgement.singles(rows, 2.0)
     clean = [row for row in rows if row["kind"] == "clean"]
     return [
         goal("clean recordings with a finding, at most 1 %", _alarms(clean), most=0.01),
-        goal("found from twice the threshold on: 95 %", share_found(twice), least=0.95),
+        goal("found from twice the threshold on: 95 %", judgement.share_found(twice), least=0.95),
         goal("— at the right site: 85 %", _sited(twice), least=0.85),
-        goal(covering(known), covered(rows, known), 0.93, 0.97),
+        goal(judgement.covering(known), judgement.covered(rows, known), 0.93, 0.97),
     ]
 
 
@@ -191,7 +162,7 @@ def within_bars(rows: Iterable[Row], where: str) -> float:
 def unseen(rows: Sequence[Row]) -> Section:
     """Errors on the unseen motion beside the oracle's."""
     named = [row for row in rows if row["kind"] in ("single", "mixture")]
-    twice = [row for row in named if all(is_at_least(effect, 2.0) for effect in row["hidden"])]
+    twice = [row for row in named if all(judgement.is_at_least(effect, 2.0) for effect in row["hidden"])]
     clean = [row for row in rows if row["kind"] == "clean"]
     groups = [
         ("nothing hidden, noise as declared", [row for row in clean if row["noise"] == NOISES[0]]),
@@ -206,18 +177,8 @@ def unseen(rows: Sequence[Row]) -> Section:
 
 POSES = Campaign("concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS))
 """Of sensors that measure poses."""
-READINGS = {
-    name: replace(
-        POSES,
-        count=200,
-        known=2.0,
-        rounds=READ_ROUNDS,
-        draw=partial(draw_reading, name),
-        set_goals=reading_goals,
-        measuring=(name,),
-    )
-    for name in READERS
-}
+_READING = replace(POSES, count=200, known=2.0, rounds=READ_ROUNDS, set_goals=reading_goals)
+READINGS = {name: replace(_READING, draw=partial(draw_reading, name), measuring=(name,)) for name in READERS}
 """Of the others, by name."""
 
 

@@ -10,6 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
+Poses = tuple[Array, Array]  # rotations `(sample, 3, 3)` and positions `(sample, 3)` m
 
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -19,24 +20,16 @@ MADE = (8e-4, 2.6e-3)
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial arm of revolute joints.
+    """A serial arm of revolute joints."""
 
-    Attributes:
-        name: bundled with the library, or that of a description written beside the recording.
-        rows: `(joint, 6)` m and rad, the frame of each joint before it turns, in the frame after the joint before:
-            R = Rz(yaw) Ry(pitch) Rx(roll).
-        limits: `(joint, 2)` rad, that trials stay within.
-        mass: `(joint,)` kg of each link.
-        center: `(joint, 3)` m, its centre of mass in the frame after the joint's rotation.
-        bundled: whether the library knows it by name.
-    """
-
-    name: str
+    name: str  # bundled with the library, or that of a description written beside the recording
+    # `(joint, 6)` m and rad, the frame of each joint before it turns, in the frame after the joint before: R = Rz(yaw)
+    # Ry(pitch) Rx(roll)
     rows: Array
-    limits: Array
-    mass: Array
-    center: Array
-    bundled: bool = False
+    limits: Array  # `(joint, 2)` rad, that trials stay within
+    mass: Array  # `(joint,)` kg of each link
+    center: Array  # `(joint, 3)` m, its centre of mass in the frame after the joint's rotation
+    bundled: bool = False  # whether the library knows it by name
 
     @property
     def dof(self) -> int:

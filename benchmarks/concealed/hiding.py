@@ -19,17 +19,16 @@ from benchmarks.concealed import outside
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Drivers
-from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, loaded, moments, poses
+from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Effects, Hidden, loaded, moments, poses
 from benchmarks.concealed.plans import Plan
 from benchmarks.concealed.view import View, reported, reported_slopes, source
 
 _MOST_MOVED = 0.02
-_LOADED = 0.5
-"""Nm from which a joint is loaded."""
-_FRICTION = (0.1, 3.0)
-"""Nm between which the friction of a joint's bearing is drawn."""
+_LOADED = 0.5  # Nm from which a joint is loaded
+_FRICTION = (0.1, 3.0)  # Nm between which the friction of a joint's bearing is drawn
 _SITES = {
-    **dict.fromkeys(("base_compliance", "base_drift"), "base"),
+    "base_compliance": "base",
+    "base_drift": "base",
     "measurement_scale": "sensor",
     "time_offset": "clock",
     "payload_error": "payload",
@@ -40,26 +39,22 @@ _MOST = {
     "payload_error": 1.0,
     "time_offset": 0.04,
     "joint_lag": 0.05,
-    "joint_compliance": 1e-3,
-    "link_compliance": 1e-3,
-    "base_compliance": 1e-3,
     "link_thermal_expansion": 1e-4,
+    **dict.fromkeys(("joint_compliance", "link_compliance", "base_compliance"), 1e-3),
 }
 """Sizes beyond which an effect is no small error any more, or of no material: kg, s, rad/Nm, 1/K (plastics); 20 mrad or
 20 mm for the rest."""
 _EQUAL, _EQUAL_ROWS = 0.03, 150
 """The share by which effects of equal sites may differ: axes that coincide in a design do so only nearly in an arm."""
-_STEADY = "squared_drift"
-"""The family that moves a site by a power of the time; of power 0 it is constant."""
-_POWERS = 3
-"""Of a driver: a function that is to stand in for another is a polynomial of this degree."""
+_STEADY = "squared_drift"  # the family that moves a site by a power of the time; of power 0 it is constant
+_POWERS = 3  # of a driver: a function that is to stand in for another is a polynomial of this degree
 _NEARER = 1.0
 """Standard deviations by which two names of a site have to come nearer than one to be what an effect is taken for."""
 _COMPARED_ROWS = 400
 """Of a recording, evenly chosen, on which functions are compared; each counts for as many as it stands for."""
 
 
-def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...] | None:
+def hide(plan: Plan, rng: np.random.Generator, view: View) -> Effects | None:
     """Effects of the planned names and sizes; None where one of them is out of sight."""
     drawn: list[Hidden] = []
     for name in plan.effects:
@@ -67,11 +62,15 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         at = drawn[0].number if drawn and plan.edge in ("two harmonics", "loaded backlash") else 0
         effect = _draw_effect(name, rng, view, plan, at)
         if effect is not None and name == "joint_harmonic" and at:
-            effect = _another_order(effect, drawn[0], rng)
+            # of order 2 beside 1, or another order of a gear
+            first = drawn[0].fixed["order"]
+            second = 3 - first if first <= 2 else first + float(rng.integers(2, 40))
+            values = (*effect.values[:2], *((second,) if first > 2 else ()))
+            effect = replace(effect, values=values, fixed={"order": second})
         if effect is None or any((effect.name, effect.site, effect.fixed) == (o.name, o.site, o.fixed) for o in drawn):
             return None
         drawn.append(effect)
-    hidden: tuple[Hidden, ...] = ()
+    hidden: Effects = ()
     span = view.nuisance() if drawn else np.zeros((0, 0))
     for effect, times in zip(drawn, plan.sizes, strict=True):
         tried = (*hidden, effect)
@@ -107,38 +106,25 @@ def beyond_named(view: View, effect: Hidden, span: Array) -> Array:
         span: the columns of all that may vary beside it, where nothing is hidden, as all columns here: elsewhere, what
             cancels would leave what effects do to each other.
     """
-    form = outside.straight(effect.fixed)
-    if form is not None:
-        line = replace(effect, values=(0.0,), fixed=form)
+    if "power" in effect.fixed:
+        # the form of the named effect that is the straight line of the family
+        line = replace(effect, values=(0.0,), fixed={**effect.fixed, "power": 1.0})
         span = np.concatenate([span, view.padded(view.columns((line,), 0))], 1)
-    named = [
-        rival
-        for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1]))
-        if rival.site == effect.site and rival.name not in ("joint_offset", "joint_coupling")
-    ]
-    there = replace(effect, values=(0.0,))
-    blocks = [view.columns((other,), 0) for other in (there, *named)]
+    absent = ("joint_offset", "joint_coupling")
+    named = (rival for rival in candidates(view) if rival.site == effect.site and rival.name not in absent)
+    blocks = [view.columns((other,), 0) for other in (replace(effect, values=(0.0,)), *named)]
     whole = view.padded(np.concatenate(blocks, 1))
     lengths = np.linalg.norm(whole, axis=0)
     left = project_out(span, whole / np.where(lengths > 0, lengths, 1.0))
-    g, rest, first = left[:, :1], span, 1
-    least = np.inf
-    for block in blocks[1:]:
-        own = left[:, first : first + block.shape[1]]
-        first += block.shape[1]
+    g, *named = np.split(left, np.cumsum([block.shape[1] for block in blocks])[:-1], 1)
+    rest, least = span, np.inf
+    for own in named:
         directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
         directions = directions[:, sizes > LEAST_SEEN**2]
         missing = float(np.linalg.norm(g - directions @ (directions.T @ g)))
         if missing < least:
             least, rest = missing, np.concatenate([span, directions], 1)
     return rest
-
-
-def _another_order(effect: Hidden, first: Hidden, rng: np.random.Generator) -> Hidden:
-    """A second harmonic of the same joint: of order 2 beside 1, or another order of a gear."""
-    order = first.fixed["order"]
-    second = 3 - order if order <= 2 else order + float(rng.integers(2, 40))
-    return replace(effect, values=(*effect.values[:2], *((second,) if order > 2 else ())), fixed={"order": second})
 
 
 def _draw_effect(name: str, rng: np.random.Generator, view: View, plan: Plan, at: int = 0) -> Hidden | None:
@@ -189,7 +175,7 @@ def _draw_effect(name: str, rng: np.random.Generator, view: View, plan: Plan, at
     return Hidden(name, site, values, fixed)
 
 
-def describe(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
+def describe(view: View, hidden: Effects) -> list[dict[str, Any]]:
     """What is hidden, with its size in thresholds beside all the rest, its bound and its nearest rival."""
     if not hidden:
         return []
@@ -218,7 +204,7 @@ def describe(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
     return said
 
 
-def detection_threshold(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Threshold:
+def detection_threshold(view: View, hidden: Effects, place: int, span: Array) -> Threshold:
     """Of one of the hidden effects, the direction of its values given, across the columns of all that may vary."""
     effect, others = hidden[place], (*hidden[:place], *hidden[place + 1 :])
     # small enough for a derivative
@@ -229,18 +215,16 @@ def detection_threshold(view: View, hidden: tuple[Hidden, ...], place: int, span
     return detection.threshold(g, span, 1 if effect.name in OUTSIDE else effect.linear, float(moved))
 
 
-def bounds(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, float]]:
+def bounds(view: View, hidden: Effects) -> list[dict[str, float]]:
     """The Cramér–Rao bound of every reported number: one standard deviation of the best unbiased estimate."""
     if not hidden:
         return []
     blocks = [view.padded(view.columns(hidden, k)) for k in range(len(hidden))]
     found = project_out(view.nuisance(hidden), np.concatenate(blocks, 1))
     covariance = np.linalg.pinv(found.T @ found, rcond=1e-14, hermitian=True)
-    out, first = [], 0
-    for effect in hidden:
-        size = len(effect.values)
-        own = covariance[first : first + size, first : first + size]
-        first += size
+    out, ends = [], np.cumsum([len(effect.values) for effect in hidden])
+    for effect, end in zip(hidden, ends, strict=True):
+        own = covariance[end - len(effect.values) : end, end - len(effect.values) : end]
         names, J = reported_slopes(effect)
         variances = np.einsum("ia,ab,ib->i", J, own, J)
         out.append(dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True)))
@@ -250,8 +234,9 @@ def bounds(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, float]]:
 # ------------------------------------------------------------------ what an effect may be taken for
 
 
-def candidates(dof: int, moving: bool, orientation: bool) -> Iterator[Hidden]:
+def candidates(view: View) -> Iterator[Hidden]:
     """What an effect may be taken for: the catalogue, each site on its own."""
+    dof, moving, orientation = view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])
     joints = range(1, dof + 1)
     for joint in joints:
         for name in ("joint_offset", "joint_scale", "joint_compliance", "joint_backlash"):
@@ -277,7 +262,7 @@ def candidates(dof: int, moving: bool, orientation: bool) -> Iterator[Hidden]:
         yield Hidden("time_offset", "clock", (0.0,))
 
 
-def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
+def nearest_rival(view: View, hidden: Effects, place: int, span: Array) -> Rival:
     """Which other candidate explains most of one of the hidden effects, beside the columns of all that may vary.
 
     Columns are taken where all effects are as they are: elsewhere, what cancels here would leave what effects do to
@@ -288,9 +273,9 @@ def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Arra
     return detection.nearest(view.padded(g[:, None])[:, 0], span, _names(view, hidden, hidden[place]))
 
 
-def _names(view: View, there: tuple[Hidden, ...], effect: Hidden) -> Iterator[tuple[str, str, Array]]:
+def _names(view: View, there: Effects, effect: Hidden) -> Iterator[tuple[str, str, Array]]:
     """Name, site and columns of the candidates other than `effect`, beside `there`."""
-    for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
+    for rival in candidates(view):
         order = effect.fixed.get("order")
         same = (rival.name, rival.site) == (effect.name, effect.site)
         if not same or dict(rival.fixed) != ({} if order is None else {"order": order}) | source(effect):
@@ -326,7 +311,10 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
     # computed in all rows and then thinned: how far a spring has yielded depends on the whole way
     g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     rest = left(few.padded(g[:, None]))[:, 0]
-    functions = [(name, _powers(values)) for name, values in _recorded(few).items()]
+    functions = []
+    for name, values in _recorded(few).items():
+        low, high = values.min(), values.max()
+        functions.append((name, ((2 * values - low - high) / (high - low))[:, None] ** np.arange(_POWERS + 1)))
     width = _POWERS + 1
     for site, axis in _components(view.setup.chain.dof):
         there = [k for k, (name, _) in enumerate(functions) if not (site in sites and is_driven(name, drivers))]
@@ -406,12 +394,6 @@ def _recorded(view: View) -> dict[str, Array]:
     for axis, name in enumerate("xyz"):
         found |= {f"base moment {name}": s.base_moment[:, axis], f"measured position {name}": position[:, axis]}
     return {name: values for name, values in found.items() if np.ptp(values) > 0}
-
-
-def _powers(values: Array) -> Array:
-    """`(sample, power)` of a driver, brought between -1 and 1."""
-    low, high = values.min(), values.max()
-    return ((2 * values - low - high) / (high - low))[:, None] ** np.arange(_POWERS + 1)
 
 
 def equal_sites(view: View, effect: Hidden) -> list[str]:

@@ -16,39 +16,28 @@ import numpy as np
 from mujoco import rollout
 
 from benchmarks.concealed.chain import Array, quaternion_from_rotation, rotation_from_rpy
-from benchmarks.concealed.plain_physics import HARDENING, YIELD, Hidden, Motion, Setup, hardening
+from benchmarks.concealed.plain_physics import HARDENING, YIELD, Effects, Hidden, Motion, Setup, hardening
 
 mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
 
 SPRINGS = ("joint_compliance", "hardening_spring", "yielding_spring")
 GEARS = (*SPRINGS, "joint_backlash")
-OFFERED = (*GEARS, "base_compliance", "time_offset", "payload_error")
-"""The effects that can be built."""
+OFFERED = (*GEARS, "base_compliance", "time_offset", "payload_error")  # the effects that can be built
 REMEMBERING = ("joint_backlash", "yielding_spring")
 
-STEP = 1e-3
-"""s."""
-_MOVE, _REST = 1.0, 0.4
-"""s: from pose to pose, and until the arm is read."""
-_FLANK = 1e8
-"""Nm/rad of a gear's flank: at 1e6, what gravity pressed into it was found as the compliance that it was."""
-_SERVO = 4e4
-"""Nm/rad."""
+STEP = 1e-3  # s
+_MOVE, _REST = 1.0, 0.4  # s: from pose to pose, and until the arm is read
+_FLANK = 1e8  # Nm/rad of a gear's flank: at 1e6, what gravity pressed into it was found as the compliance that it was
+_SERVO = 4e4  # Nm/rad
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What a simulation leaves.
+    """What a simulation leaves."""
 
-    Attributes:
-        motion: as the encoders have it.
-        rotation: `(sample, 3, 3)` of what the sensor looks at, in the sensor's frame, without noise.
-        position: `(sample, 3)` m.
-    """
-
-    motion: Motion
-    rotation: Array
-    position: Array
+    motion: Motion  # as the encoders have it
+    rotation: Array  # `(sample, 3, 3)` of what the sensor looks at, in the sensor's frame, without noise
+    position: Array  # `(sample, 3)` m
 
 
 class Arm:
@@ -60,7 +49,7 @@ class Arm:
         payload: kg at the flange, as declared.
     """
 
-    def __init__(self, setup: Setup, hidden: tuple[Hidden, ...], payload: float):
+    def __init__(self, setup: Setup, hidden: Effects, payload: float):
         unknown = [effect.name for effect in hidden if effect.name not in OFFERED]
         if unknown:
             raise ValueError(f"MuJoCo cannot be given {unknown}")
@@ -180,7 +169,7 @@ def _hermite(times: Array, values: Array, rates: Array, at: Array) -> tuple[Arra
     return value, (a + u * (2 * (3 * rise - 2 * a - b) + 3 * u * (a + b - 2 * rise))) / step
 
 
-def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
+def _model(setup: Setup, hidden: Effects, payload: float) -> str:
     """The arm in MuJoCo's own words."""
     chain = setup.chain
     # play comes first: its bearing drags against the wall, and a spring beyond it carries the load alone

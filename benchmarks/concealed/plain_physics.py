@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
-from benchmarks.concealed.outside import FAMILIES, seen_shift
+from benchmarks.concealed.chain import GRAVITY, Array, Chain, Poses, about_z, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Motion, Scene
 
 TWIST = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -35,31 +35,22 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     **{name: (family.number,) for name, family in FAMILIES.items()},
 }
 """The numbers of each effect in which it is linear (a clock's offset: nearly); a harmonic's are A cos φ and A sin φ."""
-OUTSIDE = tuple(FAMILIES)
-"""Those that the library's catalogue does not have."""
+OUTSIDE = tuple(FAMILIES)  # those that the library's catalogue does not have
 
-HARDENING = 4.0
-"""τ/T = x + HARDENING x³: at T the spring gives way by 0.54 of what its start promises."""
-YIELD = 0.25
-"""In turns of x, where a second spring of stiffness 2 beside one of 0.5 begins to slip: at 0.6 T."""
+HARDENING = 4.0  # τ/T = x + HARDENING x³: at T the spring gives way by 0.54 of what its start promises
+YIELD = 0.25  # in turns of x, where a second spring of stiffness 2 beside one of 0.5 begins to slip: at 0.6 T
 _SUBSTEPS = 12
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect at a site.
+    """An effect at a site."""
 
-    Attributes:
-        name: a key of `COORDINATES`.
-        site: jointN, linkN, links, base, tool, sensor, clock or payload.
-        values: its numbers, one for each coordinate; a harmonic's order may be the third.
-        fixed: what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside
-            the catalogue, whatever `outside.draw_form` draws.
-    """
-
-    name: str
-    site: str
-    values: tuple[float, ...]
+    name: str  # a key of `COORDINATES`
+    site: str  # jointN, linkN, links, base, tool, sensor, clock or payload
+    values: tuple[float, ...]  # its numbers, one for each coordinate; a harmonic's order may be the third
+    # what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside the
+    # catalogue, whatever `outside.draw_form` draws
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -81,21 +72,17 @@ class Hidden:
         return self.sized(np.array([*(factor * v for v in self.values[: self.linear]), *self.values[self.linear :]]))
 
 
+Effects = tuple[Hidden, ...]  # all that are hidden together
+
+
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """An arm and where it is seen from.
+    """An arm and where it is seen from."""
 
-    Attributes:
-        chain: the arm as it is.
-        sensor: `(4, 4)` T_sensor_base.
-        tool: `(4, 4)` T_flange_tool.
-        payload_center: `(3,)` m in the flange's frame.
-    """
-
-    chain: Chain
-    sensor: Array
-    tool: Array
-    payload_center: Array
+    chain: Chain  # the arm as it is
+    sensor: Array  # `(4, 4)` T_sensor_base
+    tool: Array  # `(4, 4)` T_flange_tool
+    payload_center: Array  # `(3,)` m in the flange's frame
 
 
 def moments(chain: Chain, q: Array, payload: Array, payload_center: Array) -> tuple[Array, Array]:
@@ -130,8 +117,8 @@ def loaded(setup: Setup, motion: Motion, needed: bool = True) -> Motion:
     return replace(motion, moment=moment, base_moment=base_moment)
 
 
-def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Array, Array]:
-    """Rotations `(sample, 3, 3)` and positions `(sample, 3)` m that a sensor without noise would show."""
+def poses(setup: Setup, hidden: Effects, motion: Motion) -> Poses:
+    """What a sensor without noise would show."""
     chain = setup.chain
     for effect in hidden:
         if effect.name == "time_offset":
@@ -192,8 +179,15 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     if sensor.any():
         turn = rotation_from_vector(sensor[:, 3:])
         p, R = sensor[:, :3] + np.einsum("sab,sb->sa", turn, p), turn @ R
-    shifts = [effect.values[0] * seen_shift(effect.name, effect.fixed, motion, p) for effect in image]
-    return R, scale * sum(shifts, p)
+    seen = p
+    for effect in image:
+        family = FAMILIES[effect.name]
+        assert family.image is not None
+        shift = family.image(seen.T).T
+        if family.signal is not None:
+            shift = shift * family.signal(Scene(effect.fixed, motion))[:, None]
+        p = p + effect.values[0] * shift
+    return R, scale * p
 
 
 _LOADED = {"joint_compliance", "link_compliance", "base_compliance", "joint_backlash"} | {

@@ -18,27 +18,22 @@ SIZES = (1.0, 1.5, 2.0, 2.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 OUTSIDE_SIZES = (3.0, 5.0, 10.0, 20.0)
 EDGES = ("masses off", "two harmonics", "few rows", "loaded backlash")
 """What makes it hard to name an effect that the catalogue has."""
-NAMES_AT_STAKE: tuple[Kind, ...] = ("outside", "edge")
-"""The kinds in which the rate of wrong names is measured."""
-ROWS = 300
-"""Of a recording, but for the kinds in which names are at stake."""
+NAMES_AT_STAKE: tuple[Kind, ...] = ("outside", "edge")  # the kinds in which the rate of wrong names is measured
+ROWS = 300  # of a recording, but for the kinds in which names are at stake
 FEW, FEWEST = 40, 15
 _ROW_RANGES = ((0.2, FEWEST, 60), (0.65, 60, 500), (0.15, 500, 3000))
 """Share, and between which numbers of rows it is uniform in the logarithm; most are moderate, to bound the time."""
-_TRAJECTORY = 100
-"""Rows, 5 s: on a shorter way an arm does not come far."""
+_TRAJECTORY = 100  # rows, 5 s: on a shorter way an arm does not come far
 SINGLE = tuple(name for name in COORDINATES if name not in (*OUTSIDE, "payload_error"))
-NOISES = ("as declared",) * 5 + (
-    "half or twice",
-    "correlated",
-    "growing with reach",
-    "in the joints",
-    "factory file off",
+NOISES = (
+    *("as declared",) * 5,
+    *("half or twice", "correlated", "growing with reach", "in the joints", "factory file off"),
 )
 FAULTS = (
     *("outliers", "outliers beside an effect", "repeated_rows", "time_order", "swapped_joints", "mirrored_joint"),
     *("nominal_table", "frame_jump", "unsettled_readouts"),
 )
+ARMS = ("lite6", "seven", "six")
 SENSORS = {
     "tracker": (2e-5, None, "laser_tracker"),
     "tracker_6d": (2e-5, 1e-4, "laser_tracker"),
@@ -46,14 +41,12 @@ SENSORS = {
     "controller": (3e-8, 3e-7, "controller_fk"),
 }
 """m and rad per axis, one standard deviation, and the sidecar's word."""
-UNCERTAIN = 5e-5
-"""m and rad: the standard deviation that an uncertain factory file says of itself."""
+UNCERTAIN = 5e-5  # m and rad: the standard deviation that an uncertain factory file says of itself
 LOOSE = (5 * MADE[0], 5 * MADE[1])
 """m and rad: what anyone believes of an arm of whose numbers nothing is said; it settles what no pose can."""
 TOUCHED, ENCODERS = (1e-3, 5e-3), 2e-4
 """m and rad: what is believed of the chain, and of each encoder once a turn, where touches are all that is measured."""
-OFF = 1e-5
-"""m and rad: how far the factory file is off that says nothing of it."""
+OFF = 1e-5  # m and rad: how far the factory file is off that says nothing of it
 
 READERS = {"contact": 120, "plane": 150, "distance": 200, "axis": 200, "fixed_camera": 60, "flange_camera": 60}
 """Sensors that measure no poses, and how many readings or images each takes."""
@@ -63,58 +56,32 @@ READ = tuple(name for name in SINGLE if name not in ("joint_lag", "time_offset",
 """Effects of an arm at rest that a sensor with places and a tool of its own may show."""
 
 BY_CONTROLLER = (
-    "joint_offset",
-    "joint_scale",
-    "joint_coupling",
-    "frame_offset",
-    "tool_offset",
-    "joint_lag",
-    "time_offset",
+    *("joint_offset", "joint_scale", "joint_coupling", "frame_offset", "tool_offset", "joint_lag", "time_offset"),
 )
 """What a controller's own forward kinematics can show: it knows no forces."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn first.
+    """What is drawn first."""
 
-    Attributes:
-        seed: of the campaign.
-        index: of the trial in it.
-        kind: what is hidden.
-        engine: which physics.
-        arm: lite6, seven or six.
-        sensor: a key of `SENSORS` or `READERS`.
-        moving: whether poses are taken along a trajectory.
-        geometry: known, uncertain or unknown.
-        mounted: whether sensor frame and tool are unknown.
-        noise: one of `NOISES`.
-        fault: one of `FAULTS`, or none.
-        effects: names.
-        sizes: of the effects, in thresholds.
-        rows: of the recording.
-        edge: one of `EDGES`, or none.
-        masses_off: whether the links weigh other than declared.
-        sealed: whether what is outside the catalogue is of a sealed family.
-    """
-
-    seed: int
-    index: int
-    kind: Kind
-    engine: str
-    arm: str
-    sensor: str
-    moving: bool
-    geometry: str
-    mounted: bool
-    noise: str
-    fault: str
-    effects: tuple[str, ...]
-    sizes: tuple[float, ...]
-    rows: int = ROWS
-    edge: str = ""
-    masses_off: bool = False
-    sealed: bool = False
+    seed: int  # of the campaign
+    index: int  # of the trial in it
+    kind: Kind  # what is hidden
+    engine: str  # which physics
+    arm: str  # lite6, seven or six
+    sensor: str  # a key of `SENSORS` or `READERS`
+    moving: bool  # whether poses are taken along a trajectory
+    geometry: str  # known, uncertain or unknown
+    mounted: bool  # whether sensor frame and tool are unknown
+    noise: str  # one of `NOISES`
+    fault: str  # one of `FAULTS`, or none
+    effects: tuple[str, ...]  # names
+    sizes: tuple[float, ...]  # of the effects, in thresholds
+    rows: int = ROWS  # of the recording
+    edge: str = ""  # one of `EDGES`, or none
+    masses_off: bool = False  # whether the links weigh other than declared
+    sealed: bool = False  # whether what is outside the catalogue is of a sealed family
 
     def told(self) -> dict[str, Any]:
         """For the truth. What an earlier version did not draw is left out where it is absent: truths stay the same."""
@@ -141,7 +108,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     sensor = str(rng.choice(list(SENSORS), p=[0.45, 0.25, 0.2, 0.1]))
     geometry = rng.choice(["known", "uncertain", "unknown"], p=[0.4, 0.3, 0.3])
     mounted = bool(rng.random() < 0.5)
-    arm = str(rng.choice(["lite6", "seven", "six"], p=[0.7, 0.15, 0.15]))
+    arm = str(rng.choice(ARMS, p=[0.7, 0.15, 0.15]))
     if {"frame_offset", "measurement_scale"} & set(effects):
         geometry = rng.choice(["known", "uncertain"], p=[0.7, 0.3])
     if noise == "factory file off":
@@ -160,25 +127,9 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         engine = "plain"  # inertia on the way from pose to pose, which nobody records, would yield it and not gravity
     if engine == "mujoco" and not moving:
         rows = min(rows, ROWS)  # every pose is driven to
-    return Plan(
-        seed=seed,
-        index=index,
-        kind=kind,
-        engine=engine,
-        arm=arm,
-        sensor=sensor,
-        moving=moving,
-        geometry=str(geometry),
-        mounted=mounted,
-        noise=noise,
-        fault=fault,
-        effects=effects,
-        sizes=sizes,
-        rows=rows,
-        edge=edge,
-        masses_off=edge == "masses off" or (kind == "outside" and ordinal % 3 == 0),
-        sealed=sealed and kind == "outside",
-    )
+    where = (seed, index, kind, engine, arm, sensor, moving, str(geometry), mounted, noise, fault)
+    off = edge == "masses off" or (kind == "outside" and ordinal % 3 == 0)
+    return Plan(*where, effects, sizes, rows, edge, masses_off=off, sealed=sealed and kind == "outside")
 
 
 def draw_reading_plan(sensor: str, seed: int, index: int, rng: np.random.Generator) -> Plan:
@@ -187,26 +138,13 @@ def draw_reading_plan(sensor: str, seed: int, index: int, rng: np.random.Generat
     ordinal = READ_ROUNDS.ordinal(seed, index, kind)
     single = kind == "single"
     effects = (turn(seed, 3, ordinal, READ),) if single else ()
+    sizes = (turn(seed, 4, ordinal, READ_SIZES),) if single else ()
     # an unknown frame is geometry, and touches of planes have no length of their own
-    tables = (
-        ["known", "uncertain"] if sensor == "plane" or "frame_offset" in effects else ["known", "uncertain", "unknown"]
-    )
-    return Plan(
-        seed=seed,
-        index=index,
-        kind=kind,
-        engine="plain",
-        arm=str(rng.choice(["lite6", "seven", "six"], p=[0.7, 0.15, 0.15])),
-        sensor=sensor,
-        moving=False,
-        geometry=str(rng.choice(tables)),
-        mounted=True,
-        noise=NOISES[0],
-        fault="",
-        effects=effects,
-        sizes=(turn(seed, 4, ordinal, READ_SIZES),) if single else (),
-        rows=READERS[sensor],
-    )
+    settled = sensor == "plane" or "frame_offset" in effects
+    arm = str(rng.choice(ARMS, p=[0.7, 0.15, 0.15]))
+    geometry = str(rng.choice(["known", "uncertain"] if settled else ["known", "uncertain", "unknown"]))
+    where = ("plain", arm, sensor, False, geometry, True, NOISES[0], "")
+    return Plan(seed, index, kind, *where, effects, sizes, READERS[sensor])
 
 
 def _rows(seed: int, kind: Kind, edge: str, ordinal: int) -> int:

@@ -10,51 +10,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.concealed.chain import Array, Chain, rotation_from_vector, vector_from_rotation
-from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
+from benchmarks.concealed.chain import Array, Chain, Poses, rotation_from_vector, vector_from_rotation
+from benchmarks.concealed.plain_physics import Effects, Motion, Setup, poses
 from benchmarks.concealed.view import Reading, transform
-
-Poses = tuple[Array, Array]
 
 CONTACT_NOISE, PLANE_NOISE, DISTANCE_NOISE, AXIS_NOISE, PIXEL_NOISE = 1e-4, 2e-5, 5e-5, 2e-5, 0.15
 """One standard deviation, m, and px."""
-APART, APART_NOISE = 0.05, 5e-5
-"""m, of two sockets on one plate, and its standard deviation."""
-_PLATE = 0.15
-"""m, half a plate's side."""
+APART, APART_NOISE = 0.05, 5e-5  # m, of two sockets on one plate, and its standard deviation
+_PLATE = 0.15  # m, half a plate's side
 _FOCUS, _CENTRE, _SIZE = np.array([1450.0, 1452.0]), np.array([958.0, 603.0]), np.array([1920.0, 1200.0])
 _DISTORTION = (-0.11, 0.09, 4e-4, -3e-4, -0.02)
 _COLUMNS, _ROWS, _SQUARE, _PRINTED = 6, 4, 0.02, 2e-5
 """Inner corners of the board, m, and m of each coordinate of a corner, one standard deviation."""
-_FAR = (0.9, 0.35)
-"""m, of a camera that stands, and of one on the flange, from the board."""
+_FAR = (0.9, 0.35)  # m, of a camera that stands, and of one on the flange, from the board
 _STARTS, _STEPS, _LONGEST, _REACHED = 4, 60, 0.3, 1e-7
 """Starts for each sample; steps; rad of a joint in one; m and rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Where a sensor's places are.
+    """Where a sensor's places are."""
 
-    Attributes:
-        wanted: `(start, 4, 4)`, where the tool is to be in the base's frame; None where that is anywhere.
-        turned: whether its orientation matters.
-        group: `(start,)`, the place of each.
-        sensor: `(4, 4)` T_sensor_base.
-        reading: of groups `(sample,)`.
-        columns: of poses without noise and groups, what a table has of them; `inside` is which rows it has.
-        said: what a sidecar says.
-        noise_m: what of a position is about the noise.
-    """
-
-    wanted: Array | None
-    turned: bool
-    group: NDArray[np.integer]
-    sensor: Array
-    reading: Callable[[NDArray[np.integer]], Reading]
+    wanted: Array | None  # `(start, 4, 4)`, where the tool is to be in the base's frame; None where that is anywhere
+    turned: bool  # whether its orientation matters
+    group: NDArray[np.integer]  # `(start,)`, the place of each
+    sensor: Array  # `(4, 4)` T_sensor_base
+    reading: Callable[[NDArray[np.integer]], Reading]  # of groups `(sample,)`
+    # of poses without noise and groups, what a table has of them; `inside` is which rows it has
     columns: Callable[[Poses, NDArray[np.integer]], Mapping[str, Any]]
-    said: Mapping[str, Any]
-    noise_m: float
+    said: Mapping[str, Any]  # what a sidecar says
+    noise_m: float  # what of a position is about the noise
 
 
 def draw_scene(sensor: str, rng: np.random.Generator, chain: Chain, rows: int) -> Scene:
@@ -218,7 +203,7 @@ READERS: Mapping[str, Callable[[np.random.Generator, float, int], Scene]] = {
 
 
 def led(
-    setup: Setup, hidden: tuple[Hidden, ...], motion: Motion, scene: Scene, wanted: Array, bounds: Array
+    setup: Setup, hidden: Effects, motion: Motion, scene: Scene, wanted: Array, bounds: Array
 ) -> tuple[Motion, NDArray[np.bool_]]:
     """The motion that brings the tool to where it is wanted, and which samples come there (damped least squares).
 

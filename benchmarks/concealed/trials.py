@@ -5,51 +5,30 @@ What is recorded are motions, and what sensor and encoders read of them with noi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from benchmarks.campaigns.rounds import Trial, csv_text, first_made
+from benchmarks.campaigns.rounds import Trial, csv_text, first_made, motion_columns
 from benchmarks.concealed import chain as chains
-from benchmarks.concealed import readings
-from benchmarks.concealed.chain import (
-    Array,
-    Chain,
-    description_text,
-    factory_text,
-    quaternion_from_rotation,
-    rotation_from_vector,
-    vector_from_rotation,
-)
+from benchmarks.concealed import plans, readings
+from benchmarks.concealed.chain import Array, Chain, Poses
 from benchmarks.concealed.hiding import describe, hide
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.outside.family import Curve
-from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
-from benchmarks.concealed.plans import (
-    ENCODERS,
-    LOOSE,
-    NAMES_AT_STAKE,
-    OFF,
-    SENSORS,
-    TOUCHED,
-    UNCERTAIN,
-    Plan,
-    draw_plan,
-    draw_reading_plan,
-)
+from benchmarks.concealed.plain_physics import Effects, Motion, Setup, poses
+from benchmarks.concealed.plans import UNCERTAIN, Plan
 from benchmarks.concealed.view import Open, View, oracle, transform
 
-MASS_ERROR = 0.1
-"""One standard deviation of the masses' errors where they are off, relative; twice that is the most."""
+MASS_ERROR = 0.1  # one standard deviation of the masses' errors where they are off, relative; twice that is the most
 UNSEEN_ROWS = 200
 _TRACK_STEP, _REST_STEP = 0.05, 8.0
 PAYLOAD_CENTER = (0.01, 0.0, 0.05)
-JOINTS = (-3.0, 3.4)
-"""rad, between which joints stay."""
+JOINTS = (-3.0, 3.4)  # rad, between which joints stay
 
 
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
@@ -57,16 +36,14 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
 
     Where `sealed`, what is outside the catalogue is of the sealed families, and of no other.
     """
-    return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 0, index)
+    return first_made(lambda rng: _make(plans.draw_plan(seed, index, rng, sealed), rng), seed, 0, index)
 
 
 def draw_reading(sensor: str, seed: int, index: int, sealed: bool = False) -> Trial:
     """As `draw`, of a sensor that measures no poses, a key of `READERS`; these hide nothing outside the catalogue."""
 
-    def make(rng: np.random.Generator) -> Trial | None:
-        return _make_reading(draw_reading_plan(sensor, seed, index, rng), rng)
-
-    return first_made(make, seed, 12, index)
+    draw_plan = partial(plans.draw_reading_plan, sensor, seed, index)
+    return first_made(lambda rng: _make_reading(draw_plan(rng), rng), seed, 12, index)
 
 
 def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
@@ -76,13 +53,9 @@ def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
     tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.03, -0.01, 0.08]) + rng.uniform(-0.01, 0.01, 3))
     setup, frame = Setup(actual, scene.sensor, tool, np.array(PAYLOAD_CENTER)), scene.turned
     touched = plan.geometry == "unknown" and not frame
-    left_open = Open(
-        frame=frame,
-        tool=6 if frame else 3,
-        geometry=plan.geometry != "known",
-        prior={"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": TOUCHED if touched else LOOSE}.get(plan.geometry),
-        encoders=ENCODERS if touched else 0.0,
-    )
+    loose, encoders = (plans.TOUCHED, plans.ENCODERS) if touched else (plans.LOOSE, 0.0)
+    prior = {"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": loose}.get(plan.geometry)
+    left_open = Open(frame, 6 if frame else 3, plan.geometry != "known", prior, encoders)
     warming = "link_thermal_expansion" in plan.effects or rng.random() < 0.3
     loading = rng.random() < 0.4
     starts = draw_motion(rng, actual, False, len(scene.group), warming, loading)
@@ -109,8 +82,8 @@ def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
     seen, unseen = poses(setup, hidden, motion), draw_motion(rng, actual, False, UNSEEN_ROWS, warming, loading)
     truth = _truth(plan, view, hidden, seen, poses(setup, hidden, unseen))
     said = {**scene.said, "payload_com_m": list(PAYLOAD_CENTER)}
-    files = files_of(plan, nominal, declared, motion, motion.q, scene.columns(seen, group), said, unseen)
-    return Trial(plan, truth, files)
+    read = Measured(motion.q, scene.columns(seen, group), said, np.ones(plan.rows, bool))
+    return Trial(plan, truth, files_of(plan, nominal, declared, motion, read, unseen))
 
 
 def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
@@ -121,17 +94,13 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         sensor = transform(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
         tool = transform(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
     setup = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER))
-    noise = SENSORS[plan.sensor][:2]
-    left_open = Open(
-        frame=plan.mounted,
-        tool=0 if not plan.mounted else 6 if noise[1] else 3,
-        geometry=plan.geometry != "known",
-        prior={"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": LOOSE}.get(plan.geometry),
-    )
+    noise = plans.SENSORS[plan.sensor][:2]
+    prior = {"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": plans.LOOSE}.get(plan.geometry)
+    left_open = Open(plan.mounted, plan.mounted * (6 if noise[1] else 3), plan.geometry != "known", prior)
     warm = any(name in FAMILIES and "temperature" in FAMILIES[name].on for name in plan.effects)
     warming = "link_thermal_expansion" in plan.effects or warm or rng.random() < 0.3
     loading = "payload_error" in plan.effects or rng.random() < 0.4
-    fixed_load, wandering = plan.engine == "mujoco", plan.kind in NAMES_AT_STAKE
+    fixed_load, wandering = plan.engine == "mujoco", plan.kind in plans.NAMES_AT_STAKE
     motion = draw_motion(rng, actual, plan.moving, plan.rows, warming, loading, fixed_load, wandering)
     unseen = draw_motion(rng, actual, plan.moving, UNSEEN_ROWS, warming, loading, fixed_load, wandering)
     view = View(setup, left_open, motion, noise)  # type: ignore[arg-type]
@@ -148,28 +117,28 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     else:
         seen, unseen_truth = poses(setup, hidden, motion), poses(setup, hidden, unseen)
 
-    measured, recorded, used, faulty = measure(plan, rng, setup, motion, seen)
+    measured, read = measure(plan, rng, setup, motion, seen)
     # the oracle knows of faults, and of a file that is another arm's; of noise it does not
-    read = replace(view, motion=replace(motion, q=recorded)) if plan.noise == "in the joints" else view
+    known = replace(view, motion=replace(motion, q=read.q)) if plan.noise == "in the joints" else view
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
-    fitted = _oracle(read, believed, hidden, measured, used, unseen, unseen_truth)
-    truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, {"oracle": fitted})
+    rotation, position = poses(*oracle(known, believed, hidden, measured, read.used), unseen)
+    turn = chains.vector_from_rotation(np.swapaxes(unseen_truth[0], 1, 2) @ rotation)
+    fitted = {
+        "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - unseen_truth[1]) ** 2, 1)))),
+        "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
+        "estimated_numbers": left_open.size(actual.dof) + sum(len(effect.values) for effect in hidden),
+    }
+    faulty = [int(k) + 1 for k in np.flatnonzero(~read.used)]
+    truth = _truth(plan, view, hidden, seen, unseen_truth, faulty, oracle=fitted)
     if plan.masses_off:
         truth["mass_errors"] = (actual.mass / nominal.mass - 1).tolist()
-    files = files_of(plan, nominal, declared, motion, recorded, *pose_readings(plan, measured), unseen, faulty)
-    return Trial(plan, truth, files)
+    return Trial(plan, truth, files_of(plan, nominal, declared, motion, read, unseen))
 
 
 def _truth(
-    plan: Plan,
-    view: View,
-    hidden: tuple[Hidden, ...],
-    seen: tuple[Array, Array],
-    unseen: tuple[Array, Array],
-    faulty: Sequence[int] = (),
-    more: Mapping[str, Any] = MappingProxyType({}),
+    plan: Plan, view: View, hidden: Effects, seen: Poses, unseen: Poses, faulty: Sequence[int] = (), **more: Any
 ) -> dict[str, Any]:
-    """What is sealed of rotations and positions that were seen, and of those of the unseen motion."""
+    """What is sealed of poses that were seen, and of those of the unseen motion."""
     moved = seen[1] - poses(view.setup, (), view.motion)[1]
     return {
         "schema": "concealed/truth/1",
@@ -181,7 +150,7 @@ def _truth(
         "noise_rad": view.noise[1],
         **more,
         "unseen_position_m": unseen[1].tolist(),
-        "unseen_quaternion": quaternion_from_rotation(unseen[0]).tolist(),
+        "unseen_quaternion": chains.quaternion_from_rotation(unseen[0]).tolist(),
     }
 
 
@@ -196,27 +165,8 @@ def _arms(plan: Plan, rng: np.random.Generator) -> tuple[Chain, Chain, Chain]:
         actual = replace(actual, mass=nominal.mass * (1 + errors))
     if plan.geometry == "unknown":
         return nominal, actual, replace(nominal, mass=actual.mass)
-    off = UNCERTAIN if plan.geometry == "uncertain" else OFF if plan.noise == "factory file off" else 0.0
+    off = UNCERTAIN if plan.geometry == "uncertain" else plans.OFF if plan.noise == "factory file off" else 0.0
     return nominal, actual, actual.moved(rng, off, off)
-
-
-def _oracle(
-    view: View,
-    believed: Setup,
-    hidden: tuple[Hidden, ...],
-    measured: tuple[Array, Array],
-    used: NDArray[np.bool_],
-    unseen: Motion,
-    truth: tuple[Array, Array],
-) -> dict[str, float]:
-    """How well the fit that knows the form of the truth predicts the unseen motion."""
-    rotation, position = poses(*oracle(view, believed, hidden, measured, used), unseen)
-    turn = vector_from_rotation(np.swapaxes(truth[0], 1, 2) @ rotation)
-    return {
-        "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - truth[1]) ** 2, 1)))),
-        "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
-        "estimated_numbers": view.open.size(view.setup.chain.dof) + sum(len(effect.values) for effect in hidden),
-    }
 
 
 # ------------------------------------------------------------------ what is recorded
@@ -279,12 +229,19 @@ def _draw_curve(rng: np.random.Generator, middle: Array, reach: Array) -> Curve:
     return curve
 
 
-def measure(
-    plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: tuple[Array, Array]
-) -> tuple[tuple[Array, Array], Array, NDArray[np.bool_], list[int]]:
-    """Poses and joints as they are read, which rows are no faults, and the rows (from 1) that are."""
+class Measured(NamedTuple):
+    """What is read of a motion."""
+
+    q: Array  # `(sample, joint)` rad
+    columns: Mapping[str, Any]  # of as many rows for each sample; `inside` is which rows there are
+    said: Mapping[str, Any]  # what the sidecar says of the sensor
+    used: NDArray[np.bool_]  # `(sample,)`, those that are no faults
+
+
+def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: Poses) -> tuple[Poses, Measured]:
+    """Poses and what a table has of them, with the noise and the fault of a plan."""
     rows, dof = motion.q.shape
-    noise = SENSORS[plan.sensor]
+    noise = plans.SENSORS[plan.sensor]
     draws = rng.normal(size=(rows, 6))
     if plan.noise == "correlated":
         rho = float(rng.choice([0.3, 0.6, 0.9]))
@@ -299,8 +256,8 @@ def measure(
     if plan.noise == "in the joints":
         q += rng.normal(0, 5e-5, q.shape)
     position = seen[1] + noise[0] * draws[:, :3]
-    rotation = seen[0] @ rotation_from_vector((noise[1] or 0.0) * draws[:, 3:])
-    used, faulty = np.ones(rows, bool), []
+    rotation = seen[0] @ chains.rotation_from_vector((noise[1] or 0.0) * draws[:, 3:])
+    used = np.ones(rows, bool)
     if plan.fault.startswith("outliers"):
         used[rng.choice(rows, rows // 30, replace=False)] = False
         push = rng.normal(size=(rows, 3))
@@ -321,86 +278,48 @@ def measure(
     elif plan.fault == "unsettled_readouts":
         # the encoder is read while this share of the move is still to come
         q[1:] -= 1e-3 * np.diff(motion.q, axis=0)
-    faulty = [int(k) + 1 for k in np.flatnonzero(~used)]
-    return (rotation, position), q, used, faulty
+    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    said: dict[str, Any] = {"pose_source": noise[2], "position_noise_m": noise[0]}
+    said["payload_com_m"] = list(PAYLOAD_CENTER)
+    if noise[1]:
+        said["orientation_noise_rad"] = noise[1]
+        columns.update(zip(("qw", "qx", "qy", "qz"), chains.quaternion_from_rotation(rotation).T, strict=True))
+    return (rotation, position), Measured(q, columns, said, used)
 
 
 def files_of(
-    plan: Plan,
-    nominal: Chain,
-    declared: Chain,
-    motion: Motion,
-    q: Array,
-    readings: Mapping[str, Any],
-    said: Mapping[str, Any],
-    unseen: Motion,
-    faulty: Sequence[int] = (),
+    plan: Plan, nominal: Chain, declared: Chain, motion: Motion, read: Measured, unseen: Motion
 ) -> dict[str, str]:
-    """What the diagnosis is given, and the motion that is to be predicted.
+    """What the diagnosis is given, and the unseen motion, which is to be predicted.
 
-    Args:
-        plan: of the trial.
-        nominal: the arm as it is designed.
-        declared: the arm as the sidecar says that it is.
-        motion: what the arm did.
-        q: `(sample, joint)` rad, as it was read.
-        readings: columns of as many rows for each sample; `inside` is which rows there are.
-        said: what the sidecar says of the sensor.
-        unseen: what is to be predicted.
-        faulty: rows (from 1) that are faults.
+    Of the arm as it is designed, and as the sidecar says that it is.
     """
-    (count,) = {len(column) // len(q) for column in readings.values()}
-    columns = {name: np.repeat(column, count) for name, column in _columns(motion, q, plan.moving).items()}
-    columns |= {name: column for name, column in readings.items() if name != "inside"}
-    rows = readings.get("inside", np.arange(len(q) * count))
+    said = {
+        "arm": nominal.name if nominal.bundled else "arm.yaml",
+        "joint_source": "measured",
+        "pose_source": read.said["pose_source"],
+        "motion": "trajectory" if plan.moving else "static",
+        "pose_frame": "unknown" if plan.mounted else "base",
+        "tool": "unknown" if plan.mounted else "none",
+    } | dict(read.said)
+    files = {} if nominal.bundled else {"arm.yaml": chains.description_text(nominal)}
+    if plan.geometry != "unknown":
+        said["factory_calibration"] = "factory.yaml"
+        files["factory.yaml"] = chains.factory_text(declared.rows)
+    if plan.geometry == "uncertain":
+        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
+    (count,) = {len(column) // len(read.q) for column in read.columns.values()}
+    moved = motion_columns(motion, read.q, motion.dq if plan.moving else None)
+    columns = {name: np.repeat(column, count) for name, column in moved.items()}
+    columns |= {name: column for name, column in read.columns.items() if name != "inside"}
+    rows = read.columns.get("inside", np.arange(len(read.q) * count))
     if plan.fault == "time_order":
         k = len(rows) // 3
         rows[k : k + 12] = rows[k : k + 12][::-1]
     if plan.fault == "repeated_rows":
-        rows = np.sort(np.concatenate([rows, np.array(faulty) - 1]))
-    return {
-        **_declared(plan, nominal, declared, said),
+        rows = np.sort(np.concatenate([rows, np.flatnonzero(~read.used)]))
+    return files | {
+        "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
         "recording.csv": csv_text({name: column[rows] for name, column in columns.items()}),
-        "unseen.csv": csv_text(_columns(unseen, unseen.q, plan.moving)),
+        "unseen.csv": csv_text(motion_columns(unseen, unseen.q, unseen.dq if plan.moving else None)),
     }
-
-
-def pose_readings(plan: Plan, measured: tuple[Array, Array]) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns of poses that were measured, and what the sidecar says of the sensor."""
-    position, rotation, word = SENSORS[plan.sensor]
-    said: dict[str, Any] = {"pose_source": word, "position_noise_m": position, "payload_com_m": list(PAYLOAD_CENTER)}
-    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), measured[1].T, strict=True))
-    if rotation:
-        said["orientation_noise_rad"] = rotation
-        columns.update(zip(("qw", "qx", "qy", "qz"), quaternion_from_rotation(measured[0]).T, strict=True))
-    return columns, said
-
-
-def _declared(plan: Plan, nominal: Chain, declared: Chain, sensor: Mapping[str, Any]) -> dict[str, str]:
-    """The sidecar, with what it says of the sensor, and the files that it names."""
-    said: dict[str, Any] = {
-        "arm": nominal.name if nominal.bundled else "arm.yaml",
-        "joint_source": "measured",
-        "pose_source": sensor["pose_source"],
-        "motion": "trajectory" if plan.moving else "static",
-        "pose_frame": "unknown" if plan.mounted else "base",
-        "tool": "unknown" if plan.mounted else "none",
-    } | dict(sensor)
-    files: dict[str, str] = {}
-    if plan.geometry != "unknown":
-        said["factory_calibration"] = "factory.yaml"
-        files["factory.yaml"] = factory_text(declared.rows)
-    if plan.geometry == "uncertain":
-        said["factory_uncertainty"] = {"position_m": UNCERTAIN, "rotation_rad": UNCERTAIN}
-    if not nominal.bundled:
-        files["arm.yaml"] = description_text(nominal)
-    return files | {"recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False)}
-
-
-def _columns(motion: Motion, q: Array, moving: bool) -> dict[str, Array]:
-    joints = range(q.shape[1])
-    columns = {"time_s": motion.time} | {f"q{i + 1}_rad": q[:, i] for i in joints}
-    if moving:
-        columns |= {f"dq{i + 1}_rad_per_s": motion.dq[:, i] for i in joints}
-    columns |= {f"temp{i + 1}_degC": motion.temperature[:, i] for i in joints}
-    return columns | {"payload_kg": motion.payload}

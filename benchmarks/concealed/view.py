@@ -7,47 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from benchmarks.concealed.chain import Array, rotation_from_rpy, rotation_from_vector, vector_from_rotation
-from benchmarks.concealed.plain_physics import COORDINATES, Hidden, Motion, Setup, poses
+from benchmarks.concealed.chain import Array, Poses, rotation_from_rpy, rotation_from_vector, vector_from_rotation
+from benchmarks.concealed.plain_physics import COORDINATES, Effects, Hidden, Motion, Setup, poses
 
-_ROUNDS, _HALVINGS = 3, 5
-"""Of Gauss and Newton's method, which starts at the truth."""
+_ROUNDS, _HALVINGS = 3, 5  # of Gauss and Newton's method, which starts at the truth
 _STEPS = {"m": 1e-5, "rad": 1e-5, "s": 1e-4, "Nm": 1e-6, "K": 1e-6, "kg": 1e-3}
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a sensor reads that measures no poses.
+    """What a sensor reads that measures no poses."""
 
-    Attributes:
-        rows: how many numbers a sample has.
-        read: of poses without noise and its own numbers, readings over their noise `(sample, row)`.
-        numbers: `(number,)`, its own, unknown to whoever reads: places, or the corners of a board.
-        known: `(row, number)`, by which what is known of these counts as measured.
-    """
-
-    rows: int
-    read: Callable[[tuple[Array, Array], Array], Array]
-    numbers: Array
-    known: Array
+    rows: int  # how many numbers a sample has
+    # of poses without noise and its own numbers, readings over their noise `(sample, row)`
+    read: Callable[[Poses, Array], Array]
+    numbers: Array  # `(number,)`, its own, unknown to whoever reads: places, or the corners of a board
+    known: Array  # `(row, number)`, by which what is known of these counts as measured
 
 
 @dataclass(frozen=True)
 class Open:
-    """What the sidecar leaves open of a set-up.
+    """What the sidecar leaves open of a set-up."""
 
-    Attributes:
-        frame: whether the sensor's frame is.
-        tool: how many numbers of the tool are: 0, 3 or 6.
-        geometry: whether the chain is.
-        prior: m and rad, one standard deviation of each of its numbers where it is known so well; None where not.
-        encoders: rad, one standard deviation of sine and cosine of an error of every joint once a turn; 0 for none.
-    """
-
-    frame: bool
-    tool: int
-    geometry: bool
+    frame: bool  # whether the sensor's frame is
+    tool: int  # how many numbers of the tool are: 0, 3 or 6
+    geometry: bool  # whether the chain is
+    # m and rad, one standard deviation of each of its numbers where it is known so well; None where not
     prior: tuple[float, float] | None = None
+    # rad, one standard deviation of sine and cosine of an error of every joint once a turn; 0 for none
     encoders: float = 0.0
 
     def size(self, dof: int) -> int:
@@ -74,21 +61,14 @@ class Open:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A motion seen by a sensor.
+    """A motion seen by a sensor."""
 
-    Attributes:
-        setup: the arm and the sensor as they are.
-        open: what is not known of them.
-        motion: what the arm did.
-        noise: m and rad, one standard deviation; rad is None where only positions are measured.
-        reading: what is measured in place of poses, if anything is.
-    """
-
-    setup: Setup
-    open: Open
-    motion: Motion
+    setup: Setup  # the arm and the sensor as they are
+    open: Open  # what is not known of them
+    motion: Motion  # what the arm did
+    # m and rad, one standard deviation; rad is None where only positions are measured
     noise: tuple[float, float | None]
-    reading: Reading | None = None
+    reading: Reading | None = None  # what is measured in place of poses, if anything is
 
     def thinned(self, most: int) -> tuple["View", NDArray[np.integer]]:
         """So many of the samples at most, each of which counts for those it stands for; and which they are."""
@@ -97,7 +77,7 @@ class View:
         noise = (self.noise[0] * share, None if self.noise[1] is None else self.noise[1] * share)
         return replace(self, motion=self.motion.thinned(most), noise=noise), kept
 
-    def difference(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
+    def difference(self, a: Poses, b: Poses) -> Array:
         """Whitened numbers `(sample · row,)` by which poses b, or what is read of them, differ from a."""
         if self.reading:
             return (self.reading.read(b, self.reading.numbers) - self.reading.read(a, self.reading.numbers)).ravel()
@@ -106,41 +86,35 @@ class View:
             parts.append(vector_from_rotation(np.swapaxes(a[0], 1, 2) @ b[0]) / self.noise[1])
         return np.concatenate(parts, 1).ravel()
 
-    def columns(self, hidden: tuple[Hidden, ...], place: int) -> Array:
+    def columns(self, hidden: Effects, place: int) -> Array:
         """`(number, coordinate)`: how one of the hidden effects moves what is seen, where all are as they are."""
         effect = hidden[place]
         values = np.array(effect.values)
 
-        def at(moved: Array) -> tuple[Array, Array]:
+        def at(moved: Array) -> Poses:
             return poses(self.setup, (*hidden[:place], effect.sized(moved), *hidden[place + 1 :]), self.motion)
 
-        return self._slopes(at, values, [_step(name) for name in coordinates(effect)])
+        steps = [_STEPS.get(name.rsplit("_", 1)[-1], 1e-5) for name in coordinates(effect)]
+        return self._slopes(lambda a, b: self.difference(at(a), at(b)), values, steps)
 
-    def nuisance(self, hidden: tuple[Hidden, ...] = ()) -> Array:
+    def nuisance(self, hidden: Effects = ()) -> Array:
         """`(number, open)`: what moves with the numbers that are left open, the prior's rows below."""
         size = self.open.size(self.setup.chain.dof)
 
-        def at(x: Array) -> tuple[Array, Array]:
+        def at(x: Array) -> Poses:
             return poses(self.open.moved(self.setup, x), hidden, self.motion)
 
-        found = self._slopes(at, np.zeros(size), [1e-6] * size)
+        found = self._slopes(lambda a, b: self.difference(at(a), at(b)), np.zeros(size), [1e-6] * size)
         if self.open.encoders:
             joints = range(1, self.setup.chain.dof + 1)
             waves = (Hidden("joint_harmonic", f"joint{k}", (0.0, 0.0), {"order": 1.0}) for k in joints)
             found = np.hstack([found, *(self.columns((*hidden, wave), len(hidden)) for wave in waves)])
         if self.reading:
-            found = np.hstack([found, self._by_own(poses(self.setup, hidden, self.motion))])
+            shown, read, own = poses(self.setup, hidden, self.motion), self.reading.read, self.reading.numbers
+            by_own = self._slopes(lambda a, b: (read(shown, b) - read(shown, a)).ravel(), own, [1e-6] * len(own))
+            found = np.hstack([found, by_own])
         known = self.prior()
         return np.concatenate([found, known]) if len(known) else found
-
-    def _by_own(self, shown: tuple[Array, Array]) -> Array:
-        """`(number, own)`: how readings move with their own numbers."""
-        assert self.reading is not None
-        x, step = self.reading.numbers, 1e-6
-        found = np.empty((len(self.motion.q) * self._rows(), len(x)))
-        for i, move in enumerate(step * np.eye(len(x))):
-            found[:, i] = (self.reading.read(shown, x + move) - self.reading.read(shown, x - move)).ravel() / (2 * step)
-        return found
 
     def prior(self) -> Array:
         """`(row, open)`: the rows by which what is known beforehand counts as measured."""
@@ -165,12 +139,13 @@ class View:
         """How many numbers a sample has."""
         return self.reading.rows if self.reading else 6 if self.noise[1] else 3
 
-    def _slopes(self, at: Callable[[Array], tuple[Array, Array]], x: Array, steps: Sequence[float]) -> Array:
+    def _slopes(self, between: Callable[[Array, Array], Array], x: Array, steps: Sequence[float]) -> Array:
+        """`(number, coordinate)`: central differences of whitened numbers `between` two values of all coordinates."""
         found = np.empty((len(self.motion.q) * self._rows(), len(x)))
         for i, step in enumerate(steps):
             move = np.zeros(len(x))
             move[i] = step
-            found[:, i] = self.difference(at(x - move), at(x + move)) / (2 * step)
+            found[:, i] = between(x - move, x + move) / (2 * step)
         return found
 
 
@@ -178,10 +153,6 @@ def coordinates(effect: Hidden) -> tuple[str, ...]:
     """The names of an effect's numbers; a harmonic's order is one of them where it has three."""
     names = COORDINATES[effect.name][: len(effect.values)]
     return (*names, "order") if effect.name == "joint_harmonic" and len(effect.values) == 3 else names
-
-
-def _step(name: str) -> float:
-    return _STEPS.get(name.rsplit("_", 1)[-1], 1e-5)
 
 
 def reported(effect: Hidden) -> dict[str, float]:
@@ -224,8 +195,8 @@ def transform(rpy: Array, position: Array) -> Array:
 
 
 def oracle(
-    view: View, believed: Setup, hidden: tuple[Hidden, ...], measured: tuple[Array, Array], used: NDArray[np.bool_]
-) -> tuple[Setup, tuple[Hidden, ...]]:
+    view: View, believed: Setup, hidden: Effects, measured: Poses, used: NDArray[np.bool_]
+) -> tuple[Setup, Effects]:
     """A least-squares fit that knows the form of the truth and starts there.
 
     Of the set-up that is `believed`, what is closed is held and a prior is centred there; rows that are `used` are no
@@ -234,7 +205,7 @@ def oracle(
     size = view.open.size(believed.chain.dof)
     rows = np.repeat(used, 6 if view.noise[1] else 3)
 
-    def missed(x: Array, found: tuple[Hidden, ...]) -> Array:
+    def missed(x: Array, found: Effects) -> Array:
         shown = poses(view.open.moved(believed, x), found, view.motion)
         numbers = view.difference(measured, shown)[rows]
         return np.concatenate([numbers, view.prior() @ x]) if view.open.prior else numbers
@@ -259,7 +230,7 @@ def oracle(
     return view.open.moved(believed, x), found
 
 
-def _moved(hidden: tuple[Hidden, ...], step: Array) -> tuple[Hidden, ...]:
+def _moved(hidden: Effects, step: Array) -> Effects:
     moved = []
     for effect in hidden:
         values = np.array(effect.values)

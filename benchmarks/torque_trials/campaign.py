@@ -6,25 +6,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pyarrow as pa
 
-from benchmarks.campaigns import command
+from benchmarks.campaigns import command, judgement
 from benchmarks.campaigns.campaign import FLAG, NUMBER, TEXT, Campaign, Section, schema_of
-from benchmarks.campaigns.judgement import (
-    Row,
-    covered,
-    covering,
-    is_true,
-    score_findings,
-    share_found,
-    singles,
-    value_of,
-)
-from benchmarks.campaigns.shares import Goal, Share, goal, share
+from benchmarks.campaigns.judgement import Goal, Row, Share, goal, share
 from benchmarks.torque_trials.effects import FAMILIES
 from benchmarks.torque_trials.plans import DATA_FAULTS, ROUNDS
 from benchmarks.torque_trials.trials import draw
 
-_OVERLAP = 0.5
-"""The share of the rows of a contact and of those said to be one that are to be both."""
+_OVERLAP = 0.5  # the share of the rows of a contact and of those said to be one that are to be both
 _SAME_ZERO, _SAME_FACTOR, _SAME_GRAVITY = 0.06, 0.15, 1.0
 """rad, relative, and m/s²: how well a fault's size is to be said."""
 _ABSURD_KG, _ABSURD_M = 1.0, 0.1
@@ -43,8 +32,8 @@ def score(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: flo
     """The row of a trial; `predicted` has columns `tau1_Nm` … of the unseen motion."""
     hidden = truth["hidden"]
     said = diagnosis or {"findings": [], "data_faults": [], "before": {}, "after": {}}
-    false = [f for f in said["findings"] if not is_true(f, hidden, said["findings"])]
-    return score_findings(truth, diagnosis, seconds, error, "moved_Nm") | {
+    false = [f for f in said["findings"] if not judgement.is_true(f, hidden, said["findings"])]
+    return judgement.score_findings(truth, diagnosis, seconds, error, "moved_Nm") | {
         "inertial": truth["inertial"],
         "source": truth["source"],
         "false": [f"{finding['effect']}@{finding['site']}" for finding in false],
@@ -92,9 +81,9 @@ def _is_fault(truth: Row, code: str, numbers: Row) -> bool:
 
 def _is_absurd(finding: Row) -> bool:
     """Whether a finding blames a body by more than any description is wrong."""
-    values = [abs(value_of(number)) for name, number in finding["parameters"].items() if name.endswith(("_kg", "_m"))]
     most = {"link_mass": _ABSURD_KG, "payload_error": _ABSURD_KG, "payload_body": _ABSURD_KG, "link_com": _ABSURD_M}
-    return any(value > most.get(finding["effect"], np.inf) for value in values)
+    values = (value for name, value in finding["parameters"].items() if name.endswith(("_kg", "_m")))
+    return any(abs(judgement.value_of(value)) > most.get(finding["effect"], np.inf) for value in values)
 
 
 def _unseen(truth: Row, predicted: Row | None) -> float | None:
@@ -124,7 +113,7 @@ def within_bound(rows: Iterable[Row]) -> Share:
 def goals(rows: Sequence[Row], known: float) -> list[Goal]:
     """The goals of the project, honestly; intervals are to hold from so many thresholds on."""
     clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
-    twice = singles(rows, 2.0, 2.0)
+    twice = judgement.singles(rows, 2.0, 2.0)
     catalogued = [row for row in rows if row["kind"] in ("clean", "single", "mixture")]
     spoilt = [row for row in rows if row["fault"] in DATA_FAULTS]
     outside = [row for row in rows if row["kind"] == "outside"]
@@ -133,10 +122,10 @@ def goals(rows: Sequence[Row], known: float) -> list[Goal]:
     by_driver = "outside the catalogue: unnamed, at its joint, by its driver: 90 %"
     return [
         goal("false alarms, upper end of the interval: 1 %", share(row["detected"] for row in clean), upper=0.01),
-        goal("single effects at twice the threshold, found: 95 %", share_found(twice), least=0.95),
+        goal("single effects at twice the threshold, found: 95 %", judgement.share_found(twice), least=0.95),
         goal(in_set, share(row["top_in_set"] for row in twice), least=0.9),
         goal("wrong names outside the catalogue: 2 %", share(row["wrong_name"] for row in outside), most=0.02),
-        goal(covering(known), covered(rows, known), 0.93, 0.97),
+        goal(judgement.covering(known), judgement.covered(rows, known), 0.93, 0.97),
         goal(by_driver, share(row["hidden"][0]["named"] for row in expected(rows)), least=0.9),
         goal("unseen torques within their bound: 95 %", within_bound(catalogued), least=0.95),
         goal("contacts found, with their rows: 95 %", share(row["fault_found"] for row in contacts), least=0.95),

@@ -14,43 +14,27 @@ from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import bump
 
 Values = Mapping[str, float]
-Curve = Callable[[Array], tuple[Array, Array, Array]]
-"""`(sample, joint)` rad, rad/s and rad/s² at `(sample,)` s."""
-Drivers = list[list[str]]
-"""Each of these is a driver; one of several phrases is enough to name it."""
+Curve = Callable[[Array], tuple[Array, Array, Array]]  # `(sample, joint)` rad, rad/s and rad/s² at `(sample,)` s
+Drivers = list[list[str]]  # each of these is a driver; one of several phrases is enough to name it
 
-SMOOTH = 2e-3
-"""rad/s within which a sign turns: sign(v) is tanh(v / SMOOTH)."""
-AMBIENT = 25.0
-"""°C."""
-_WARMER = 10.0
-"""K: families count temperatures in these."""
-_LEAST_LOAD = 0.05
-"""Nm below which a load is none."""
+SMOOTH = 2e-3  # rad/s within which a sign turns: sign(v) is tanh(v / SMOOTH)
+AMBIENT = 25.0  # °C
+_WARMER = 10.0  # K: families count temperatures in these
+_LEAST_LOAD = 0.05  # Nm below which a load is none
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What an arm does: arrays with the sample first.
+    """What an arm does: arrays with the sample first."""
 
-    Attributes:
-        time: `(sample,)` s.
-        q: `(sample, joint)` rad.
-        dq: `(sample, joint)` rad/s.
-        ddq: `(sample, joint)` rad/s².
-        temperature: `(sample, joint)` °C.
-        payload: `(sample,)` kg, as declared.
-        curve: the motion at any time.
-        load: `(sample, joint)` Nm of the rigid bodies, once it is known.
-    """
-
-    time: Array
-    q: Array
-    dq: Array
-    ddq: Array
-    temperature: Array
-    payload: Array
-    curve: Curve
+    time: Array  # `(sample,)` s
+    q: Array  # `(sample, joint)` rad
+    dq: Array  # `(sample, joint)` rad/s
+    ddq: Array  # `(sample, joint)` rad/s²
+    temperature: Array  # `(sample, joint)` °C
+    payload: Array  # `(sample,)` kg, as declared
+    curve: Curve  # the motion at any time
+    # `(sample, joint)` Nm of the rigid bodies, once it is known
     load: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def later(self, offset: float) -> "Motion":
@@ -102,19 +86,12 @@ class Joint:
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect at a site.
+    """An effect at a site."""
 
-    Attributes:
-        name: a key of `NAMED` or `FAMILIES`.
-        site: jointN, linkN, base, payload or clock.
-        values: its numbers under the names that the library reports; of a family, its `size`.
-        fixed: what else belongs to its form, that nobody asks for.
-    """
-
-    name: str
-    site: str
-    values: Values
-    fixed: Values = field(default_factory=dict)
+    name: str  # a key of `NAMED` or `FAMILIES`
+    site: str  # jointN, linkN, base, payload or clock
+    values: Values  # its numbers under the names that the library reports; of a family, its `size`
+    fixed: Values = field(default_factory=dict)  # what else belongs to its form, that nobody asks for
 
     @property
     def number(self) -> int:
@@ -147,23 +124,13 @@ def sign(velocity: Array) -> Array:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect of the catalogue.
+    """An effect of the catalogue."""
 
-    Attributes:
-        sizes: the numbers that say how large it is.
-        torque: what it adds to a joint's torque; None where it changes the arm, gravity, the payload or the clock.
-        linear: in how many coordinates it is linear: a ripple of a known order in two.
-        shapes: its other numbers, which are estimated as well.
-    """
-
-    sizes: tuple[str, ...]
+    sizes: tuple[str, ...]  # the numbers that say how large it is
+    # what it adds to a joint's torque; None where it changes the arm, gravity, the payload or the clock
     torque: Callable[[Joint], Array] | None = None
-    linear: int = 1
-    shapes: tuple[str, ...] = ()
-
-
-def _stribeck(m: Joint) -> Array:
-    return m["stribeck_Nm"] * np.exp(-((m.dq / m["velocity_rad_per_s"]) ** 2)) * m.sign
+    linear: int = 1  # in how many coordinates it is linear: a ripple of a known order in two
+    shapes: tuple[str, ...] = ()  # its other numbers, which are estimated as well
 
 
 def _coupled(m: Joint) -> Array:
@@ -175,7 +142,11 @@ def _coupled(m: Joint) -> Array:
 NAMED: dict[str, Named] = {
     "viscous_friction": Named(("viscous_Nm_s_per_rad",), lambda m: m["viscous_Nm_s_per_rad"] * m.dq),
     "coulomb_friction": Named(("coulomb_Nm",), lambda m: m["coulomb_Nm"] * m.sign),
-    "stribeck_friction": Named(("stribeck_Nm",), _stribeck, shapes=("velocity_rad_per_s",)),
+    "stribeck_friction": Named(
+        ("stribeck_Nm",),
+        lambda m: m["stribeck_Nm"] * np.exp(-((m.dq / m["velocity_rad_per_s"]) ** 2)) * m.sign,
+        shapes=("velocity_rad_per_s",),
+    ),
     "load_friction": Named(("coefficient",), lambda m: m["coefficient"] * np.abs(m.load) * m.sign),
     "friction_temperature": Named(("viscous_Nm_s_per_rad_K",), lambda m: m["viscous_Nm_s_per_rad_K"] * m.warmth * m.dq),
     "coupled_friction": Named(("viscous_Nm_s_per_rad", "coulomb_Nm"), _coupled, 2),
@@ -203,27 +174,18 @@ NAMED: dict[str, Named] = {
 
 @dataclass(frozen=True)
 class Family:
-    """A family of physics outside the catalogue.
+    """A family of physics outside the catalogue."""
 
-    Attributes:
-        torque: what a size of 1 adds to the torque of a joint.
-        on: quantities on which it depends, of the joint itself or "of by".
-        keys: what is drawn for it beside the joint.
-        beside: effects of the catalogue that are true beside an unnamed one of the same joint: its straight part.
-        sum_of: effects of the catalogue, at the same joint, that describe it whole together.
-        warm: whether it needs temperatures that vary.
-        nameless: whether no curve over anything recorded can be it, so that only a wrong name is wrong.
-        positive: whether its size is positive by physics: friction takes energy, a spring pulls back, a sensor that
-            saturates reads less. Where it may also be negative, it is a change of something that is there.
-    """
-
-    torque: Callable[[Joint], Array]
-    on: str
-    keys: tuple[str, ...] = ()
+    torque: Callable[[Joint], Array]  # what a size of 1 adds to the torque of a joint
+    on: str  # quantities on which it depends, of the joint itself or "of by"
+    keys: tuple[str, ...] = ()  # what is drawn for it beside the joint
+    # effects of the catalogue that are true beside an unnamed one of the same joint: its straight part
     beside: tuple[str, ...] = ()
-    sum_of: tuple[str, ...] = ()
-    warm: bool = False
-    nameless: bool = False
+    sum_of: tuple[str, ...] = ()  # effects of the catalogue, at the same joint, that describe it whole together
+    warm: bool = False  # whether it needs temperatures that vary
+    nameless: bool = False  # whether no curve over anything recorded can be it, so that only a wrong name is wrong
+    # whether its size is positive by physics: friction takes energy, a spring pulls back, a sensor that saturates reads
+    # less. Where it may also be negative, it is a change of something that is there.
     positive: bool = False
 
     def drivers(self, joint: int, fixed: Values) -> Drivers:
@@ -245,22 +207,12 @@ _WORDS = {
 }
 
 
-def _mesh(m: Joint) -> Array:
-    ripples = np.sin(m["order"] * m.q) + np.sin(m["second"] * m.q)
-    return m.load / m["load_Nm"] * ripples
-
-
 def _presliding(m: Joint) -> Array:
     bent = np.zeros(len(m.q))
     for k, step in enumerate(np.diff(m.q)):
         rest = np.sign(step)
         bent[k + 1] = rest + (bent[k] - rest) * np.exp(-abs(step) / m["bristle_rad"])
     return bent
-
-
-def _hardening(m: Joint) -> Array:
-    way = m.q - m["rest"]
-    return way * np.abs(way)
 
 
 _FRICTION = ("coulomb_friction", "viscous_friction", "stribeck_friction")
@@ -286,7 +238,10 @@ FAMILIES: dict[str, Family] = {
         positive=True,
     ),
     # a gear's mesh that ripples with two orders, the more the joint is loaded
-    "loaded_ripple": Family(_mesh, "position, load", ("order", "second", "load_Nm"), ("torque_ripple", "torque_scale")),
+    "loaded_ripple": Family(
+        lambda m: m.load / m["load_Nm"] * (np.sin(m["order"] * m.q) + np.sin(m["second"] * m.q)),
+        *("position, load", ("order", "second", "load_Nm"), ("torque_ripple", "torque_scale")),
+    ),
     # an end stop of rubber: nothing before it, then the square of the way into it
     "soft_stop": Family(lambda m: np.maximum(0.0, m.q - m["at"]) ** 2, "position", ("at",), _SPRING, positive=True),
     # bristles that bend over an angle before they slide (P. Dahl, 1968), exact between samples
@@ -315,7 +270,9 @@ FAMILIES: dict[str, Family] = {
         positive=True,
     ),
     # a cable whose stiffness grows as it is drawn out
-    "hardening_cable": Family(_hardening, "position", ("rest",), _SPRING, positive=True),
+    "hardening_cable": Family(
+        lambda m: (m.q - m["rest"]) * np.abs(m.q - m["rest"]), "position", ("rest",), _SPRING, positive=True
+    ),
     # dry friction that falls or rises with temperature
     "warming_coulomb": Family(
         lambda m: m.warmth / _WARMER * m.sign,

@@ -17,38 +17,26 @@ from benchmarks.torque_trials.plans import Plan
 _SEEN, _SEEN_NOISES = 0.3, 10.0
 """Of the torque of some joint, and of its noise, RMS: what a wrong position or gravity changes at least."""
 _ZEROS = np.deg2rad([15.0, -15.0, 30.0, -45.0, 90.0, -90.0, 180.0])
-_FACTORS = (0.1, 0.25, 4.0, 10.0)
-"""Of a constant that is wrong in some joints."""
+_FACTORS = (0.1, 0.25, 4.0, 10.0)  # of a constant that is wrong in some joints
 _CONSTANTS, _RATINGS = (4.0, 12.0), (8.0, 30.0)
 """Nm/A, and Nm of 100 per cent, of joints whose torques are currents or per cent."""
-_BIAS = (0.005, 0.02)
-"""rad/s."""
+_BIAS = (0.005, 0.02)  # rad/s
 _MASSES_OFF = 0.03
 """Relative, one standard deviation of the masses and centres of half the arms: descriptions are never exact."""
 
 
 class Spoiled(NamedTuple):
-    """What is read of a motion.
+    """What is read of a motion."""
 
-    Attributes:
-        q: `(sample, joint)` rad.
-        dq: `(sample, joint)` rad/s.
-        torque: `(sample, joint)` Nm, or whatever it is.
-        joints: that the fault concerns, counted from 1.
-        numbers: how large it is: `added_rad` that undoes a zero, `factors` of torques, `gravity_m_per_s2` as it acts.
-        rows: of a contact, from 0.
-        gravity: `(3,)` m/s², as it is declared.
-        turns: whether positions are from 0 to a turn.
-    """
-
-    q: Array
-    dq: Array
-    torque: Array
-    joints: list[int]
+    q: Array  # `(sample, joint)` rad
+    dq: Array  # `(sample, joint)` rad/s
+    torque: Array  # `(sample, joint)` Nm, or whatever it is
+    joints: list[int]  # that the fault concerns, counted from 1
+    # how large it is: `added_rad` that undoes a zero, `factors` of torques, `gravity_m_per_s2` as it acts
     numbers: dict[str, Any]
-    rows: list[int]
-    gravity: Array
-    turns: bool = False
+    rows: list[int]  # of a contact, from 0
+    gravity: Array  # `(3,)` m/s², as it is declared
+    turns: bool = False  # whether positions are from 0 to a turn
 
 
 def friction(rng: np.random.Generator, setup: Setup, motion: Motion) -> tuple[Hidden, ...]:

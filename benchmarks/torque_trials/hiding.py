@@ -19,15 +19,13 @@ from benchmarks.torque_trials.physics import RIGID, Arm, Setup, held, link_wrenc
 from benchmarks.torque_trials.plans import Plan
 
 _STEPS = {"s": 1e-4, "m": 1e-3, "rad": 1e-4}
-_UNIT = 1e-3
-"""Times what is drawn: small enough for a derivative."""
+_UNIT = 1e-3  # times what is drawn: small enough for a derivative
 LADDER = (
     *("viscous_friction", "coulomb_friction", "load_friction", "torque_offset", "torque_scale"),
     *("rotor_inertia", "joint_spring"),
 )
 """What the catalogue may add to a joint without another joint's help."""
-_ROWS = 1000
-"""Samples that are enough to know how much all of them can tell."""
+_ROWS = 1000  # samples that are enough to know how much all of them can tell
 _MOST = {
     "scale": 0.5,
     "coefficient": 0.4,
@@ -41,6 +39,7 @@ _MOST = {
     "tilt_y_rad": 0.2,
 }
 """Sizes beyond which an effect is no small error any more."""
+_PLACES = np.arange(9).reshape(3, 3)  # of a tensor's entries
 _LEAST_SEEN = 0.05
 """The share of what an effect does that the rest cannot do, below which a small error of the model would hide it."""
 _MOST_MOVED = 1.0
@@ -50,19 +49,13 @@ _POSITIVE = ("viscous_friction", "coulomb_friction", "load_friction", "rotor_ine
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A motion as its torques show it.
+    """A motion as its torques show it."""
 
-    Attributes:
-        setup: the arm as it is.
-        motion: what it does.
-        noise: `(joint,)` Nm that a sample is worth: the noise's standard deviation over the root of effective samples.
-        inertial: the relative uncertainty of the declared inertial numbers: 0 declared, infinite unknown.
-    """
-
-    setup: Setup
-    motion: Motion
+    setup: Setup  # the arm as it is
+    motion: Motion  # what it does
+    # `(joint,)` Nm that a sample is worth: the noise's standard deviation over the root of effective samples
     noise: Array
-    inertial: float = 0.0
+    inertial: float = 0.0  # the relative uncertainty of the declared inertial numbers: 0 declared, infinite unknown
     _scenes: dict[str, Motion] = field(default_factory=dict)
 
     @classmethod
@@ -141,18 +134,12 @@ def _inertial_moves(arm: Arm, share: float) -> Iterator[tuple[int, Arm, Arm]]:
             shift = np.zeros(3)
             shift[axis] = share * np.linalg.norm(center) if known else 1e-3
             yield i, arm.with_link(i + 1, center=shift), arm.with_link(i + 1, center=-shift)
-        for tensor in [share * arm.inertia[i]] if known else _tensors():
+        entries = ((a, b) for a in range(3) for b in range(a, 3))
+        unit = (np.where(np.isin(_PLACES, (3 * a + b, 3 * b + a)), 1e-3, 0.0) for a, b in entries)
+        for tensor in [share * arm.inertia[i]] if known else unit:
             either = np.zeros_like(arm.inertia)
             either[i] = tensor
             yield i, replace(arm, inertia=arm.inertia + either), replace(arm, inertia=arm.inertia - either)
-
-
-def _tensors() -> Iterator[Array]:
-    for a in range(3):
-        for b in range(a, 3):
-            tensor = np.zeros((3, 3))
-            tensor[a, b] = tensor[b, a] = 1e-3
-            yield tensor
 
 
 def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...] | None:
@@ -189,10 +176,8 @@ def _beside(view: View, hidden: Sequence[Hidden], place: int) -> Array:
     Beside an effect outside the catalogue this is all, too, that the catalogue may add to the same joint: it counts by
     what is left of it when the catalogue has done its best.
     """
-    blocks = [view.span()]
-    for k, other in enumerate(hidden):
-        if k != place:
-            blocks.append(view.columns(hidden, k, other.sizes))
+    others = (view.columns(hidden, k, other.sizes) for k, other in enumerate(hidden) if k != place)
+    blocks = [view.span(), *others]
     if hidden[place].name in FAMILIES:
         blocks.append(ladder(view, hidden[place].number))
     return np.concatenate(blocks, 1)

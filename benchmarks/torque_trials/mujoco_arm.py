@@ -18,12 +18,9 @@ from benchmarks.torque_trials.physics import BODIES, Motion, Setup, change_bodie
 
 mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
 
-STEP = 1e-3
-"""s."""
-_BEFORE = 0.5
-"""s that the arm is driven before it is recorded."""
-_BANDWIDTH = 150.0
-"""rad/s, of the controller's errors."""
+STEP = 1e-3  # s
+_BEFORE = 0.5  # s that the arm is driven before it is recorded
+_BANDWIDTH = 150.0  # rad/s, of the controller's errors
 _ATTRIBUTES = {
     "viscous_friction": {"damping": "viscous_Nm_s_per_rad"},
     "coulomb_friction": {"frictionloss": "coulomb_Nm"},

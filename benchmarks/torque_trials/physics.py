@@ -30,29 +30,20 @@ _LITE6_INERTIA = (
 """1e-6 kg·m², the maker's."""
 _LITE6_NOISE = (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
 _SEVEN_NOISE = (0.25, 0.3, 0.2, 0.15, 0.06, 0.05, 0.03)
-_SEVEN_SIZE = 0.09, 0.11, 0.2
-"""m, of the boxes whose inertia the links of the arm of seven joints have."""
-_INERTIAL_SPREAD = 0.3
-"""Relative, of the masses and inertias of drawn arms about the vendor's."""
+_SEVEN_SIZE = 0.09, 0.11, 0.2  # m, of the boxes whose inertia the links of the arm of seven joints have
+_INERTIAL_SPREAD = 0.3  # relative, of the masses and inertias of drawn arms about the vendor's
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm with inertia.
+    """An arm with inertia."""
 
-    Attributes:
-        chain: its kinematics, masses and centres of mass.
-        inertia: `(joint, 3, 3)` kg·m² of each link about its centre of mass, in the frame after the joint's rotation.
-        noise: `(joint,)` Nm, one standard deviation of what a torque sensor of its size reads.
-        velocity: rad/s that no joint exceeds.
-        acceleration: rad/s² that no joint exceeds.
-    """
-
-    chain: Chain
+    chain: Chain  # its kinematics, masses and centres of mass
+    # `(joint, 3, 3)` kg·m² of each link about its centre of mass, in the frame after the joint's rotation
     inertia: Array
-    noise: Array
-    velocity: float = np.pi
-    acceleration: float = 20.0
+    noise: Array  # `(joint,)` Nm, one standard deviation of what a torque sensor of its size reads
+    velocity: float = np.pi  # rad/s that no joint exceeds
+    acceleration: float = 20.0  # rad/s² that no joint exceeds
 
     def with_link(self, link: int, mass: float = 0.0, center: Array | None = None) -> "Arm":
         """The arm, one link of which is heavier by a mass at its centre, or has its centre elsewhere by a shift."""
@@ -110,19 +101,12 @@ def inverse_dynamics(
 
 
 class Body(NamedTuple):
-    """How a link's frame moves, in its own axes; all arrays with the sample first.
+    """How a link's frame moves, in its own axes; all arrays with the sample first."""
 
-    Attributes:
-        turn: `(sample, 3, 3)`, its axes in those of the frame before.
-        thrust: `(sample, 3)` m/s², the acceleration of its origin, gravity among it.
-        spin: `(sample, 3)` rad/s².
-        rate: `(sample, 3)` rad/s.
-    """
-
-    turn: Array
-    thrust: Array
-    spin: Array
-    rate: Array
+    turn: Array  # `(sample, 3, 3)`, its axes in those of the frame before
+    thrust: Array  # `(sample, 3)` m/s², the acceleration of its origin, gravity among it
+    spin: Array  # `(sample, 3)` rad/s²
+    rate: Array  # `(sample, 3)` rad/s
 
 
 def move_links(arm: Arm, q: Array, dq: Array, ddq: Array, gravity: Array) -> list[Body]:
@@ -189,10 +173,8 @@ def arm_text(arm: Arm) -> str:
 # ------------------------------------------------------------------ how they move
 
 _SINES = 5
-_REACH = 1.5
-"""rad, the most that a joint moves to either side of its middle."""
-_SLACK = 0.9
-"""The share of its limits that a motion uses at most."""
+_REACH = 1.5  # rad, the most that a joint moves to either side of its middle
+_SLACK = 0.9  # the share of its limits that a motion uses at most
 
 
 def draw_motion(
@@ -244,23 +226,16 @@ def draw_motion(
 # ------------------------------------------------------------------ what is hidden in them
 
 BODIES = ("link_mass", "link_com", "payload_error", "base_tilt")
-RIGID = (*BODIES, "time_offset")
-"""The effects that change what the rigid bodies ask for."""
+RIGID = (*BODIES, "time_offset")  # the effects that change what the rigid bodies ask for
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """An arm where it stands.
+    """An arm where it stands."""
 
-    Attributes:
-        arm: the arm as it is, but for what is hidden.
-        gravity: `(3,)` m/s² in the base's axes, as declared.
-        payload_center: `(3,)` m in the last frame.
-    """
-
-    arm: Arm
-    gravity: Array
-    payload_center: Array
+    arm: Arm  # the arm as it is, but for what is hidden
+    gravity: Array  # `(3,)` m/s² in the base's axes, as declared
+    payload_center: Array  # `(3,)` m in the last frame
 
 
 def torques(setup: Setup, hidden: Sequence[Hidden], motion: Motion, known: Motion | None = None) -> Array:

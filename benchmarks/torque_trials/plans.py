@@ -9,8 +9,7 @@ from benchmarks.campaigns.rounds import Kind, Rounds, turn
 from benchmarks.torque_trials.effects import FAMILIES, NAMED, OPEN, SEALED
 
 ROUNDS = Rounds({"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}, 21)
-SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
-"""Times the threshold; twice it is drawn twice as often, for a goal is set there."""
+SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)  # times the threshold; twice it is drawn twice as often, for a goal is set there
 OUTSIDE_SIZES = (4.0, 8.0, 20.0)
 EDGES = ("short", "slow", "two ripples", "resting joints")
 """What makes it hard to name an effect that the catalogue has."""
@@ -20,16 +19,13 @@ DATA_FAULTS = (
     *("estimated_torque", "joint_zero"),  # twice, so that it comes twice as often
 )
 """What is wrong with the file, under the names that the library has for it."""
-FAULTS = ("contact", *DATA_FAULTS)
-"""What is wrong with a faulty recording: an event, or the file."""
+FAULTS = ("contact", *DATA_FAULTS)  # what is wrong with a faulty recording: an event, or the file
 SINGLE = tuple(NAMED)
 NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy velocities")
 AUTOCORRELATION = 0.9
-RATES = (100.0, 125.0, 200.0, 250.0)
-"""Hz."""
+RATES = (100.0, 125.0, 200.0, 250.0)  # Hz
 _MOST_ROWS = 6000
-MASSES = ("link_mass", "link_com", "payload_error")
-"""Effects that are none where the inertial numbers are unknown."""
+MASSES = ("link_mass", "link_com", "payload_error")  # effects that are none where the inertial numbers are unknown
 SIMULATED = (
     *("viscous_friction", "coulomb_friction", "rotor_inertia", "joint_spring", "link_mass", "link_com"),
     *("payload_error", "base_tilt"),
@@ -39,41 +35,23 @@ SIMULATED = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn first.
+    """What is drawn first."""
 
-    Attributes:
-        seed: of the campaign.
-        index: of the trial in it.
-        kind: what is hidden.
-        engine: which physics: plain or mujoco.
-        arm: lite6 or seven.
-        inertial: declared, uncertain or unknown.
-        source: torque or current.
-        noise: one of `NOISES`.
-        rate: Hz.
-        seconds: of the recording.
-        effects: names.
-        sizes: of the effects, in thresholds.
-        edge: one of `EDGES`, or none.
-        fault: one of `FAULTS`, or none.
-        sealed: whether what is outside the catalogue is of a sealed family.
-    """
-
-    seed: int
-    index: int
-    kind: Kind
-    engine: str
-    arm: str
-    inertial: str
-    source: str
-    noise: str
-    rate: float
-    seconds: float
-    effects: tuple[str, ...]
-    sizes: tuple[float, ...]
-    edge: str = ""
-    fault: str = ""
-    sealed: bool = False
+    seed: int  # of the campaign
+    index: int  # of the trial in it
+    kind: Kind  # what is hidden
+    engine: str  # which physics: plain or mujoco
+    arm: str  # lite6 or seven
+    inertial: str  # declared, uncertain or unknown
+    source: str  # torque or current
+    noise: str  # one of `NOISES`
+    rate: float  # Hz
+    seconds: float  # of the recording
+    effects: tuple[str, ...]  # names
+    sizes: tuple[float, ...]  # of the effects, in thresholds
+    edge: str = ""  # one of `EDGES`, or none
+    fault: str = ""  # one of `FAULTS`, or none
+    sealed: bool = False  # whether what is outside the catalogue is of a sealed family
 
 
 def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
@@ -95,23 +73,11 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     if kind == "outside" or edge == "slow":
         seconds = max(seconds, 25.0)
     built = all(name in SIMULATED for name in effects) and not edge and kind != "faulty" and noise == NOISES[0]
-    return Plan(
-        seed=seed,
-        index=index,
-        kind=kind,
-        engine="mujoco" if built and rng.random() < 0.7 else "plain",
-        arm=str(rng.choice(["lite6", "seven"], p=[0.75, 0.25])),
-        inertial=inertial,
-        source=str(rng.choice(["torque", "current"], p=[0.85, 0.15])),
-        noise=noise,
-        rate=rate,
-        seconds=min(seconds, _MOST_ROWS / rate),
-        effects=effects,
-        sizes=sizes,
-        edge=edge,
-        fault=fault,
-        sealed=sealed and kind == "outside",
-    )
+    engine = "mujoco" if built and rng.random() < 0.7 else "plain"
+    arm = str(rng.choice(["lite6", "seven"], p=[0.75, 0.25]))
+    source = str(rng.choice(["torque", "current"], p=[0.85, 0.15]))
+    drawn = (seed, index, kind, engine, arm, inertial, source, noise, rate, min(seconds, _MOST_ROWS / rate))
+    return Plan(*drawn, effects, sizes, edge, fault, sealed=sealed and kind == "outside")
 
 
 def _effects(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.campaigns.rounds import Trial, csv_text, first_made
+from benchmarks.campaigns.rounds import Trial, csv_text, first_made, motion_columns
 from benchmarks.concealed.chain import Array, rotation_from_vector
 from benchmarks.torque_trials.effects import FAMILIES
 from benchmarks.torque_trials.faults import Spoiled, describe_arm, friction, spoil
@@ -18,18 +18,15 @@ from benchmarks.torque_trials.plans import AUTOCORRELATION, DATA_FAULTS, Plan, d
 UNSEEN_SECONDS = 10.0
 PAYLOAD_CENTER = (0.0, 0.0, 0.03)
 _GRAVITY = np.array([0.0, 0.0, -9.81])
-_SLOW = 0.1
-"""Times the usual frequencies."""
+_SLOW = 0.1  # times the usual frequencies
 _BOUND, _LEAST_BOUND = 3.0, 4e-3
 """An unseen error is to be within so many times what an efficient fit reaches, but no less than so many Nm."""
-_OUTSIDE_BOUND = 0.25
-"""Of what an effect outside the catalogue adds."""
+_OUTSIDE_BOUND = 0.25  # of what an effect outside the catalogue adds
 _JOINT_NOISE, _VELOCITY_NOISE, _NOISY = 2e-5, 1e-3, 2e-2
 """rad, and rad/s as a rule and where velocities are noisy: one standard deviation."""
 _OUTLIERS = 0.01
 _DIGITS = 8
-UNCERTAIN = 0.1
-"""The relative uncertainty that some sidecars declare of the inertial numbers."""
+UNCERTAIN = 0.1  # the relative uncertainty that some sidecars declare of the inertial numbers
 
 
 def draw(seed: int, index: int, sealed: bool = False) -> Trial:
@@ -78,6 +75,9 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     if read is None:
         return None
     added = later - torques(setup, (), unseen)
+    outside = any(effect.name in FAMILIES for effect in hidden)
+    known = unseen_error(view, () if spoilt or outside else hidden, unseen)
+    bound = max(_BOUND * known, _LEAST_BOUND, _OUTSIDE_BOUND * _rms(added) if outside else 0.0)
     truth = {
         "schema": "torque/truth/1",
         **asdict(plan),
@@ -89,18 +89,10 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         "noise_Nm": arm.noise.tolist(),
         "exerted_rms_Nm": _rms(exerted),
         "unseen_effect_rms_Nm": _rms(added),
-        "unseen_bound_Nm": _unseen_bound(view, () if spoilt else hidden, unseen, added),
+        "unseen_bound_Nm": bound,
         "unseen_torque_Nm": np.round(later, 9).tolist(),
     }
     return Trial(plan, truth, files_of(plan, rng, setup, told, motion, read, unseen))
-
-
-def _unseen_bound(view: View, hidden: tuple[Any, ...], unseen: Motion, added: Array) -> float:
-    """Nm RMS over all joints within which the torques of the unseen motion are to be predicted."""
-    if any(effect.name in FAMILIES for effect in hidden):
-        known = unseen_error(view, (), unseen)
-        return max(_OUTSIDE_BOUND * _rms(added), _BOUND * known, _LEAST_BOUND)
-    return max(_BOUND * unseen_error(view, hidden, unseen), _LEAST_BOUND)
 
 
 def _rms(values: Array) -> float:
@@ -137,11 +129,8 @@ def measure(
             hit = rng.random(shape) < _OUTLIERS
             draws += hit * rng.choice([-1.0, 1.0], shape) * rng.uniform(8, 30, shape)
     quick = _NOISY if plan.noise == "noisy velocities" else _VELOCITY_NOISE
-    return (
-        motion.q + rng.normal(0, _JOINT_NOISE, shape),
-        motion.dq + rng.normal(0, quick, shape),
-        exerted + noise * draws,
-    )
+    q, dq = motion.q + rng.normal(0, _JOINT_NOISE, shape), motion.dq + rng.normal(0, quick, shape)
+    return q, dq, exerted + noise * draws
 
 
 def files_of(
@@ -164,7 +153,7 @@ def files_of(
         said["inertial"] = UNCERTAIN if plan.inertial == "uncertain" else "unknown"
     if plan.fault == "estimated_torque":
         del said["torque_source"]
-    columns = _columns(motion, read.q, read.dq, read.turns)
+    columns = motion_columns(motion, read.q, read.dq, read.turns)
     joints = range(1, torque.shape[1] + 1)
     if plan.source == "current":
         constants = np.round(rng.uniform(2.0, 12.0, torque.shape[1]), 3)
@@ -176,16 +165,5 @@ def files_of(
         "arm.yaml": arm_text(told),
         "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
         "recording.csv": csv_text(columns, _DIGITS),
-        "unseen.csv": csv_text(_columns(unseen, unseen.q, unseen.dq), _DIGITS),
+        "unseen.csv": csv_text(motion_columns(unseen, unseen.q, unseen.dq), _DIGITS),
     }
-
-
-def _columns(motion: Motion, q: Array, dq: Array, turns: bool = False) -> dict[str, Array]:
-    joints = range(1, q.shape[1] + 1)
-    places = {f"q{i}_rad": q[:, i - 1] for i in joints}
-    if turns:
-        places = {f"q{i}_deg": np.rad2deg(np.mod(q[:, i - 1], 2 * np.pi)) for i in joints}
-    columns = {"time_s": motion.time} | places
-    columns |= {f"dq{i}_rad_per_s": dq[:, i - 1] for i in joints}
-    columns |= {f"temp{i}_degC": motion.temperature[:, i - 1] for i in joints}
-    return columns | {"payload_kg": motion.payload}

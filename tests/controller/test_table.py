@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 from typed import refusal
 
-from benchmarks import soak
+from benchmarks import commands
 from lite6jax.controller.recorder import TableWriter, check_targets
 from lite6jax.recordings import Recording, write_recording
 
@@ -138,6 +138,6 @@ def test_the_soak_benchmark_sees_rows_that_are_lost_or_doubled(tmp_path):
         (np.r_[steps[:7], steps[8:], 250], "from 4000 to 8000"),
     ):
         write_recording(Recording.from_arrays(np.zeros((len(rows), 6)), time=rows * 0.004), out, overwrite=True)
-        found = soak.wrong_rows(done, out, 250)
+        found = commands.wrong_rows(done, out, 250)
         assert found == said if not said else said in found
-    assert soak.wrong_rows(SimpleNamespace(unwritten=3, runs=2), out, 250) == "3 rows unwritten, 2 runs"
+    assert commands.wrong_rows(SimpleNamespace(unwritten=3, runs=2), out, 250) == "3 rows unwritten, 2 runs"

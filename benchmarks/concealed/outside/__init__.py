@@ -8,11 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside import places, vault, workshop
-from benchmarks.concealed.outside.family import Family, Fixed, Motion, Scene, column
+from benchmarks.concealed.outside import places, vault
+from benchmarks.concealed.outside.family import Family, Fixed, Motion, column
 
-SEALED = float("inf")
-"""For a family that has not been drawn with --sealed and looked at yet."""
+SEALED = float("inf")  # for a family that has not been drawn with --sealed and looked at yet
 _NAMES: dict[float, str] = {
     0: "joint_bump joint_step hardening_spring yielding_spring joint_parabola squared_coupling squared_speed "
     "squared_warmth sticking_zone link_tilt_by_time link_tilt_by_warmth base_tilt_by_joint "
@@ -28,7 +27,7 @@ _NAMES: dict[float, str] = {
     "leaking_table gel_pads parting_changer flowing_glue shaken_tripod",
     2481: "clamped_ring bent_sheath flipping_pull parting_pinion flattened_tube buckling_plate "
     "breathing_springs opening_chuck glass_pane",
-    9101: " ".join(workshop.FAMILIES),
+    9101: " ".join(places.WORKSHOP),
     SEALED: " ".join(vault.FAMILIES),
 }
 """By the first seed of a campaign that draws them without --sealed, the names of families.
@@ -40,13 +39,12 @@ a seed draws: new families go to the end. With --sealed, a seed from 2481 to 910
 OPENED: dict[str, float] = {name: first for first, names in _NAMES.items() for name in names.split()}
 """By name, that seed."""
 
-_WRITTEN = places.FAMILIES | workshop.FAMILIES | vault.FAMILIES
+_WRITTEN = places.FAMILIES | vault.FAMILIES
 FAMILIES: dict[str, Family] = {name: _WRITTEN[name] for name in OPENED}
 """By name. A `power` of 2 is the family's; of 1 it is the named effect that comes nearest."""
 
 
-_LEAST_LOAD = 0.05
-"""Nm below which a load is none."""
+_LEAST_LOAD = 0.05  # Nm below which a load is none
 _UNIFORM = {"turns": (1.5, 3.5), "phase": (-np.pi, np.pi), "width": (0.15, 0.35), "strokes": (5.0, 9.0)}
 """Between which numbers of a form are drawn; instants by the length of the recording."""
 _INSTANTS = {"instant_s": (0.3, 0.7), "passes_s": (0.06, 0.15)}
@@ -135,16 +133,3 @@ def families(seed: int, sealed: bool = False) -> tuple[str, ...]:
         return tuple(name for name, first in OPENED.items() if first <= seed)
     following = min((first for first in OPENED.values() if first > seed), default=np.inf)
     return tuple(name for name, first in OPENED.items() if first == following)
-
-
-def seen_shift(name: str, fixed: Fixed, s: Motion, position: Array) -> Array:
-    """`(sample, 3)`: what an image shifts, of a number of 1, where the sensor has the point at `(sample, 3)` m."""
-    family = FAMILIES[name]
-    assert family.image is not None
-    shift = family.image(position.T).T
-    return shift if family.signal is None else shift * family.signal(Scene(fixed, s))[:, None]
-
-
-def straight(fixed: Fixed) -> dict[str, float] | None:
-    """The form of the named effect that is the straight line of a family; None where there is none."""
-    return {**fixed, "power": 1.0} if "power" in fixed else None

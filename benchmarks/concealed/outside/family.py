@@ -7,6 +7,7 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -19,41 +20,26 @@ Curve = Callable[[Array], tuple[Array, Array]]
 Drivers = tuple[tuple[str, ...], ...]
 """Each of these is a driver of the signal; one of several phrases is enough to name it."""
 
-PRELOAD = 0.5
-"""Of the load: the moment at which bolts that are tightened begin to give, or a detent does."""
-ROCKING = 4.0
-"""A moment of one part in so many of the load tips a base from one foot to another."""
-WARMER = 10.0
-"""K: temperatures count in these."""
-_AMBIENT = 25.0
-"""°C."""
+PRELOAD = 0.5  # of the load: the moment at which bolts that are tightened begin to give, or a detent does
+ROCKING = 4.0  # a moment of one part in so many of the load tips a base from one foot to another
+WARMER = 10.0  # K: temperatures count in these
+_AMBIENT = 25.0  # °C
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What the arm did; all arrays with the sample first.
+    """What the arm did; all arrays with the sample first."""
 
-    Attributes:
-        q: `(sample, joint)` rad, as the encoders have it.
-        dq: `(sample, joint)` rad/s; zero where the arm stood still.
-        direction: `(sample, joint)`, -1, 0 or 1.
-        time: `(sample,)` s.
-        temperature: `(sample, joint)` °C.
-        payload: `(sample,)` kg.
-        curve: joints and velocities at any instants, where the arm moved.
-        moment: `(sample, joint, 3)` Nm, of gravity about each frame's origin in its axes, once it is known.
-        base_moment: `(sample, 3)` Nm; likewise.
-    """
-
-    q: Array
-    dq: Array
-    direction: Array
-    time: Array
-    temperature: Array
-    payload: Array
-    curve: Curve | None = None
+    q: Array  # `(sample, joint)` rad, as the encoders have it
+    dq: Array  # `(sample, joint)` rad/s; zero where the arm stood still
+    direction: Array  # `(sample, joint)`, -1, 0 or 1
+    time: Array  # `(sample,)` s
+    temperature: Array  # `(sample, joint)` °C
+    payload: Array  # `(sample,)` kg
+    curve: Curve | None = None  # joints and velocities at any instants, where the arm moved
+    # `(sample, joint, 3)` Nm, of gravity about each frame's origin in its axes, once it is known
     moment: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    base_moment: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    base_moment: Array = field(default_factory=lambda: np.zeros((0, 3)))  # `(sample, 3)` Nm; likewise
 
     def warmth(self) -> Array:
         """`(sample,)`: the mean temperature above the ambient one, in tens of K."""
@@ -79,15 +65,10 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What happens where a family is, of its own joint or of the one that a key says; what was drawn is its items.
+    """What happens where a family is, of its own joint or of the one that a key says; what was drawn is its items."""
 
-    Attributes:
-        fixed: what was drawn.
-        s: what happens in the whole arm.
-    """
-
-    fixed: Fixed
-    s: Motion
+    fixed: Fixed  # what was drawn
+    s: Motion  # what happens in the whole arm
 
     def __getitem__(self, key: str) -> float:
         return self.fixed[key]
@@ -124,35 +105,26 @@ class Scene:
 
 @dataclass(frozen=True)
 class Family:
-    """A family of physics.
+    """A family of physics."""
 
-    Attributes:
-        place: joint, link, base, tool, sensor or image.
-        on: quantities on which the signal depends, as "torque, velocity/speed of by": of the family's own joint or of
-            that of a key, with a stroke between phrases of which one is enough.
-        signal: `(sample,)` by which the number is multiplied, of what happens there; None where it depends on the way
-            between the samples or on the measured position alone.
-        keys: words of what is drawn for it beside the site.
-        beside: words of effects of the catalogue that are true beside an unnamed one at the same site, as they are its
-            straight part; a constant or a scale is true as well. A tuple has all.
-        axes: the components of a twist (x y z, then turns about them) among which one is drawn.
-        sum_of: effects of the catalogue, at the same site, of which it is the sum: they are true together.
-        height: whether its number is the height of a shape.
-        any_other: whether "by" may be the next joint too, whose axis would wobble by its own position.
-        drivers_of: on what the signal depends, where `on` cannot say it.
-        image: of the point that the sensor has at `(axis, sample)` m, the shift `(axis, sample)` m; None elsewhere.
-    """
-
-    place: str
+    place: str  # joint, link, base, tool, sensor or image
+    # quantities on which the signal depends, as "torque, velocity/speed of by": of the family's own joint or of that of
+    # a key, with a stroke between phrases of which one is enough
     on: str
+    # `(sample,)` by which the number is multiplied, of what happens there; None where it depends on the way between the
+    # samples or on the measured position alone
     signal: Callable[[Scene], Array] | None = None
-    keys: str = ""
+    keys: str = ""  # words of what is drawn for it beside the site
+    # words of effects of the catalogue that are true beside an unnamed one at the same site, as they are its straight
+    # part; a constant or a scale is true as well. A tuple has all.
     beside: str | tuple[str, ...] = ""
-    axes: tuple[int, ...] = ()
+    axes: tuple[int, ...] = ()  # the components of a twist (x y z, then turns about them) among which one is drawn
+    # effects of the catalogue, at the same site, of which it is the sum: they are true together
     sum_of: tuple[str, ...] = ()
-    height: bool = False
-    any_other: bool = False
-    drivers_of: Callable[[Fixed], Drivers] | None = None
+    height: bool = False  # whether its number is the height of a shape
+    any_other: bool = False  # whether "by" may be the next joint too, whose axis would wobble by its own position
+    drivers_of: Callable[[Fixed], Drivers] | None = None  # on what the signal depends, where `on` cannot say it
+    # of the point that the sensor has at `(axis, sample)` m, the shift `(axis, sample)` m; None elsewhere
     image: Callable[[Array], Array] | None = None
 
     @property
@@ -185,6 +157,12 @@ class Family:
             tuple(f"{_OF[w]} {int(fixed[key or 'joint'])}" if w in _OF else w for w in words.split("/"))
             for words, _, key in each
         )
+
+
+joint, link, base, tool, sensor, image = (
+    partial(Family, place) for place in ("joint", "link", "base", "tool", "sensor", "image")
+)
+"""Families of a place."""
 
 
 def column(values: Array, fixed: Fixed, key: str = "joint") -> Array:

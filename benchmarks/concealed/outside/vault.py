@@ -1,14 +1,25 @@
-"""The other half of the list of which `workshop` has one, drawn with --sealed only and not to be read before that."""
+"""The other half of the list of `places.WORKSHOP`, drawn with --sealed only and not to be read before that."""
 
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside.family import PRELOAD, TILT, Family, Z, beyond, lagged, play
+from benchmarks.concealed.outside.family import (
+    PRELOAD,
+    TILT,
+    Family,
+    Z,
+    base,
+    beyond,
+    image,
+    joint,
+    lagged,
+    link,
+    play,
+    tool,
+)
 
-_STICKING = 0.4
-"""In tens of K: the growth that friction holds back."""
-_SEAM = 0.05
-"""m to either side in which two volumes are blended."""
+_STICKING = 0.4  # in tens of K: the growth that friction holds back
+_SEAM = 0.05  # m to either side in which two volumes are blended
 
 
 def _threefold(x: Array, y: Array) -> Array:
@@ -17,80 +28,64 @@ def _threefold(x: Array, y: Array) -> Array:
 
 FAMILIES: dict[str, Family] = {
     # an encoder's fine track has another pitch than it counts, until the coarse track puts that right
-    "vernier_disc": Family(
-        "joint",
+    "vernier_disc": joint(
         "position",
         lambda m: (m["turns"] * m.q() + m["phase"]) / (2 * np.pi) % 1.0,
         "turns phase",
         "joint_harmonic joint_scale",
     ),
     # of three planets in a gear one is loose, and the gear gives way to its load where that one should bear it
-    "uneven_planets": Family(
-        "joint",
+    "uneven_planets": joint(
         "torque, position",
         lambda m: m.load() * np.sin(3 * m.q() + m["phase"]),
         "torque_Nm phase",
         "joint_compliance joint_harmonic",
     ),
     # the pinion between two joints wedges where these turn against each other, and is free elsewhere
-    "binding_pinion": Family(
-        "joint", "direction, direction of by", lambda m: (m.side() * m.side("by") < 0).astype(float), "by"
-    ),
+    "binding_pinion": joint("direction, direction of by", lambda m: (m.side() * m.side("by") < 0).astype(float), "by"),
     # two joints hang on one safety clutch, which slips as far as the sum of their loads is too much for it
-    "shared_clutch": Family(
-        "joint",
+    "shared_clutch": joint(
         "torque, torque of by",
         lambda m: beyond(m.load() + m.load("by"), PRELOAD),
         "by torque_Nm by_torque_Nm",
         "joint_compliance",
     ),
     # a motor slips behind its field, by its speed and the more, the harder it pulls either way
-    "straining_motor": Family(
-        "joint", "velocity, torque", lambda m: -m.dq() * np.abs(m.load()), "torque_Nm", "joint_lag"
-    ),
+    "straining_motor": joint("velocity, torque", lambda m: -m.dq() * np.abs(m.load()), "torque_Nm", "joint_lag"),
     # a joint's cable rubs in a bend that the load of another joint pinches
-    "pinched_cable": Family(
-        "joint",
-        "direction, torque of by",
-        lambda m: -m.side() * np.abs(m.load("by")),
-        "by by_torque_Nm",
-        "joint_backlash",
+    "pinched_cable": joint(
+        "direction, torque of by", lambda m: -m.side() * np.abs(m.load("by")), "by by_torque_Nm", "joint_backlash"
     ),
     # the weights of another joint's overspeed brake fly out beyond a speed, either way, and press on the gear
-    "flying_weights": Family(
-        "joint", "velocity/speed of by", lambda m: np.maximum(np.abs(m.dq("by")) - m["hums"], 0.0), "by hums"
+    "flying_weights": joint(
+        "velocity/speed of by", lambda m: np.maximum(np.abs(m.dq("by")) - m["hums"], 0.0), "by hums"
     ),
     # two joints turn a forearm about one direction, and it is flung outwards by the square of the sum
-    "flung_forearm": Family(
-        "link", "velocity of by, velocity of and", lambda m: (m.dq("by") + m.dq("and")) ** 2, "by and", axes=(0, 1)
+    "flung_forearm": link(
+        "velocity of by, velocity of and", lambda m: (m.dq("by") + m.dq("and")) ** 2, "by and", axes=(0, 1)
     ),
     # the sides of a casting differ in thickness: the thin one is as warm as the air, the thick one warms later
-    "thick_casting": Family(
-        "link",
-        "temperature",
-        lambda m: m.s.warmth() - lagged(m.s.warmth(), m.s.time, m["span_s"] / 6),
-        "span_s",
-        axes=TILT,
+    "thick_casting": link(
+        "temperature", lambda m: m.s.warmth() - lagged(m.s.warmth(), m.s.time, m["span_s"] / 6), "span_s", axes=TILT
     ),
     # a hose along a link is under pressure at times, is stiff only then, and pulls as another joint bends it
-    "pulsing_hose": Family(
-        "link", "position of by, time", lambda m: (m.wave() > 0) * m.q("by"), "by span_s turns phase", axes=TILT
+    "pulsing_hose": link(
+        "position of by, time", lambda m: (m.wave() > 0) * m.q("by"), "by span_s turns phase", axes=TILT
     ),
     # two lines to a link come over two other joints, and the one that is more taut pulls it aside
-    "two_lines": Family(
-        "link", "position of by, position of and", lambda m: np.maximum(m.q("by"), m.q("and")), "by and", axes=TILT
+    "two_lines": link(
+        "position of by, position of and", lambda m: np.maximum(m.q("by"), m.q("and")), "by and", axes=TILT
     ),
     # an open profile that its joint's load twists gives way to the side of what bends it, by the product
-    "twisted_channel": Family(
-        "link", "moment x, torque", lambda m: m.moment("x") * m.load(), "moment_Nm torque_Nm", "link_compliance", (4,)
+    "twisted_channel": link(
+        "moment x, torque", lambda m: m.moment("x") * m.load(), "moment_Nm torque_Nm", "link_compliance", (4,)
     ),
     # a lamp beside an arm warms one side of a link, as far as another joint turns that side to it
-    "sunlit_link": Family(
-        "link", "position of by", lambda m: np.maximum(np.sin(m.q("by") + m["phase"]), 0.0), "by phase", axes=TILT
+    "sunlit_link": link(
+        "position of by", lambda m: np.maximum(np.sin(m.q("by") + m["phase"]), 0.0), "by phase", axes=TILT
     ),
     # a stand on three legs is stiff over a leg and soft between two: three times in a turn of the moment
-    "three_legged_stand": Family(
-        "base",
+    "three_legged_stand": base(
         "base moment x, base moment y",
         lambda m: _threefold(m.moment("x", "base_"), m.moment("y", "base_")),
         "base_moment_Nm base_moment_y_Nm",
@@ -98,10 +93,9 @@ FAMILIES: dict[str, Family] = {
         TILT,
     ),
     # a plinth that grows with warmth sticks to the floor, and moves on only when the strain overcomes that
-    "sticking_plinth": Family("base", "temperature", lambda m: play(m.s.warmth(), _STICKING), axes=(0, 1)),
+    "sticking_plinth": base("temperature", lambda m: play(m.s.warmth(), _STICKING), axes=(0, 1)),
     # a warped plate stands on two opposite corners and rises on these or those, by the product of the moments
-    "warped_plate": Family(
-        "base",
+    "warped_plate": base(
         "base moment x, base moment y",
         lambda m: m.moment("x", "base_") * m.moment("y", "base_"),
         "base_moment_Nm base_moment_y_Nm",
@@ -109,12 +103,11 @@ FAMILIES: dict[str, Family] = {
         (2,),
     ),
     # lines to the tool are twisted by the sum of two joints' turns, either way, and pull by its square
-    "twisted_umbilical": Family(
-        "tool", "position of by, position of and", lambda m: (m.q("by") + m.q("and")) ** 2, "by and", axes=TILT
+    "twisted_umbilical": tool(
+        "position of by, position of and", lambda m: (m.q("by") + m.q("and")) ** 2, "by and", axes=TILT
     ),
     # a mount of rubber between flange and tool creeps under the moment and recovers
-    "rubber_mount": Family(
-        "tool",
+    "rubber_mount": tool(
         "moment x/tool moment x of flange",
         lambda m: lagged(m.moment("x", "flange_"), m.s.time, m["relaxes_s"]),
         "flange flange_moment_Nm relaxes_s",
@@ -122,7 +115,7 @@ FAMILIES: dict[str, Family] = {
         (3,),
     ),
     # the bar that holds a pair of cameras bows as it warms, and the more, the farther off, the nearer all seems
-    "bowing_bar": Family("image", "temperature, measured position", lambda m: m.s.warmth(), image=lambda p: p * p[2]),
+    "bowing_bar": image("temperature, measured position", lambda m: m.s.warmth(), image=lambda p: p * p[2]),
     # what two pairs of cameras see is stitched together along a seam, where one volume is higher
-    "stitched_volume": Family("image", "measured position x", image=lambda p: Z * np.tanh(p[0] / _SEAM)),
+    "stitched_volume": image("measured position x", image=lambda p: Z * np.tanh(p[0] / _SEAM)),
 }
