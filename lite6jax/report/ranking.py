@@ -16,8 +16,7 @@ from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
 from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, effect_name, remedy_of
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import capital, each_with_unit, plus_minus, torque_units
+from lite6jax.report.words import capital, each_with_unit, fill, plus_minus, read_texts, torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
