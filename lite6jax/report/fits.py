@@ -177,8 +177,7 @@ def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableT
     under = "its standard deviation" if measured else "its difference from nominal"
     yield from (f"Effective model (mm, deg); below each number {under}", "")
     yield from parameter_tables(form, cell)
-    open_ = (free & ~determined).any()
-    prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN] if open_ else None
+    prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN] if (free & ~determined).any() else None
     parallel = [f"{i + 1}-{i + 2}" for i in form.parallel if i >= 0]
     yield from (*say(_TEXTS["hayati"], {"form": form, "prior": prior, "parallel": parallel}), "")
 

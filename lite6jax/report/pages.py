@@ -70,7 +70,7 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
     torques, order = is_of_torques(document), ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
-    for rank, finding in enumerate(statements.findings_of(document), 1):
+    for finding in statements.findings_of(document):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
         if torques:
             what = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
@@ -78,7 +78,7 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
             name = "effect" if finding["effect"] == "unnamed" else finding["effect"].replace("_", " ")
             what = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
         caption = f"{what} beside the partial residuals: those of the whole model without it."
-        drawn[f"finding{rank}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
+        drawn[f"finding{finding['rank']}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
     return drawn
 
 
@@ -189,11 +189,11 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
     torques, findings, lines = is_of_torques(document), statements.findings_of(document), []
-    for rank, finding in enumerate(findings[:_MOST], 1):
+    for finding in findings[:_MOST]:
         numbers = finding.get("peak_to_peak", finding["parameters"])
         said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        said.append(f"moves {ranking.contribution(document, finding)} RMS")
-        lines.append(f"{rank}. {finding['title']}: {'; '.join(said)}")
+        said.append(f"moves {finding['contribution']} RMS")
+        lines.append(f"{finding['rank']}. {finding['title']}: {'; '.join(said)}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")
     return lines or ["None."]

@@ -68,7 +68,8 @@ def sections_of(
     pictures = pictures or {}
     drawn = lambda *names: [("picture", pictures[name]) for name in names if name in pictures]  # noqa: E731
     ranked, actions = statements.findings_of(document), ranking.actions(document)
-    bars = [(finding["title"], bar) for bar, finding in zip(ranking.bars(document), ranked, strict=True)]
+    unit = ranking.unit_of(document)
+    bars = [(each["title"], each["share"], each["contribution"].removesuffix(f" {unit}")) for each in ranked]
     verdict = (statements.verdict_statement(document), *statements.cautions(document))
     to_do = [f"{row_ranges(ranks)}. {said}" if len(ranked) > 1 else said for ranks, said in actions]
     commands = [] if files is None else ranking.steps(document, files)
@@ -81,10 +82,7 @@ def sections_of(
                 *_texts(*verdict, *statements.say_about(document, "setting")),
             ],
         ),
-        Section(
-            f"What each finding moves ({f'{ranking.unit_of(document)} RMS'.strip()})",
-            [("bars", (bars, anchor))] if bars else [],
-        ),
+        Section(f"What each finding moves ({f'{unit} RMS'.strip()})", [("bars", (bars, anchor))] if bars else []),
         Section(
             "Held-out errors before and after",
             [
@@ -150,14 +148,13 @@ def _findings(
     ranked: Sequence[Document], details: bool, pictures: Mapping[str, Picture], anchor: str
 ) -> Iterator[Block]:
     found = []
-    for rank, finding in enumerate(ranked, 1):
+    for finding in ranked:
         lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
         if finding["rivals"]:
             lines.append(f"Not distinguished from {', '.join(finding['rivals'])}.")
         if details and finding["rejected"]:
             lines.append(f"Nearest effects that were rejected: {', '.join(finding['rejected'])}.")
-        picture = pictures.get(f"finding{rank}")
-        found.append({"rank": rank, "title": finding["title"], "lines": lines, "picture": picture})
+        found.append({**finding, "lines": lines, "picture": pictures.get(f"finding{finding['rank']}")})
     if found:
         yield "findings", (found, anchor)
     elif details:
@@ -219,8 +216,8 @@ def _bars(shown: Any) -> Iterator[RenderableType]:
     table.add_column(max_width=44)
     table.add_column(min_width=_NARROW)
     table.add_column(justify="right", no_wrap=True)
-    for rank, (title, bar) in enumerate(bars[:_MOST], 1):
-        table.add_row(f"{rank}.", title, _TextBar(bar.share), bar.size)
+    for rank, (title, share, size) in enumerate(bars[:_MOST], 1):
+        table.add_row(f"{rank}.", title, _TextBar(share), size)
     yield table
     if len(bars) > _MOST:
         yield f"and {len(bars) - _MOST} more, which move less"

@@ -179,20 +179,25 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
 def findings_of(document: Document) -> list[dict[str, Any]]:
     """The findings, the largest contribution first, each with its own fields and with what is said of it.
 
-    Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `rivals` and
-    `rejected` (effects that are not, and are, distinguished from it).
+    Added are `rank` (from 1), `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from
+    0), `contribution` (what it moves, with its unit), `share` (of the largest contribution), `rivals` and `rejected`
+    (effects that are not, and are, distinguished from it).
     """
-    findings = ranking.detailed(document)
+    findings, shares = ranking.detailed(document), ranking.shares(document)
+    largest = max(shares, default=0.0) or 1.0
     return [
         {
             **findings[k],
+            "rank": rank,
             "title": capital(effect_title(findings[k])),
             "statement": finding_statement(findings[k], findings),
             "place": k,
+            "contribution": ranking.contribution(document, findings[k]),
+            "share": shares[k] / largest,
             "rivals": rivals(findings[k]),
             "rejected": rivals(findings[k], rejected=True),
         }
-        for k in ranking.order(document)
+        for rank, k in enumerate(ranking.order(document), 1)
     ]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 import matplotlib as mpl
 import numpy as np
@@ -50,19 +50,6 @@ WINDOW_S = 0.2
 LEAST_LIMIT = 3.0
 """Times the noise, at which colours end at least."""
 WITH, WITHOUT = "with the findings", "without the findings"
-
-
-class Place(NamedTuple):
-    """A finding and where it is: its rank from 1, what it moves with its unit, and parts of the arm as drawn.
-
-    Parts are `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
-    """
-
-    number: int
-    title: str
-    statement: str
-    size: str
-    parts: tuple[str, ...]
 
 
 @final
@@ -142,7 +129,8 @@ class Scene:
         arm: its chain, as identified.
         headline: the cause and its worth.
         remarks: what qualifies the picture, a sentence each.
-        findings: ranked.
+        findings: as `statements.findings_of` gives them, with `parts` of the arm as drawn: `joint2`, `link0` (the base)
+            … or `tool`; none of what is not on the arm.
         capsules: of the links, in their frames; link 0 is the base.
         frames: `T_base_link` `(sample, link, 4, 4)`, of the base and after each joint.
         row: `(sample,)`, in the recording's file, from 1.
@@ -156,7 +144,7 @@ class Scene:
     arm: Arm
     headline: str
     remarks: tuple[str, ...]
-    findings: tuple[Place, ...]
+    findings: tuple[Document, ...]
     capsules: tuple[Capsule, ...]
     frames: Array
     row: NDArray[np.integer]
@@ -184,8 +172,8 @@ class Scene:
 
     def marked(self) -> dict[str, list[int]]:
         """Part of the arm to the numbers of the findings there."""
-        parts = dict.fromkeys(part for place in self.findings for part in place.parts)
-        return {part: [place.number for place in self.findings if part in place.parts] for part in parts}
+        parts = dict.fromkeys(part for finding in self.findings for part in finding["parts"])
+        return {part: [each["rank"] for each in self.findings if part in each["parts"]] for part in parts}
 
 
 def shades(share: Array) -> NDArray[np.uint8]:
@@ -255,10 +243,7 @@ def _scene(
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
     links = [capsule.link for capsule in capsules]
-    findings = [
-        Place(rank, each["title"], each["statement"], ranking.contribution(document, each), _parts(each["site"], links))
-        for rank, each in enumerate(statements.findings_of(document), 1)
-    ]
+    findings = [{**each, "parts": _parts(each["site"], links)} for each in statements.findings_of(document)]
     remarks = (*remarks, *([f"{said}: {', '.join(faults)}."] if faults else []))
     said = ranking.headline(document)
     return Scene(
@@ -509,9 +494,9 @@ def _finding_list(scene: Scene) -> str:
         return _paragraphs(["None."])
     dot = f'<span style="color: {FOUND}">&#9632;</span>'
     entries = []
-    for place in scene.findings:
-        title, size, statement = map(html.escape, (place.title, place.size, place.statement))
-        where = f"{dot} {', '.join(place.parts)}." if place.parts else "Not on the arm."
+    for finding in scene.findings:
+        title, size, statement = (html.escape(finding[key]) for key in ("title", "contribution", "statement"))
+        where = f"{dot} {', '.join(finding['parts'])}." if finding["parts"] else "Not on the arm."
         entries.append(f"<li>{title}: <b>{size}</b>. {where} {statement}</li>")
     return f'<ol style="{_STYLE}; padding-left: 1.4em">{"".join(entries)}</ol>'
 
