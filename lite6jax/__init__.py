@@ -130,12 +130,7 @@ _NAMES = {
 """The public names of each module."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
-results.registering |= {
-    "describe": "lite6jax.report.summaries",
-    "draw": "lite6jax.report.kinds",
-    "tabulate": "lite6jax.report.kinds",
-    "write": "lite6jax.report.kinds",
-}
+results.reporting = "lite6jax.report.results"
 
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)

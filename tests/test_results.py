@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from report import diagnosed, torque_diagnosed
 
 import lite6jax
-from lite6jax import InputError, results
+from lite6jax import InputError
 from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.fleet import compare
 from lite6jax.design.poses import plan_discrimination
-from lite6jax.report import kinds, summaries  # noqa: F401 (they register)
+from lite6jax.report import results
 from lite6jax.results import Figures, PublicResult
 
 LITE6 = lite6jax.read_arm("lite6")

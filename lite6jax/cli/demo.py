@@ -84,7 +84,7 @@ class Demo:
         _, found = asked.search()
         document = asked.document(found)
         asked.write(found, document)
-        main = [one for one in sections.sections_of(sections.Report(document)) if one.title in ("", _RANKING)]
+        main = [one for one in sections.sections_of(document) if one.title in ("", _RANKING)]
         _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
         screen.show(sections.show_sections(main))
         screen.show(

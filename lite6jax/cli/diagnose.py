@@ -35,11 +35,11 @@ with import_lazily():
     from lite6jax.fleet import diagnoses, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
-        compensation,
         diagnosis_figures,
         documents,
         figures,
-        fleets,
+        fits,
+        listings,
         pages,
         ranking,
         screen,
@@ -229,8 +229,8 @@ class Diagnose:
         if self.fleet:
             return self._diagnose_fleet(self.out)
         table = self._diagnose_each(self.out)
-        rows = fleets.read_diagnoses(table)
-        report = fleets.diagnoses_report(rows)
+        rows = listings.read_diagnoses(table)
+        report = listings.diagnoses_report(rows)
         return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [table])
 
     def _diagnose_each(self, out: Path) -> Path:
@@ -264,7 +264,7 @@ class Diagnose:
         if self.json:
             print(diagnosis_file.document_text(document))
         else:
-            screen.show(fleets.population_report(document))
+            screen.show(listings.population_report(document))
             screen.written([out / diagnoses.TABLE, path])
         return command.DONE
 
@@ -336,14 +336,14 @@ class Report:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
         document, written = diagnosis_file.parse_document(self.diagnosis), []
-        of_fleet = fleets.is_of_fleet(document)
+        of_fleet = listings.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         if not of_fleet:
             diagnosis_file.check_document(document, self.diagnosis)
         with command.refuse_damage(self.diagnosis):
             if of_fleet:
-                page = list(fleets.population_report(document))
+                page = list(listings.population_report(document))
             else:
                 said, recording = statements.with_statements(document), command.find_recording(document, self.diagnosis)
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
@@ -466,15 +466,15 @@ class Predict:
         if model.reference is not None:
             screen.show([statements.model_statement(*model.reference)])
         if registered is not None:
-            screen.show(compensation.registration_report(registered))
+            screen.show(fits.registration_report(registered))
         screen.show(screen.notes(recording.notes))
         if empty := int(found.empty.sum()):
             why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"
             print(f"{empty} rows are empty: there, {why} of the motion.")
         if found.outside is None:
-            print(f"{self.diagnosis}: {compensation.NO_BARS}", file=sys.stderr)
+            print(f"{self.diagnosis}: {fits.NO_BARS}", file=sys.stderr)
         else:
-            print(compensation.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
+            print(fits.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
         for line in said:
             print(line)
         screen.written([path])
@@ -556,7 +556,7 @@ class Compensate:
             )
         targets = compensate.read_pose_targets(self.targets, model, command.parse_pairs("--column", self.column))
         found = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
-        table = compensation.compensation_columns(found)
+        table = fits.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
@@ -565,9 +565,9 @@ class Compensate:
             written = [
                 write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
             ]
-        if beyond := compensation.outside_warning(found, model):
+        if beyond := fits.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
-        page = compensation.compensation_report(found, model, str(self.targets), self.frame)
+        page = fits.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)

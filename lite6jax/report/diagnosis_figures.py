@@ -1,6 +1,6 @@
 """Figures of a diagnosis: errors, explained shares, orders, friction, spectra, and curves of findings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,17 +38,12 @@ from lite6jax.report.figures import (
     titled,
 )
 from lite6jax.report.remedies import effect_name, spaced
-from lite6jax.report.words import joint_units, torque_units
+from lite6jax.report.words import SCREEN, joint_units, torque_units
 
 Array = NDArray[np.floating]
 
 PREFIX = "torque_"
 """Of the names of the figures of torques, beside those of poses."""
-_NAMES: dict[Domain, tuple[str, ...]] = {
-    "poses": ("error_by_joint", "where", "orders", "findings"),
-    "torques": ("error_by_joint", "over_time", "friction", "spectra", "findings"),
-}
-
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {
     "direction of motion": "direction\nof motion",
@@ -68,8 +63,8 @@ _LOWEST = 1e-4
 
 def figure_names(domains: Sequence[Domain]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
-    beside = [PREFIX + name for domain in domains[1:] for name in _NAMES[domain]]
-    return [*_NAMES[domains[0]], *beside]
+    first, *others = ([*_DRAWN[domain], "findings"] for domain in domains)
+    return [*first, *(PREFIX + name for names in others for name in names)]
 
 
 def drawings(
@@ -79,19 +74,11 @@ def drawings(
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
-    order = None if document is None else ranking.order(document)
-    if isinstance(found, TorqueDiagnosis):
-        yield "error_by_joint", torque_error_by_joint(found, title)
-        yield "over_time", over_time(found, title)
-        yield "friction", friction(found, title)
-        if found.problem.data.recording.motion != "static":
-            yield "spectra", spectra(found, title)
-    elif isinstance(found, Diagnosis):
-        yield "error_by_joint", error_by_joint(found, title)
-        yield "where", explained_map(found, title)
-        yield "orders", order_spectrum(found, title)
+    for name, draw in _DRAWN[found.domain].items():
+        if name != "spectra" or found.recording.motion != "static":
+            yield name, draw(found, title)
     if found.findings:
-        yield "findings", finding_figure(found, title, order=order)
+        yield "findings", finding_figure(found, title, order=None if document is None else ranking.order(document))
     for torques in found.parts[1:]:
         own = None if document is None else document["torques"]
         yield from ((PREFIX + name, figure) for name, figure in drawings(torques, title, own))
@@ -280,10 +267,7 @@ def spectra(found: TorqueDiagnosis, title: str) -> Figure:
     of_velocity, of_torque = ("(rad/s or m/s)²/Hz", "Nm²/Hz or N²/Hz") if slides else ("(rad/s)²/Hz", "Nm²/Hz")
     frequency, velocity = filtering.spectra(data.recording.velocities().T, data.recorded)
     torque = filtering.spectra(data.torque, data.recorded)[1]
-    parts = (
-        ("velocity", of_velocity, velocity, data.motion_cutoff),
-        ("torque", of_torque, torque, data.filter.cutoff),
-    )
+    parts = ("velocity", of_velocity, velocity, data.motion_cutoff), ("torque", of_torque, torque, data.filter.cutoff)
     figure, panels = panels_in_rows(len(parts), wide=True)
     for panel, (name, unit, power, cutoff) in zip(panels, parts, strict=True):
         for joint, row in enumerate(power, 1):
@@ -299,8 +283,7 @@ def spectra(found: TorqueDiagnosis, title: str) -> Figure:
 
 def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
     """Of each joint what its motor exerts, and the unit."""
-    units = torque_units(found.problem.data.arm.sliding, found.problem.rows)
-    return [("force" if unit == "N" else "torque", unit) for unit in units]
+    return [(_EXERTED[unit], unit) for unit in torque_units(found.problem.data.arm.sliding, found.problem.rows)]
 
 
 # ------------------------------------------------------------------ of findings
@@ -308,12 +291,8 @@ def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
 
 _SAMPLES_PER_BIN = 12
 _BINS_PER_WAVE = 4
-_DRIVERS = {
-    "rad": (180 / np.pi, "deg"),
-    "rad/s": (180 / np.pi, "deg/s"),
-    "1": (1.0, ""),
-    "m": (1e3, "mm"),
-    "m/s": (1e3, "mm/s"),
+_DRIVERS = {"1": (1.0, "")} | {
+    f"{unit}{per}": (scale, f"{shown}{per}") for unit, (scale, shown) in SCREEN.items() for per in ("", "/s")
 }
 """Factor and unit in which drivers are read."""
 _DEFLECTIONS = {
@@ -347,8 +326,7 @@ def finding_figure(
     order = range(len(found.findings)) if order is None else order
     places = order if chosen is None else chosen
     curves = [curve for k in places for curve in partial_residuals.finding_curves(found, k)]
-    figure, panels = panels_in_rows(len(curves), wide=True)
-    binned = False
+    (figure, panels), binned = panels_in_rows(len(curves), wide=True), False
     for panel, curve in zip(panels, curves, strict=True):
         effect = found.findings[curve.finding].effect
         binned |= _draw(panel, curve, isinstance(effect, Unnamed))
@@ -434,3 +412,15 @@ def _up(curve: FindingCurve, unnamed: bool) -> tuple[float, str]:
 def _at_motor(curve: FindingCurve) -> str:
     assert curve.site is not None
     return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
+
+
+_DRAWN: Mapping[Domain, Mapping[str, Callable[[Any, str], Figure]]] = {
+    "poses": {"error_by_joint": error_by_joint, "where": explained_map, "orders": order_spectrum},
+    "torques": {
+        "error_by_joint": torque_error_by_joint,
+        "over_time": over_time,
+        "friction": friction,
+        "spectra": spectra,
+    },
+}
+"""By the name of a figure, how it is drawn, beside that of the findings; a recording at rest has no spectra."""

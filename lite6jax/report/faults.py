@@ -11,13 +11,11 @@ import numpy as np
 from jinja2 import pass_context
 from jinja2.runtime import Context
 from rich.console import RenderableType
-from rich.text import Text
 
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report.screen import indented
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import capital, joined, milli, rows_named
+from lite6jax.report.screen import indented, unbroken
+from lite6jax.report.words import capital, fill, joined, milli, read_texts, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
@@ -65,7 +63,7 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
 
 def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause of an error, with a mark before those to be removed first."""
-    yield Text(str(path), no_wrap=True, overflow="ignore")
+    yield unbroken(str(path))
     causes = found if isinstance(found, Sequence) else found.causes
     if not isinstance(found, Sequence):
         yield from (_line(True, "Note", note) for note in found.notes)

@@ -1,16 +1,23 @@
 """The style of figures and their writing without a display; figures of fits, comparisons, studies and designs."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
 
+from lite6jax import storage
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
 from lite6jax.controller.sdk import GATE_M, Verification
+from lite6jax.errors import InputError
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report.words import SCREEN, joint_units
 
@@ -18,19 +25,6 @@ if TYPE_CHECKING:  # what studies take, and fits do not
     from lite6jax.design.identify import Identification, Sensitivity
     from lite6jax.design.poses import DiscriminationPlan, Plan
     from lite6jax.design.torques import TorquePlan
-
-from collections.abc import Mapping, Sequence
-from functools import partial
-from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.ticker import MultipleLocator
-from numpy.typing import NDArray
-
-from lite6jax import storage
-from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
@@ -76,9 +70,8 @@ def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = Fals
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: this folder cannot be created ({error.strerror}); choose another") from error
-    for name in names:
-        for suffix in SUFFIXES:
-            storage.check_writable(folder / f"{name}{suffix}", overwrite)
+    for file in (f"{name}{suffix}" for name in names for suffix in SUFFIXES):
+        storage.check_writable(folder / file, overwrite)
 
 
 def save(figures: Mapping[str, Figure], folder: str | Path, overwrite: bool = False) -> list[Path]:
@@ -113,12 +106,6 @@ def degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
     return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
 
 
-def label_joint(panel: Axes, joint: int, unit: str) -> None:
-    """Names the horizontal axis after a joint counted from 0, in deg with round angles or in mm."""
-    panel.set_xlabel(f"joint {joint + 1} ({unit})")
-    panel.xaxis.set_major_locator(degree_ticks(panel) if unit == "deg" else MaxNLocator(5))
-
-
 # ------------------------------------------------------------------ panels
 
 
@@ -149,6 +136,14 @@ def label_first_column(panel: Axes, label: str) -> None:
     """Labels the vertical axis of the first column, whose scale the others share."""
     if panel.get_subplotspec().is_first_col():  # type: ignore[union-attr]
         panel.set_ylabel(label)
+
+
+def label_joints(panels: Sequence[Axes], units: Sequence[str], label: str) -> None:
+    """Names the axes of panels of one joint each, in deg with round angles or in mm, after these are drawn."""
+    for joint, (panel, unit) in enumerate(zip(panels, units, strict=True), 1):
+        panel.set_xlabel(f"joint {joint} ({unit})")
+        panel.xaxis.set_major_locator(degree_ticks(panel) if unit == "deg" else MaxNLocator(5))
+        label_first_column(panel, label)
 
 
 def legend_below(figure: Figure, panel: Axes, columns: int) -> None:
@@ -209,8 +204,7 @@ def errors_over_joints(
             at, middle, _ = medians(scales[joint] * q[:, joint], 1e3 * errors, share=share)
             panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
             line |= bool(np.isfinite(middle).any())
-        label_joint(panel, joint, units[joint])
-        label_first_column(panel, "position error (mm)")
+    label_joints(panels, units, "position error (mm)")
     tops = [1e3 * float(np.percentile(errors, 99.5)) for _, errors, _ in stages if len(errors)]
     panels[0].set_ylim(0, 1.1 * max(tops, default=1.0) or 1.0)
     for (_, _, label), colour, _ in styles:
@@ -219,11 +213,11 @@ def errors_over_joints(
     return titled(figure, title)
 
 
+# ------------------------------------------------------------------ fits and comparisons
+
+
 _MOST_NAMED = 12
 _MOST_CURVES = 5
-
-
-# ------------------------------------------------------------------ fits and comparisons
 
 
 def error_by_joint(solution: Solution, title: str) -> Figure:
@@ -248,7 +242,7 @@ def parameter_differences(comparison: Comparison) -> Figure:
         values = scale * comparison.difference[:, chosen]
         for k in range(count):
             spread = 0.5 * ((k + 0.5) / count - 0.5)
-            name, colour, marker = None, "#0072B2", "o"
+            name, colour, marker = None, AFTER, "o"
             if count <= len(OKABE_ITO):
                 name, colour, marker = _short(comparison.names[k], k), OKABE_ITO[k], MARKERS[k]
             panel.plot(
@@ -259,10 +253,9 @@ def parameter_differences(comparison: Comparison) -> Figure:
         panel.set_xticks(np.arange(len(chosen)), [form.names[i] for i in chosen], rotation=45, ha="right")
         panel.set_ylabel(f"difference ({shown})")
         panel.set_xlim(-0.6, len(chosen) - 0.4)
-    figure.suptitle(f"{count} × {comparison.arm.name}: parameters minus nominal", fontsize=15)
     if figure.axes[0].get_legend_handles_labels()[0]:
         legend_below(figure, figure.axes[0], 2)
-    return figure
+    return titled(figure, f"{count} × {comparison.arm.name}: parameters minus nominal")
 
 
 @rc_context(FRAMED)
@@ -272,12 +265,11 @@ def distance_between(comparison: Comparison) -> Figure:
     table = np.zeros((count + 1, count + 1))
     table[1:, 1:] = 1e3 * comparison.between
     table[0, 1:] = table[1:, 0] = 1e3 * comparison.from_nominal.max(1)
-    named = count <= _MOST_NAMED
     labels = ["nominal", *(_short(name, k) for k, name in enumerate(comparison.names))]
     figure = blank(9.5, 6.5)
     panel = figure.subplots()
     image = panel.imshow(table, cmap="cividis", vmin=0)
-    if named:
+    if count <= _MOST_NAMED:
         for i, j in np.ndindex(table.shape):
             light = table[i, j] > 0.6 * table.max()
             if i != j:
@@ -297,17 +289,15 @@ def _short(name: str, k: int) -> str:
 @rc_context(STYLE)
 def verification_figure(verification: Verification, title: str) -> Figure:
     """The position difference from the controller against each joint, in nm, µm or mm."""
-    q, position = verification.joint_position, verification.position
-    joints = q.shape[1]
+    q, position = np.rad2deg(verification.joint_position), verification.position
     most = float(position.max())
     scale, unit = (1e9, "nm") if most < 1e-6 else (1e6, "µm") if most < 1e-3 else (1e3, "mm")
-    figure, panels = panels_in_rows(joints, shared=True)
+    figure, panels = panels_in_rows(q.shape[1], shared=True)
     for joint, panel in enumerate(panels):
-        dots(panel, np.rad2deg(q[:, joint]), scale * position, AFTER)
+        dots(panel, q[:, joint], scale * position, AFTER)
         if 2 * most > GATE_M:
             panel.axhline(scale * GATE_M, color="black", linewidth=1.5)
-        label_joint(panel, joint, "deg")
-        label_first_column(panel, f"difference ({unit})")
+    label_joints(panels, ["deg"] * len(panels), f"difference ({unit})")
     panels[0].set_ylim(0, 1.08 * scale * most or 1.0)
     return titled(figure, f"{title}: controller's forward kinematics against the calibration")
 
@@ -321,10 +311,8 @@ def deviations(found: "Identification", title: str) -> Figure:
     d = found.determination
     effect = np.array([":" in name for name in d.names])
     units = np.array(d.units)
-    groups = [
-        (f"std. deviation ({shown})", scale, (units == unit) & ~effect) for unit, (scale, shown) in SCREEN.items()
-    ]
-    groups = [group for group in (*groups, ("std. deviation\n(of typical size)", 1.0, effect)) if group[2].any()]
+    groups = [(f" ({shown})", scale, (units == unit) & ~effect) for unit, (scale, shown) in SCREEN.items()]
+    groups = [group for group in (*groups, ("\n(of typical size)", 1.0, effect)) if group[2].any()]
     figure = blank(12.0, 3.6 * len(groups) + 0.8)
     panels = figure.subplots(len(groups), 1, squeeze=False).ravel()
     for panel, (label, scale, chosen) in zip(panels, groups, strict=True):
@@ -342,15 +330,13 @@ def deviations(found: "Identification", title: str) -> Figure:
         names = [d.names[i].replace(":", "\n", 1).split(":")[0] for i in np.flatnonzero(chosen)]
         panel.set_xticks(at, names, rotation=45, ha="right")
         panel.set_xlim(-0.7, len(at) - 0.3)
-        panel.set_ylabel(label)
+        panel.set_ylabel(f"std. deviation{label}")
         panel.grid(axis="x", visible=False)
-    handles = [
-        Line2D([], [], color=AFTER, linewidth=8, label="predicted"),
-        Line2D([], [], color="black", linestyle="--", label="tolerance of assembly"),
-    ]
+    panels[0].plot([], [], color=AFTER, linewidth=8, label="predicted")
+    panels[0].plot([], [], color="black", linestyle="--", label="tolerance of assembly")
     if not d.free.all():
-        handles.append(Line2D([], [], color=BEFORE, marker="X", linestyle="", markersize=9, label="held"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        panels[0].plot([], [], "X", color=BEFORE, markersize=9, label="held")
+    legend_below(figure, panels[0], 3)
     return titled(figure, f"{title}: how well {d.samples} poses determine each parameter")
 
 
@@ -359,10 +345,9 @@ def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
     """Accuracy, or distance between two models, against the number of poses: designed and drawn at random."""
     from lite6jax.design.poses import Plan
 
-    planned = isinstance(found, Plan)
-    figure = blank(9.0, 5.4)
+    figure, what = blank(9.0, 5.4), f"{found.count} poses"
     panel = figure.subplots()
-    if planned:
+    if isinstance(found, Plan):
         shown = slice(0, min(2 * found.count, found.random_accuracy.shape[1]))
         random = 1e3 * found.random_accuracy[:, shown]
         low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
@@ -383,6 +368,7 @@ def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
             markersize=8, label="random, median and 90 %",
         )  # fmt: skip
         label = "distance between the models\n(standard deviations)"
+        what += f" to discriminate between {found.rivals[0]} and {found.rivals[1]}"
     count = np.arange(1, found.count + 1)
     determined = np.isfinite(designed)
     panel.plot(count[determined], designed[determined], "-", color=AFTER, linewidth=2.5)
@@ -391,9 +377,6 @@ def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
     panel.set(xlabel="poses", ylabel=label)
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(frameon=False)
-    what = f"{found.count} poses"
-    if not planned:
-        what += f" to discriminate between {found.rivals[0]} and {found.rivals[1]}"
     return titled(figure, f"{title}: {what}")
 
 
@@ -401,19 +384,17 @@ def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
 def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
     """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
     middles, means = found.by_joint()
-    joints = len(middles)
-    scales, units = joint_units(found.sliding, joints)
+    scales, units = joint_units(found.sliding, len(middles))
     # those whose share depends on where the arm is: what moves the flange alike everywhere is a straight line
     order = np.argsort(-np.nanmax(means, (0, 1)), kind="stable")[:_MOST_CURVES]
-    figure, panels = panels_in_rows(joints, shared=True)
+    figure, panels = panels_in_rows(len(middles), shared=True)
     for j, panel in enumerate(panels):
         for k, (i, colour, marker) in enumerate(zip(order, OKABE_ITO, MARKERS, strict=False)):
             panel.plot(
                 scales[j] * middles[j], 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
                 markevery=(k, 6), markersize=6, label=found.names[i],
             )  # fmt: skip
-        label_joint(panel, j, units[j])
-        label_first_column(panel, "flange moves (mm)\nper tolerance")
+    label_joints(panels, units, "flange moves (mm)\nper tolerance")
     panels[0].set_ylim(bottom=0)
     legend_below(figure, panels[0], _MOST_CURVES)
     return titled(figure, f"{title}: which parameters move the flange, and where")
@@ -434,8 +415,7 @@ def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
     right.text(100 / len(found.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom")
     right.set_yticks(np.arange(len(order)), [found.names[i] for i in order])
     right.set(xlabel="share of the mean squared error (%)")
-    for side in ("top", "right"):
-        right.spines[side].set_visible(False)
+    right.spines[["top", "right"]].set_visible(False)
     return titled(figure, f"{title}: where the error of assembly is largest, and its sources")
 
 

@@ -1,10 +1,13 @@
-"""What a terminal shows of a fit and of a comparison of arms: in mm and degrees, for 60 columns."""
+"""What a terminal shows of fits, comparisons, predictions and connected arms: in mm and degrees, for 60 columns."""
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
@@ -15,16 +18,34 @@ from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
 from lite6jax.calibration.quality import ABOVE_NOISE
 from lite6jax.calibration.solution import Result, Solution
+from lite6jax.calibration.start import calibration_poses, check_positions
+from lite6jax.controller.recorder import LiveRecording
+from lite6jax.controller.rows import Rows
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.controller.station import CalibrationRead
+from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
+from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
+from lite6jax.domains.pose.registration import Registration
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.statements import quality_statement
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing, number, plus_minus, row_ranges
-
-Array = NDArray[np.floating]
+from lite6jax.report.words import (
+    SCREEN,
+    SHOWS_AS_ZERO,
+    STATISTICS,
+    fill,
+    fixed,
+    joint_units,
+    listing,
+    number,
+    plus_minus,
+    read_texts,
+    row_ranges,
+    say,
+)
 
 _TEXTS = read_texts("screens.yaml")
 _MOST_PAIRS = 8
@@ -33,32 +54,21 @@ _MOST_PAIRS = 8
 
 def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType]:
     """The calibration file and its arm."""
-    arm = calibration.arm
-    yield Text(f"{calibration.source}", no_wrap=True, overflow="ignore")
-    yield Text(f"Factory calibration of {arm.dof} joints, of a {arm.name}.")
-
-
-_READINGS = {
-    "contact": "touches of points",
-    "plane": "touches of planes",
-    "distance": "distances",
-    "axis": "heights along an axis",
-}
+    yield screen.unbroken(calibration.source)
+    yield f"Factory calibration of {calibration.arm.dof} joints, of a {calibration.arm.name}."
 
 
 def what_is_measured(recording: Recording) -> str:
     """In words: positions, poses or touches."""
     if recording.touches is not None:
-        return _READINGS[recording.touches.kind]
-    if recording.readings is not None:
-        return "images of a board, as positions and orientations"
-    return {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
+        return _TEXTS["kinds"][recording.touches.kind]
+    return _TEXTS["kinds"]["board" if recording.readings is not None else recording.numbers_per_sample]
 
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
     """The recording, and which parameters the fit estimates according to its sidecar."""
     settings, chain = recording.settings, solution.form.chain
-    yield Text(recording.source, no_wrap=True, overflow="ignore")
+    near = recording.touches is not None and settings.factory_calibration is None
     facts = {
         "recording": recording,
         "arm": solution.arm.name,
@@ -66,58 +76,50 @@ def recording_read(recording: Recording, solution: Solution) -> Iterator[Rendera
         "by": settings.pose_source,
         "form": solution.form,
         "tool": settings.tool,
-        "touched": TOUCHED_TOLERANCE
-        if recording.touches is not None and settings.factory_calibration is None
-        else None,
+        "touched": TOUCHED_TOLERANCE if near else None,
         "nominal": isinstance(chain, HayatiForm),
         "moved": bool(solution.free[: chain.size].any()),
     }
-    yield Text(fill(_TEXTS["recording_read"], facts))
-    yield Text(fill(_TEXTS["geometry"], facts))
+    yield screen.unbroken(recording.source)
+    yield from say((_TEXTS["recording_read"], _TEXTS["geometry"]), facts)
     yield from screen.notes(_notes_of_data(solution))
 
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
     """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
+    chain, recorded = solution.form.chain, recording is not None
+    facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
+    yield from ("", fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked))
+    yield from filter(None, [quality_statement(solution.quality.to_dict())])
     yield ""
-    yield Text(_result_line(solution, recording is not None))
-    bad = quality_statement(solution.quality.to_dict())
-    if bad is not None:
-        yield Text(bad)
-    yield ""
-    chain = solution.form.chain
     checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
     start = "factory calibration" if recording and recording.settings.factory_calibration else "nominal arm"
     rows = [(start, solution.nominal_errors), (checked, solution.checked)]
     if recording is not None:
         rows.insert(1, ("fitted rows", solution.errors))
-    yield Text(f"Error at the {'flange' if recording is None else 'measured point'}")
+    yield f"Error at the {'flange' if recording is None else 'measured point'}"
     cells = []
     for name, errors in rows:
-        for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
+        for values, (scale, shown) in zip((errors.position, errors.orientation), SCREEN.values(), strict=True):
             if values is not None:
-                scale, shown = SCREEN[unit]
                 numbers = (number(scale * float(statistic(values))) for _, statistic in STATISTICS)
-                cells.append((name if unit == "m" else "", shown, *numbers))
+                cells.append((name if values is errors.position else "", shown, *numbers))
     yield listing("", "", *(name for name, _ in STATISTICS), rows=cells, left=[1])
     yield ""
     if isinstance(chain, HayatiForm):
         yield from _hayati_tables(solution, chain)
     elif solution.free[: chain.size].any():
-        deviation = solution.standard_deviation
-        assert deviation is not None
-        shown = zip(chain.names, chain.units, solution.parameters, deviation, strict=False)
-        texts = {
-            name: f"{fixed(SCREEN[unit][0] * value, 3)}\n±{plus_minus(SCREEN[unit][0] * std)}"
-            for name, unit, value, std in shown
-        }
-        yield Text("Six-parameter chain (mm, deg); below each number its standard deviation")
+        std = solution.standard_deviation
+        assert std is not None
+        parameters = zip(chain.names, chain.units, solution.parameters, std, strict=False)
+        texts = {name: _cell(SCREEN[unit][0], value, sigma) for name, unit, value, sigma in parameters}
+        yield "Six-parameter chain (mm, deg); below each number its standard deviation"
         yield from parameter_tables(chain, lambda name, _: texts[name])
         yield ""
     if recording is not None:
         yield from _frame_tables(solution)
-        yield from _place_tables(solution)
-        yield from map(Text, _remarks(solution, recording))
+        yield from _place_tables(solution, recording)
+        yield from _remarks(solution, recording)
         yield from screen.notes(note for note in solution.notes if note not in _notes_of_data(solution))
 
 
@@ -126,9 +128,9 @@ def _notes_of_data(solution: Solution) -> tuple[str, ...]:
     return () if solution.recording is None else solution.recording.notes
 
 
-def _result_line(solution: Solution, recorded: bool) -> str:
-    facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
-    return fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked)
+def _cell(scale: float, value: float, std: float | None, otherwise: str = "held", digits: int = 3) -> str:
+    """A number, and below it its standard deviation, or what it has in place of one."""
+    return f"{fixed(scale * value, digits)}\n{otherwise if std is None else f'±{plus_minus(scale * std)}'}"
 
 
 def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, str], str]) -> Iterator[RenderableType]:
@@ -141,12 +143,10 @@ def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, 
         base = [name for name in SIX if f"base_{name}" in given]
         yield listing("base", *base, rows=[("", *(cell(f"base_{name}", name) for name in base))])
         yield ""
-        columns = [
-            name
-            for name in ("theta_off", "d", "a", "b", "alpha", "beta")
-            if any(f"{name}{i + 1}" in given for i in range(chain.dof))
-        ]
-        names = [[f"{name}{i + 1}" for name in columns] for i in range(chain.dof)]
+        joints = range(1, chain.dof + 1)
+        all_columns = ("theta_off", "d", "a", "b", "alpha", "beta")
+        columns = [name for name in all_columns if any(f"{name}{joint}" in given for joint in joints)]
+        names = [[f"{name}{joint}" for name in columns] for joint in joints]
     else:
         columns = list(SIX)
         names = [[f"joint{i + 1}_{name}" for name in columns] for i in range(chain.dof)]
@@ -175,26 +175,11 @@ def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableT
         return f"{value}\n{deviation if determined[i] or not free[i] else f'({deviation})'}"
 
     under = "its standard deviation" if measured else "its difference from nominal"
-    yield Text(f"Effective model (mm, deg); below each number {under}")
-    yield ""
+    yield from (f"Effective model (mm, deg); below each number {under}", "")
     yield from parameter_tables(form, cell)
-    if (free & ~determined).any():
-        length, angle = (f"{SCREEN[unit][0] * TOLERANCE[unit]:.2g}" for unit in ("m", "rad"))
-        yield Text(
-            "In brackets: these data do not determine the number. Its prior does, which is the nominal one "
-            f"± {length} mm or {angle} deg."
-        )
-    if form.sliding:
-        yield Text(
-            "P: a prismatic joint, whose axis is drawn through the origin of the frame before it; b is a shift along y "
-            "after a."
-        )
-    if parallel := [i for i in form.parallel if i >= 0]:
-        pairs = " and ".join(f"{i + 1}-{i + 2}" for i in parallel)
-        yield Text(
-            f"Joints {pairs} are nominally parallel: d is fixed at zero, beta (Hayati) is a turn about y after alpha."
-        )
-    yield ""
+    prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN] if (free & ~determined).any() else None
+    parallel = [f"{i + 1}-{i + 2}" for i in form.parallel if i >= 0]
+    yield from (*say(_TEXTS["hayati"], {"form": form, "prior": prior, "parallel": parallel}), "")
 
 
 def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
@@ -207,17 +192,14 @@ def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
         parts.append(("Tool on the flange", "tool", T_flange_tool))
     deviation, names = solution.standard_deviation, solution.form.names
     for title, prefix, T in parts:
-        yield Text(f"{title} (mm, deg); below each number its standard deviation")
-        table = listing(*SIX)
+        yield f"{title} (mm, deg); below each number its standard deviation"
+        table, cells = listing(*SIX), []
         table.columns[0].justify = "right"
-        cells = []
         for k, (value, axis) in enumerate(zip(frames.row_from_transform(T), TWIST_NAMES, strict=True)):
             i, (scale, _) = names.index(f"{prefix}_{axis}"), SCREEN["m" if k < 3 else "rad"]
-            held = "held" if deviation is None or not solution.free[i] else f"±{plus_minus(scale * deviation[i])}"
-            cells.append(f"{fixed(scale * value, 3)}\n{held}")
+            cells.append(_cell(scale, value, None if deviation is None or not solution.free[i] else deviation[i]))
         table.add_row(*cells)
-        yield table
-        yield ""
+        yield from (table, "")
 
 
 _PLACES = {
@@ -231,37 +213,28 @@ _PLACES = {
 """The columns of what is known of a place."""
 
 
-def _place_tables(solution: Solution) -> Iterator[RenderableType]:
+def _place_tables(solution: Solution, recording: Recording) -> Iterator[RenderableType]:
     """What touches determine of points, planes, anchors or axes, and what they leave open."""
     if not solution.places:
         return
     keys = list(solution.places[0].values)
-    yield Text("In the arm's base frame (mm; directions without unit); below each number its standard deviation")
+    yield "In the arm's base frame (mm; directions without unit); below each number its standard deviation"
     table = listing("", *(name for key in keys for name in _PLACES[key]))
     for place in solution.places:
         cells = []
         for key in keys:
-            scale = 1e3 if key.endswith("_m") else 1.0
+            scale, digits = (1e3, 3) if key.endswith("_m") else (1.0, 5)
             for value, std in zip(place.values[key], place.std[key], strict=True):
-                below = f"±{plus_minus(scale * std)}" if std > 0 else "given"
-                cells.append(f"{fixed(scale * value, 3 if scale > 1 else 5)}\n{below}")
+                cells.append(_cell(scale, value, std if std > 0 else None, "given", digits))
         table.add_row(place.name, *cells)
-    yield table
-    yield ""
-    yield from map(Text, gauge_statements(solution.recording, solution.form.frame))  # type: ignore[arg-type]
-    yield ""
-
-
-def gauge_statements(recording: Recording, frame: bool) -> Iterator[str]:
-    """What touches leave open, a sentence each; `frame`: whether their frame is another than the arm's base."""
     settings = recording.settings
     facts = {
-        "frame": frame,
+        "frame": solution.form.frame,
         "kind": recording.touches.kind,  # type: ignore[union-attr]
         "calibrated": settings.factory_calibration is not None,
         "distances": settings.contact_distances,
     }
-    yield from (said for text in _TEXTS["gauge"] if (said := fill(text, facts)))
+    yield from (table, "", *say(_TEXTS["gauge"], facts), "")
 
 
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
@@ -294,17 +267,12 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
     """A comparison of arms of one model; the differences of each are listed where they fit beside each other."""
     names, form = comparison.names, comparison.arm.form
     arms = len(names)
-    yield Text(
-        f"{arms} arms of the type {comparison.arm.name}; flange over {comparison.from_nominal.shape[1]} samples."
-    )
-    yield ""
-    yield Text("Distance from nominal (mm)")
+    yield from (fill(_TEXTS["comparison"]["arms"], {"c": comparison}), "", "Distance from nominal (mm)")
     table = listing("arm", *(name for name, _ in STATISTICS), "file", left=[5], wrapped=[5])
     for k in range(arms):
         cells = (f"{1e3 * float(statistic(comparison.from_nominal[k])):.3f}" for _, statistic in STATISTICS)
         table.add_row(str(k + 1), *cells, Text(names[k], overflow="fold"))
-    yield table
-    yield ""
+    yield from (table, "")
     shown = range(arms) if 32 + 9 * arms <= width else ()
     rows = []
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
@@ -313,38 +281,265 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         if largest >= SHOWS_AS_ZERO:
             own = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
             rows.append((name, named, *own, f"{spread:.4f}", f"{largest:.4f}"))
-    yield Text("Hayati parameters minus nominal")
+    yield "Hayati parameters minus nominal"
     yield listing("", "", *(str(k + 1) for k in shown), "std", "largest", rows=rows)
-    yield ""
     scale = np.array([SCREEN[unit][0] for unit in form.units])
     equal = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
-    if equal:
-        yield Text(f"Equal to nominal in every arm: {', '.join(equal)}.")
-    lengths = np.array([unit == "m" for unit in form.units])
-    spread = scale * comparison.spread
-    yield Text(
-        f"Spread between the arms: standard deviation {np.sqrt(np.mean(spread[lengths] ** 2)):.3f} mm and"
-        f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f} deg per parameter (RMS)."
-    )
-    yield from _pairwise_distances(comparison)
-
-
-def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
-    arms = len(comparison.names)
+    lengths, squares = np.array([unit == "m" for unit in form.units]), (scale * comparison.spread) ** 2
+    length, angle = (np.sqrt(np.mean(squares[chosen])) for chosen in (lengths, ~lengths))
+    yield from ("", *say(_TEXTS["comparison"]["spread"], {"equal": equal, "length": length, "angle": angle}))
     if arms <= _MOST_PAIRS:
         between = [
-            ["–" if i == j else f"{1e3 * d:.2f}" for j, d in enumerate(row)] for i, row in enumerate(comparison.between)
+            (str(i + 1), *("–" if i == j else f"{1e3 * d:.2f}" for j, d in enumerate(row)))
+            for i, row in enumerate(comparison.between)
         ]
-        numbers = [str(k + 1) for k in range(arms)]
+        yield from ("", "Largest distance between two arms' flanges (mm)")
+        yield listing("arm", *(str(k + 1) for k in range(arms)), rows=between)
+    else:
+        pairs = np.triu_indices(arms, 1)
+        distance = comparison.between[pairs]
+        ends = {"near": int(np.argmin(distance)), "far": int(np.argmax(distance))}
+        yield fill(_TEXTS["comparison"]["pairs"], {"distance": distance, "pairs": np.transpose(pairs) + 1, **ends})
+
+
+# ------------------------------------------------------------------ predictions and compensations
+
+
+_SAID = _TEXTS["compensation"]
+NO_BARS = (
+    "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
+    "diagnose` again"
+)
+_SHOWN = 0.05
+"""deg or mm, that a joint is beyond its recorded range at least to be named."""
+_ROWS_NAMED = 8
+
+
+def compensation_columns(found: Compensation) -> dict[str, NDArray]:
+    """Column name to values: a motion for `predict`, and for each target whether it is reached, its error and why."""
+    columns: dict[str, NDArray] = dict(found.recording.columns())
+    columns["ok"] = found.reached.astype(int)
+    columns["position_error_mm"] = 1e3 * found.position_error
+    if found.orientation_error is not None:
+        columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
+    columns |= deviation_columns(found)
+    sliding = found.recording.sliding
+    columns["reason"] = np.array([reason_text(reason, sliding) for reason in found.reason], object)
+    return columns
+
+
+def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
+    """A phrase; empty where there is nothing to report."""
+    if reason is None:
+        return ""
+    scales, units = joint_units(sliding, max(reason.joints, default=0))
+    pairs = zip(reason.joints, reason.angles, strict=True)
+    return fill(
+        _SAID["reasons"][reason.code],
+        {"shown": [(j, scales[j - 1] * at, units[j - 1]) for j, at in pairs]},
+    )
+
+
+def compensation_report(
+    found: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
+) -> Iterator[RenderableType]:
+    """What a terminal shows of a compensation: which targets are reached, why others are not, and how accurately."""
+    hit = int(found.reached.sum())
+    facts = {"found": found, "model": model, "frame": frame, "hit": hit, "missed": len(found.reached) - hit}
+    yield screen.unbroken(source)
+    yield from (fill(_SAID["targets"], facts), "", fill(_SAID["reached"], facts))
+    texts = np.array([reason_text(reason, model.sliding) for reason in found.reason], object)
+    yield from _groups(found, texts, ~found.reached)
+    if texts[found.reached].any():
+        yield "Reached, but to be noted:"
+        yield from _groups(found, texts, found.reached)
+    if found.correction is not None and hit:
+        scales, units = joint_units(model.sliding, model.dof)
+        moved, named = scales * np.abs(found.correction[found.reached]), ", ".join(dict.fromkeys(units))
+        rows = ((name, *map(fixed, of(moved, axis=0))) for name, of in (("median", np.median), ("max", np.max)))
         yield ""
-        yield Text("Largest distance between two arms' flanges (mm)")
-        yield listing("arm", *numbers, rows=((name, *row) for name, row in zip(numbers, between, strict=True)))
-        return
-    pairs = np.triu_indices(arms, 1)
-    distance = comparison.between[pairs]
-    near, far = int(np.argmin(distance)), int(np.argmax(distance))
-    yield Text(
-        f"Between two arms: {1e3 * distance[near]:.3f} mm at most for the nearest pair"
-        f" ({pairs[0][near] + 1} and {pairs[1][near] + 1}), {1e3 * distance[far]:.3f} mm for the furthest"
-        f" ({pairs[0][far] + 1} and {pairs[1][far] + 1})."
+        # rather wrap the name than cut numbers short
+        joints = (f"q{joint}" for joint in range(1, model.dof + 1))
+        yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
+    yield from screen.notes([*found.notes, *([fill(_SAID["omitted"], facts)] if found.omitted else [])])
+    if found.position_std is None or found.outside is None:
+        yield from screen.notes([NO_BARS])
+    else:
+        yield outside_sentence(int(found.outside.sum()), len(found.outside), "target")
+        std = found.position_std[found.reached]
+        yield from say(
+            _SAID["deviations"],
+            facts,
+            rms=np.sqrt(np.mean(std**2)) if hit else 0,
+            most=std.max(initial=0),
+        )
+    if model.heldout_rms is not None:
+        before, after = model.heldout_rms
+        yield from ("", fill(_SAID["expected"], {"before": before, "after": after}))
+
+
+def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
+    """A line per reason, with the rows and the largest error."""
+    reasons = Counter(text for text in texts[chosen] if text)
+    for reason, _ in reasons.most_common(_ROWS_NAMED):
+        rows = np.flatnonzero(chosen & (texts == reason))
+        named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
+        more = ", …" if len(rows) > _ROWS_NAMED else ""
+        yield screen.indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
+    if rest := reasons.total() - sum(n for _, n in reasons.most_common(_ROWS_NAMED)):
+        yield screen.indented(f"and {rest} more, which are in the file")
+
+
+def _missed(found: Compensation, rows: NDArray) -> str:
+    """The largest error; rows without a target have none."""
+    largest, errors = [], (found.position_error, found.orientation_error)
+    for each, (scale, unit), least in zip(errors, SCREEN.values(), REACHED, strict=True):
+        most = 0.0 if each is None else float(np.nan_to_num(each[rows]).max())
+        if most > least:
+            largest.append(f"{number(scale * most)} {unit}")
+    return f", with errors up to {' and '.join(largest)}" if largest else ""
+
+
+def outside_sentence(outside: int, rows: int, noun: str) -> str:
+    """How many rows are outside what was recorded; `noun` is what a row is called."""
+    return fill(_SAID["outside"], {"outside": outside, "rows": rows, "noun": noun})
+
+
+def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
+    """Which targets leave the recorded range, and by how much; empty where none does."""
+    if found.outside is None or model.uncertainty is None or not found.outside.any():
+        return ""
+    lower, upper = model.uncertainty.recorded.joints.T
+    q = found.joint_position[found.outside]
+    scales, units = joint_units(model.sliding, model.dof)
+    beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
+    joints = [
+        f"joint {joint} by up to {excess:.3g} {unit}"
+        for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
+        if excess > _SHOWN
+    ]
+    return fill(_SAID["beyond"], {"rows": found.recording.row[found.outside].tolist(), "joints": joints})
+
+
+def registration_report(found: Registration) -> Iterator[RenderableType]:
+    """The frames that were fitted, and the remaining errors."""
+    turned = None if found.turned is None else np.sqrt(np.mean(np.sum(found.turned[found.kept] ** 2, 1)))
+    facts = {"found": found, "turned": turned, "outliers": int(np.sum(~found.kept))}
+    yield from say(_SAID["registered"], facts)
+    table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
+    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
+        row = frames.row_from_transform(T) * np.repeat([scale for scale, _ in SCREEN.values()], 3)
+        table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
+    yield table
+    yield from say(_SAID["undetermined"], facts)
+
+
+# ------------------------------------------------------------------ connected arms
+
+
+_COMMANDS = (
+    "lite6jax design lite6 --poses 200 --out poses.csv",
+    "lite6jax record --ip {} --poses poses.csv --out fk.csv",
+    "lite6jax diagnose fk.csv --out diagnosis.json",
+    "lite6jax fit fk.csv --geometry free",
+)
+"""Which find out why a controller computes otherwise; the address goes into them."""
+
+
+def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
+    """The calibration, and its distance from nominal."""
+    calibration, arm = read.calibration, read.calibration.arm
+    q = check_positions(arm)
+    nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
+    distance = np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)
+    yield from say(_TEXTS["calibration"], {"read": read, "arm": arm, "distance": distance})
+    yield from ("", "Six parameters (mm, deg); below each number its difference from nominal")
+    console = screen.console()
+    unbounded = console.options.update(max_width=1000)
+    tables = [_six_parameters(calibration, digits) for digits in (4, 3, 2)]
+    fits = (table for table in tables if console.measure(table, options=unbounded).maximum <= console.width)
+    yield next(fits, tables[-1])
+
+
+def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
+    table = listing("joint", *SIX)
+    scale = np.array([1e3, 1e3, 1e3, *[180 / np.pi] * 3])
+    for i, (row, nominal) in enumerate(zip(calibration.kinematics, calibration.arm.kinematics, strict=True)):
+        turned = row - nominal
+        turned[3:] = (turned[3:] + np.pi) % (2 * np.pi) - np.pi  # -180° and 180° are one angle
+        pairs = zip(scale * row, scale * turned, strict=True)
+        cells = (f"{fixed(value, digits)}\n{fixed(change, digits, '+')}" for value, change in pairs)
+        table.add_row(f"J{i + 1}", *cells)
+    return table
+
+
+def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
+    """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
+    texts = _TEXTS["verification"]
+    facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}
+    yield fill(texts["head"], facts)
+    table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
+    for name, position, orientation in (
+        ("joints as sent (32 bits)", verification.position, verification.orientation),
+        ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
+    ):
+        for values, (scale, unit) in zip((position, orientation), SCREEN.values(), strict=True):
+            digits = 6 if scale * values.max() < 1 else 4
+            cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
+            table.add_row(name if unit == "mm" else "", unit, *cells)
+    yield table
+    yield fill(texts["tool"], facts)
+    yield from screen.notes(say(texts["notes"], facts))
+    yield fill(texts["verdict"], facts)
+    if not verification.passed:
+        yield fill(texts["cause"], facts)
+        if verification.hidden_tool is None and verification.other_chain is None:
+            yield from (screen.unbroken(f"  {command}".format(where)) for command in _COMMANDS)
+
+
+def _offset(offset: NDArray) -> str:
+    x, y, z = (fixed(float(v), 3) for v in offset[:3])
+    roll, pitch, yaw = (fixed(float(np.degrees(v)), 3) for v in offset[3:])
+    return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
+
+
+@contextmanager
+def recording_progress() -> Iterator[Callable[[Rows, str], None]]:
+    """The progress of a recording on stderr, from what the yielded function is called with."""
+    reached = ["no row yet"]
+
+    def show(rows: Rows, trouble: str) -> None:
+        line = f"{rows.time:8.1f} s  {rows.count} rows  {rows.rate:.1f} Hz"
+        line += f"  run {rows.run}" if rows.run else ""
+        line += f"  {rows.missing} missing" if rows.missing else ""
+        reached[0] = f"{line}  {trouble or '(stop with Ctrl-C)'}"
+
+    with screen.repeated(lambda: reached[0]):
+        yield show
+
+
+def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
+    """The rows, gaps, sources of the columns and notes of a recording."""
+    computed = recorded.settings.joint_source == "commanded"
+    yield from say(_TEXTS["recorded"], {"r": recorded, "computed": computed, "moved": recorded.rows and not computed})
+    if recorded.rows:
+        yield _sources(recorded)
+    yield from screen.notes(recorded.notes)
+
+
+def _sources(recorded: LiveRecording) -> Table:
+    """The sources of the columns, with neighbouring columns of the same source in one row."""
+    grouped: list[tuple[list[str], str]] = []
+    for name, source in recorded.sources.items():
+        if grouped and grouped[-1][1] == source and _kind(grouped[-1][0][0]) == _kind(name):
+            grouped[-1][0].append(name)
+        else:
+            grouped.append(([name], source))
+    rows = ((names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source) for names, source in grouped)
+    return listing("columns", "source", rows=rows, left=[1], wrapped=[1])
+
+
+def _kind(name: str) -> str:
+    return (
+        "pose" if name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") else name.rstrip("0123456789_radNmCsegp/")[:2]
     )

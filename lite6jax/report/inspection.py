@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import yaml
 from rich.console import RenderableType
-from rich.text import Text
 
 from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
@@ -22,8 +21,8 @@ from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.naming import Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
-from lite6jax.report.screen import indented
-from lite6jax.report.texts import fill, read_texts
+from lite6jax.report.screen import indented, unbroken
+from lite6jax.report.words import fill, read_texts, say
 
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3
@@ -37,21 +36,18 @@ KEYS: Mapping[str, tuple[str, str]] = {key: (one["meaning"], one["example"]) for
 
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
-    yield Text(path, no_wrap=True, overflow="ignore")
     used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
     unused = len(found.unused) + len(found.texts)
-    columns = f"{used + unused} columns, of which {used} are used" if unused else f"{used} columns"
-    yield Text(f"{found.samples} rows, {columns}.")
-    yield ""
+    yield unbroken(path)
+    yield from (fill(_TEXTS["rows"], {"found": found, "used": used, "unused": unused}), "")
     for meaning in found.meanings:
         yield indented(statement(meaning))
     recognised = {
         own: name for meaning in found.meanings for own, name in zip(meaning.block.columns, meaning.names, strict=True)
     }
     for own, name in found.given.items():
-        if recognised.get(own) == name:
-            continue
-        yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
+        if recognised.get(own) != name:
+            yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
     for own, why in found.denied.items():
         yield indented(f"{own}: {_TEXTS['denied'][why]}, so it is not used.")
     rest = [name for name in (*found.unused, *found.texts) if name not in found.denied]
@@ -59,24 +55,18 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
         yield indented(f"Not used: {_listed(rest)}.")
     yield ""
     for source in found.sources if len(found.sources) > 1 else ():
-        yield Text(f"{source_statement(source)}{' It is taken.' if source.taken else ''}")
-    yield Text(arm_statement(found))
-    if found.computed:
-        yield Text(_TEXTS["computed"])
-    yield Text(f"Motion: {found.motion[0]}; {found.motion[1]}.")
+        yield f"{source_statement(source)}{' It is taken.' if source.taken else ''}"
+    yield arm_statement(found)
+    yield from [_TEXTS["computed"]] if found.computed else []
+    yield f"Motion: {found.motion[0]}; {found.motion[1]}."
 
 
 def no_angles(joints: Meaning) -> str:
     """Joint positions that may be no angles, and what to do."""
-    degrees = " ".join(_column_option(own, f"q{k}_deg") for k, own in enumerate(joints.block.columns, 1))
-    if joints.unit.reason == "ticks":
-        wrong = "look like raw ticks of servos (4096 a turn), which are no angles: write (ticks - 2048) * 360 / 4096"
-    else:
-        wrong = (
-            "look like LeRobot's normalised values (-100 to 100 of each joint's calibrated range), which are no "
-            "angles: record again with use_degrees=True, or convert them by the ranges of the arm's calibration"
-        )
-    return f"joints {_columns(joints.block.columns)} {wrong}. If they are degrees, say so: {degrees}"
+    columns = joints.block.columns
+    degrees = [_column_option(own, f"q{k}_deg") for k, own in enumerate(columns, 1)]
+    wrong = _TEXTS["angles"]["ticks" if joints.unit.reason == "ticks" else "percent"]
+    return fill(_TEXTS["no_angles"], {"columns": _columns(columns), "wrong": wrong, "degrees": degrees})
 
 
 def source_statement(source: PoseSource) -> str:
@@ -87,24 +77,23 @@ def source_statement(source: PoseSource) -> str:
 
 def choice_of_pose(found: Inspection) -> str:
     """Several poses of which none is taken, and how to say which is meant."""
-    said = " ".join(map(source_statement, found.sources))
     roles: list[Role | None] = [source.role for source in found.sources]
     keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
     ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
     ignored = (_column_option(name, IGNORED) for name in found.sources[0].columns)
     ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
-    return f"it holds {len(found.sources)} poses. {said} Choose by {', or '.join(ways)}"
+    said = list(map(source_statement, found.sources))
+    return fill(_TEXTS["poses"], {"count": len(said), "said": said, "ways": ways})
 
 
 def choice_of_motors(found: Inspection) -> str:
     """More motors than the arm has joints, and how to say which are meant."""
-    assert found.arm is not None
-    names = ", ".join(found.arm.joint_names or (f"q{k + 1}" for k in range(found.arm.dof)))
-    ways = " ".join(map(_column_option, found.motors[0], found.joint_columns))
-    return (
-        f"it holds {sum(map(len, found.motors))} joint positions ({'; '.join(map(_columns, found.motors))}), and "
-        f"{found.arm.name} has {found.arm.dof} joints ({names}): say which they are, such as {ways}"
-    )
+    arm, motors = found.arm, found.motors
+    assert arm is not None
+    names = arm.joint_names or [f"q{k + 1}" for k in range(arm.dof)]
+    ways = list(map(_column_option, motors[0], found.joint_columns))
+    facts = {"count": sum(map(len, motors)), "motors": list(map(_columns, motors)), "arm": arm, "names": names}
+    return fill(_TEXTS["motors"], facts, ways=ways)
 
 
 def _column_option(name: str, meaning: str) -> str:
@@ -114,22 +103,20 @@ def _column_option(name: str, meaning: str) -> str:
 
 def statement(meaning: Meaning) -> str:
     """A block in one or two sentences."""
-    block = meaning.block
-    said = f"{_kind(meaning)}: {_columns(block.columns)}"
-    if meaning.form is not None:
-        said += f", {_TEXTS['forms'][meaning.form.choice]} ({_sure(meaning.form)})"
-    if meaning.unit.choice:
-        unit = meaning.unit.choice
+    block, form, unit = meaning.block, meaning.form, meaning.unit.choice
+    if unit:
         unit = _TEXTS["units"].get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
-        said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
-    said += "."
-    if block.kind == "cmd":
-        said += " They are kept beside the measured ones; nothing uses them yet."
-    elif _commanded(meaning):
-        said += " By name they were commanded or computed; that they were measured is assumed."
-    if block.rivals:
-        said += f" {_listed(block.rivals)} may be meant instead: choose with --column."
-    return said
+        unit = f"{'in ' if form is None else ''}{unit} ({_sure(meaning.unit)})"
+    facts = {
+        "kind": _kind(meaning),
+        "columns": _columns(block.columns),
+        "form": form and f"{_TEXTS['forms'][form.choice]} ({_sure(form)})",
+        "unit": unit,
+        "commanded": block.kind == "cmd",
+        "assumed": _commanded(meaning),
+        "rivals": _listed(block.rivals) if block.rivals else "",
+    }
+    return fill(_TEXTS["block"], facts)
 
 
 def _commanded(meaning: Meaning) -> bool:
@@ -248,9 +235,7 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         ],
         "q_commanded": q is not None and _commanded(q) and "joint_source" not in settings,
         "tau_commanded": tau is not None and _commanded(tau) and "torque_source" not in settings,
-        "as_current": _column_option(tau.block.columns[0], f"current{tau.block.joints[0]}_A")
-        if tau and efforts
-        else "",
+        "as_current": tau and efforts and _column_option(tau.block.columns[0], f"current{tau.block.joints[0]}_A"),
         "currents": tau is None and current is not None and "torque_constant_Nm_per_A" not in settings,
         "computed": found.computed,
         "said": settings.get("pose_source", "unknown"),
@@ -258,10 +243,10 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "nothing": nothing,
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
     }
-    yield from (Text(said) for text in _TEXTS["next"] if (said := fill(text, facts)))
+    yield from say(_TEXTS["next"], facts)
     if not nothing:
-        yield Text("Next:" if "arm" in settings else "Name the arm in the sidecar, then:")
-        yield Text(command_line("diagnose", source, "--out", "diagnosis.json"), no_wrap=True, overflow="ignore")
+        yield "Next:" if "arm" in settings else "Name the arm in the sidecar, then:"
+        yield unbroken(command_line("diagnose", source, "--out", "diagnosis.json"))
 
 
 def _named_time(unused: Sequence[str]) -> str:
@@ -277,13 +262,8 @@ def _named_time(unused: Sequence[str]) -> str:
 def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
     """How the joints of one file and the poses of another were joined."""
     clocks = found.clocks
-    facts: dict[str, Any] = {
-        "found": found,
-        "clocks": clocks,
-        "pairing": found.pairing,
-        "joints": joints,
-        "poses": poses,
-    }
+    facts: dict[str, Any] = {"found": found, "clocks": clocks, "pairing": found.pairing}
+    facts |= {"joints": joints, "poses": poses}
     if clocks is not None:
         facts["offset"] = clocks.offset + found.start
         facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
@@ -312,6 +292,5 @@ def describe_reflectors(found: WithPose) -> list[str]:
 
 
 def _sentences(name: str, facts: Mapping[str, Any]) -> list[str]:
-    """Those of some texts that say something."""
     small = lambda seconds: f"{1e3 * seconds:.2g} ms" if seconds < 1 else f"{seconds:.2g} s"  # noqa: E731
-    return [said for text in _TEXTS[name] if (said := fill(text, facts, small=small))]
+    return list(say(_TEXTS[name], facts, small=small))

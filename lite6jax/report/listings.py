@@ -1,45 +1,49 @@
-"""Lists of what there is, effects and arms, and what a conversion kept; nothing here takes JAX."""
+"""Lists of what there is: effects, arms, the files of a folder, and what the recordings of a fleet have in common.
+
+Nothing here takes JAX.
+"""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import RenderableType
+from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
-from lite6jax.report.screen import indented
-from lite6jax.report.words import counted, listing
+from lite6jax.calibration.quality import Result
+from lite6jax.fleet.diagnoses import DIAGNOSED
+from lite6jax.fleet.folder import has_failed
+from lite6jax.report.remedies import effect_title
+from lite6jax.report.screen import headed, indented
+from lite6jax.report.words import capital, chance, counted, fill, listing, number, quantity, read_texts, say
+from lite6jax.schema import FLEET
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
 
-_DOMAINS = {
-    "kinematic": "Effects on poses: what moves the tool (diagnose, simulate, identify)",
-    "dynamic": "Effects on torques: what motors exert besides (diagnose, identify --torque)",
-}
+Document = Mapping[str, Any]
+_TEXTS = read_texts("screens.yaml")
+
+# ------------------------------------------------------------------ effects and arms
 
 
 def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     """The effects by domain, a paragraph each."""
-    for domain, title in _DOMAINS.items():
-        chosen = [effect for effect in effects if effect.domain == domain]
-        if not chosen:
-            continue
-        yield Text(title)
-        yield ""
-        for effect in chosen:
-            yield Text(effect.name)
-            yield indented(effect.description)
-            yield indented(f"Site: {', '.join(effect.sites)}. Driver: {', '.join(effect.drivers) or 'none'}.")
-            if effect.parameters:
-                yield indented(f"Numbers: {', '.join(effect.parameters)} ({', '.join(effect.units) or 'as fitted'}).")
-        yield ""
-    yield Text("jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio.")
-    if any(effect.domain == "dynamic" for effect in effects):
-        yield Text("At a prismatic joint, effects on torques act on its force: read N for Nm, m for rad, kg for kg·m².")
+    texts, domains = _TEXTS["effects"], {effect.domain for effect in effects}
+    for domain, title in texts["domains"].items():
+        if domain in domains:
+            yield from (title, "")
+            for effect in (each for each in effects if each.domain == domain):
+                yield effect.name
+                yield from map(indented, say(texts["each"], {"e": effect}))
+            yield ""
+    yield from say(texts["end"], {"dynamic": "dynamic" in domains})
 
 
 class ArmEntry(NamedTuple):
@@ -68,11 +72,7 @@ def joint_entries(arm: Arm) -> list[dict[str, Any]]:
 
 def arm_report(arm: Arm) -> Iterator[RenderableType]:
     """One arm as it is read: where its chain begins and ends, and its joints in order."""
-    inertia = "with inertia" if arm.inertia is not None else "without inertia"
-    yield Text(f"{arm.name}: {counted(arm.dof, 'joint')}, reach up to {1e3 * arm.reach:.0f} mm, {inertia}.")
-    if arm.source:
-        yield Text(f"From: {arm.source}.")
-    yield ""
+    yield from (*say(_TEXTS["arms"]["one"], {"arm": arm}), "")
     table = listing("", "joint", "kind", "lower", "upper", "unit", left=[1, 2, 5])
     for i, joint in enumerate(joint_entries(arm)):
         scale, unit = (1e3, "mm") if joint["unit"] == "m" else (math.degrees(1.0), "deg")
@@ -85,29 +85,148 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
     """The bundled arms, and below the table where their numbers are from."""
     if width < 60:
         for arm in arms:
-            inertia = "with inertia" if arm.inertia else "without inertia"
-            yield Text(arm.name)
-            yield indented(f"{arm.maker}, {arm.joints} joints, {1e3 * arm.reach_m:.0f} mm, {inertia}.")
-            yield indented(arm.source)
+            yield from (arm.name, indented(fill(_TEXTS["arms"]["narrow"], {"arm": arm})), indented(arm.source))
         return
     rows = (
         (arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
         for arm in arms
     )
     yield listing("arm", "maker", "joints", "reach (mm)", "inertia", rows=rows, left=[1, 4])
-    yield ""
-    yield Text("reach: the sum of the links' lengths, which no flange exceeds.")
     variants = [arm.name for arm in arms if arm.name in VARIANTS]
-    if variants:
-        yield Text(f"{', '.join(variants)}: the same model by another file of the vendor.")
-    yield ""
-    yield Text("Sources")
+    yield from ("", *say(_TEXTS["arms"]["below"], {"variants": variants}), "", "Sources")
     yield from (indented(f"{arm.name}: {arm.source}") for arm in arms)
 
 
 def conversion_report(done: Conversion) -> Iterator[RenderableType]:
     """The largest change of the flange position by a conversion, and the parts that it omits."""
-    kept = f"{1e3 * done.difference:.1e}" if done.difference else "0"
-    yield Text(f"Form {done.form}, arm {done.arm.name}; read back, the flange differs by at most {kept} mm.")
-    if done.left_out:
-        yield Text(f"Left out: {'; '.join(done.left_out)}.")
+    return say(_TEXTS["arms"]["converted"], {"done": done})
+
+
+# ------------------------------------------------------------------ folders
+
+
+_DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_verdict", "torque_rms_Nm", 1.0))
+"""With the columns of the verdict and the errors, and the factor to the unit on the screen."""
+
+
+def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
+    """Position errors by type of arm, and a line for each file without a usable fit; rows are looked at once."""
+    groups: dict[tuple[str, str], list[tuple[bool, float, float]]] = {}
+    bad, count = list[str](), 0
+    for count, row in enumerate(rows, 1):  # noqa: B007 (their number)
+        if row["arm"]:
+            errors = (1e3 * row[f"{part}_position_max_m"] for part in ("nominal", "checked"))
+            groups.setdefault((row["kind"], row["arm"]), []).append((row["result"] == Result.CONVERGED, *errors))
+        if has_failed(row):
+            bad.append(_with_file(row["file"], row["message"]))
+    table = listing("arm", "files", "ok", "nominal", "worst", "check")
+    for (kind, arm), group in sorted(groups.items()):
+        converged, nominal, checked = zip(*group, strict=True)
+        name = arm if kind == "calibration" else f"{arm} (recorded)"
+        errors = (f"{median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked)))
+        table.add_row(name, str(len(group)), str(sum(converged)), *errors)
+    if groups:
+        yield from ("By type of arm; position errors in mm", table, _TEXTS["folder"])
+    yield from headed(f"{len(bad)} of {count} files have no usable fit:", bad)
+
+
+def read_diagnoses(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table of diagnoses."""
+    import pyarrow.parquet as pq
+
+    return pq.read_table(path).to_pylist()
+
+
+def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:
+    """A line for each recording, a row of `fleet.diagnoses.SCHEMA`: verdict, errors, findings, or why none."""
+    done = [row for row in rows if row["result"] == DIAGNOSED]
+    table = listing("recording", "verdict", "before", "after", left=[1], wrapped=[0, 1])
+    for column in table.columns[:2]:
+        column.overflow = "fold"
+    table.columns[1].min_width = len("unexplained")
+    found: list[str] = []
+    for row in done:
+        for domain, verdict, unit, scale in _DOMAINS:
+            if row[verdict] is None:
+                continue
+            errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
+            cells = ("–" if error is None else number(scale * error) for error in errors)
+            name = row["file"] if domain == "poses" or row["verdict"] is None else ""
+            table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
+        if row["findings"]:
+            found.append(f"{row['file']}: " + "; ".join(f"{each['effect']} {each['site']}" for each in row["findings"]))
+    yield from (table, _TEXTS["diagnoses"]) if done else ()
+    yield from headed("Findings:", found)
+    left = [row["message"] for row in rows if row["result"] != DIAGNOSED]
+    yield from headed(f"{len(left)} of {len(rows)} recordings were not diagnosed:", left)
+
+
+def _with_file(file: str, message: str) -> str:
+    return message if file in message else f"{file}: {message}"
+
+
+# ------------------------------------------------------------------ fleets
+
+
+_NEAR = 6.0
+"""Log-likelihood within which effects are not distinguished."""
+
+
+def is_of_fleet(document: Any) -> bool:
+    """Whether a document says that it is that of a fleet."""
+    return isinstance(document, dict) and document.get("schema") == FLEET
+
+
+def population_report(document: Document) -> Iterator[RenderableType]:
+    """The screen report of a fleet's document."""
+    members, effects = document["recordings"], document["effects"]
+    pooled = [member for member in members if member["used"]]
+    arms = [arm for effect in effects for arm in effect["arms"]]
+    outlying = sorted({arm["file"] for arm in arms if arm["outlier_p_value"] is not None})
+    yield from say(_TEXTS["fleet"]["found"], {"document": document, "pooled": len(pooled), "outlying": outlying})
+    for k, effect in enumerate(effects, 1):
+        found_by = _TEXTS["fleet"]["found_by"][effect["found_by"]]
+        yield from ("", f"{k}. {capital(_title(effect))}: {chance(effect['p_value'])}, found {found_by}.")
+        if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
+            table = listing("", "mean", "95 % interval", "between arms", "unit")
+            for name, each in effect["parameters"].items():
+                mean, *others = (
+                    quantity(name, {"value": value, "std": each["std"]})
+                    for value in (each["mean"], *each["interval_95"], each["between_std"])
+                )
+                low, high, between = (other.value for other in others)
+                table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
+            yield Padding(table, (0, 0, 0, 3))
+        yield from (indented(line, 3) for line in _remarks(effect))
+    own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
+    alone = [
+        f"{member['file']}: {', '.join(labels)}"
+        for member in pooled
+        if (labels := [one["label"] for one in member["found_alone"] if one["label"] not in own])
+    ]
+    yield from headed("Found in one recording and not in the type:", alone)
+    left = [_with_file(member["file"], member["reason"]) for member in members if not member["used"]]
+    yield from headed(f"{counted(len(left), 'recording')} of {len(members)} not pooled:", left)
+    yield ""
+
+
+def _title(effect: Document) -> str:
+    return effect_title({**effect, "parameters": {}})
+
+
+def _remarks(effect: Document) -> Iterator[str]:
+    """What is said of an effect below its numbers."""
+    texts = _TEXTS["fleet"]
+    facts = {"effect": effect, "unnamed": effect["effect"] == "unnamed", "title": _title, "shown": _shown}
+    yield from say(texts["remarks"], facts)
+    for arm in effect["arms"]:
+        if arm["outlier_p_value"] is not None:
+            numbers = [quantity(name, each) for name, each in arm["parameters"].items()]
+            yield fill(texts["differs"], facts, arm=arm, numbers=numbers)
+    if near := [_title(rival) for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]:
+        yield fill(texts["near"], {"near": near})
+
+
+def _shown(name: str, value: float) -> str:
+    found = quantity(name, {"value": value, "std": 0.0})
+    return f"{number(float(found.value))} {found.unit}"

@@ -25,9 +25,8 @@ from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
 from lite6jax.report.ranking import Files, units
 from lite6jax.report.remedies import effect_title
-from lite6jax.report.sections import Picture, Report, Section, sections_of, show_sections
-from lite6jax.report.texts import read_texts
-from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity
+from lite6jax.report.sections import Picture, Section, parts_of, show_sections
+from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity, read_texts
 
 Document = Mapping[str, Any]
 
@@ -58,18 +57,11 @@ def diagnosis_page(
         files = files or Files(Path(recorded))
     source = recorded if source is None else source
     figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
-    parts = [("", sections_of(Report(document, files, pictures=_pictures(found, document, figures))))]
+    pictures = [_pictures(found, document, figures)]
     for torques in found.parts[1:]:
         own = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
-        shown = _pictures(torques, document["torques"], own)
-        both = Section(statements.SHARED, [("bullets", statements.shared_statements(document))])
-        parts = [
-            ("Poses", parts[0][1]),
-            ("Torques", sections_of(Report(document["torques"], pictures=shown, anchor="torque-"))),
-            ("Both", [both]),
-        ]
-    if "torques_refused" in document:
-        parts = [("Poses", parts[0][1]), ("Torques", [Section("", [("text", statements.refusal(document))])])]
+        pictures.append(_pictures(torques, document["torques"], own))
+    parts = parts_of(document, files, pictures=pictures)
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 
 
@@ -78,7 +70,7 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
     torques, order = is_of_torques(document), ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
-    for rank, finding in enumerate(statements.findings_of(document), 1):
+    for finding in statements.findings_of(document):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
         if torques:
             what = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
@@ -86,7 +78,7 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
             name = "effect" if finding["effect"] == "unnamed" else finding["effect"].replace("_", " ")
             what = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
         caption = f"{what} beside the partial residuals: those of the whole model without it."
-        drawn[f"finding{rank}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
+        drawn[f"finding{finding['rank']}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
     return drawn
 
 
@@ -117,15 +109,6 @@ _SIZE, _LINE, _CHARACTERS = 7.8, 0.148, 100
 _MOST = 14
 """Findings that the page has room for."""
 _NORMAL_95 = 1.96
-_INSTRUMENTS = {
-    "laser_tracker": "laser tracker",
-    "motion_capture": "motion capture",
-    "camera": "camera",
-    "controller_fk": "none: forward kinematics of the controller",
-    "measured": "torque sensors of the joints",
-    "current": "motor currents",
-    "estimated": "none: torques estimated by the controller",
-}
 
 
 def write_certificate(document: Document, path: str | Path, overwrite: bool = False) -> Path:
@@ -147,10 +130,6 @@ def write_certificate(document: Document, path: str | Path, overwrite: bool = Fa
 
 def certificate(document: Document) -> Figure:
     """The page of a diagnosis of poses or of torques, as in its JSON file; what does not fit is left out."""
-    iso = (
-        "Errors are distances between what the model predicts and what was measured. They resemble the pose accuracy of"
-        " ISO 9283, which is defined for attained and commanded poses of its own test cycle."
-    )
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     sections = [
         Section("Certificate of accuracy", [("text", ranking.headline(document)), ("pairs", _subject(document))]),
@@ -158,8 +137,8 @@ def certificate(document: Document) -> Figure:
             "Accuracy on rows that were not used",
             [
                 ("table", statements.error_rows(document)),
-                ("text", statements.held_out_statement(document)),
-                *([] if is_of_torques(document) else [("text", iso)]),
+                *(("text", line) for line in statements.say_about(document, "held_out")),
+                *([] if is_of_torques(document) else [("text", read_texts("diagnosis.yaml")["iso"])]),
             ],
         ),
         Section("Findings, with 95 % intervals", [("text", line) for line in _findings(document)]),
@@ -191,9 +170,9 @@ def certificate(document: Document) -> Figure:
 
 
 def _subject(document: Document) -> list[tuple[str, str]]:
-    torques = is_of_torques(document)
+    torques, known = is_of_torques(document), read_texts("diagnosis.yaml")["instruments"]
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
-    instrument = document["instrument"] or _INSTRUMENTS.get(document["source"], "not stated")
+    instrument = document["instrument"] or known.get(document["source"], "not stated")
     noise = next(iter(document["noise"]["declared"].values()))
     if noise is not None:
         shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
@@ -210,11 +189,11 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
     torques, findings, lines = is_of_torques(document), statements.findings_of(document), []
-    for rank, finding in enumerate(findings[:_MOST], 1):
+    for finding in findings[:_MOST]:
         numbers = finding.get("peak_to_peak", finding["parameters"])
         said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        said.append(f"moves {ranking.contribution(document, finding)} RMS")
-        lines.append(f"{rank}. {finding['title']}: {'; '.join(said)}")
+        said.append(f"moves {finding['contribution']} RMS")
+        lines.append(f"{finding['rank']}. {finding['title']}: {'; '.join(said)}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")
     return lines or ["None."]

@@ -16,8 +16,7 @@ from lite6jax.errors import command_line
 from lite6jax.recordings.files import SUFFIXES
 from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, effect_name, remedy_of
-from lite6jax.report.texts import fill, read_texts
-from lite6jax.report.words import capital, each_with_unit, plus_minus, torque_units
+from lite6jax.report.words import capital, each_with_unit, fill, plus_minus, read_texts, torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -103,13 +102,6 @@ FORCE = Measure("moves_rms_N", "heldout_torque_rms_N", 1.0, "N")
 """Of prismatic joints."""
 
 
-class Bar(NamedTuple):
-    """The contribution of a finding in a chart: its share of the largest, and its size in two digits."""
-
-    share: float
-    size: str
-
-
 def measures_of(document: Document) -> tuple[Measure, ...]:
     """Millimetres; degrees where no finding moves the measured point, but one turns it; newton metres of torques.
 
@@ -130,20 +122,15 @@ def unit_of(document: Document) -> str:
     return measures[0].unit if len(measures) == 1 else ""
 
 
+def shares(document: Document) -> list[float]:
+    """What each finding moves most, over the error before."""
+    return [_share(document, finding, _main(document, finding)) for finding in document["findings"]]
+
+
 def order(document: Document) -> list[int]:
     """Places of the findings, from 0, the largest share of the error before first."""
-    findings = document["findings"]
-    return sorted(range(len(findings)), key=lambda k: -_share(document, findings[k], _main(document, findings[k])))
-
-
-def bars(document: Document) -> list[Bar]:
-    """The contribution of each finding, in the order of `order`."""
-    ranked, alone = [document["findings"][k] for k in order(document)], unit_of(document)
-    shares = [_share(document, finding, _main(document, finding)) for finding in ranked]
-    return [
-        Bar(share / (shares[0] or 1.0), contribution(document, finding).removesuffix(f" {alone}"))
-        for share, finding in zip(shares, ranked, strict=True)
-    ]
+    found = shares(document)
+    return sorted(range(len(found)), key=lambda k: -found[k])
 
 
 def contribution(document: Document, finding: Entry) -> str:

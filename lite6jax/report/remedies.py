@@ -7,8 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.report.texts import read_texts
-from lite6jax.report.words import joined, ranges
+from lite6jax.report.words import joined, ranges, read_texts
 
 Entry = Mapping[str, Any]
 
@@ -34,7 +33,7 @@ OF_POSES, OF_TORQUES = (
         effect: Remedy(one["cause"], one["action"], "sensor" not in one, "geometry" in one)
         for effect, one in remedies.items()
     }
-    for remedies in read_texts("remedies.yaml").values()
+    for remedies in (read_texts("remedies.yaml")[domain] for domain in ("poses", "torques"))
 )
 """By the name of an effect on poses, and of one on torques."""
 
@@ -42,13 +41,7 @@ _SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or re
 """Of what no effect of the catalogue names there: joint positions cannot compensate what a sensor shows."""
 
 _OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
-_OF_SLIDE = {
-    "the gear ratio": "the lead",
-    "the gear": "the screw, the belt or the guide",
-    "its gear": "its screw, belt or rack",
-    "turns by another angle": "moves by another length",
-}
-"""What is said of a prismatic joint in place of what is said of a revolute one."""
+_OF_SLIDE, _SHAPES = (read_texts("remedies.yaml")[name] for name in ("slides", "shapes"))
 _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
 
 
@@ -126,18 +119,6 @@ def effect_name(effect: str) -> str:
 # ------------------------------------------------------------------ titles
 
 
-_SHAPES = {
-    "line": "a line",
-    "cubic": "a smooth curve",
-    "smooth": "a smooth curve",
-    "medium": "a curve",
-    "fine": "a fine curve",
-    "rough": "steps or kinks",
-    "wave": "a wave that repeats after a turn",
-    "spectrum": "waves of many orders, as of a gear",
-    "play": "a hysteresis loop",
-}
-"""What a nonparametric effect of one driver looks like, by its kernel."""
 _MOST_PLACES = 3
 """The most places that a cause lists."""
 

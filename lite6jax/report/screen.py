@@ -32,9 +32,9 @@ def show(parts: Iterable[RenderableType]) -> None:
         screen.file.write(text if screen.is_terminal else _BLANKS.sub("", text))
 
 
-def notes(said: Iterable[str]) -> Iterator[Text]:
+def notes(said: Iterable[str]) -> Iterator[str]:
     """Remarks, a line each, such as those of a recording; a full stop at their end is added where there is none."""
-    yield from (Text(f"Note: {note.removesuffix('.')}.") for note in said)
+    return (f"Note: {note.removesuffix('.')}." for note in said)
 
 
 def written(paths: Iterable[Path]) -> None:
@@ -42,6 +42,11 @@ def written(paths: Iterable[Path]) -> None:
     screen = console()
     for path in paths:
         screen.print(f"Wrote {path}", soft_wrap=True)
+
+
+def unbroken(line: str) -> Text:
+    """A path or a command, which is not wrapped."""
+    return Text(line, no_wrap=True, overflow="ignore")
 
 
 def indented(line: str, characters: int = 2) -> RenderableType:
@@ -53,8 +58,7 @@ def headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:
     """An empty line and a heading with indented lines; nothing where there are none."""
     for k, line in enumerate(lines):
         if not k:
-            yield ""
-            yield Text(heading)
+            yield from ("", heading)
         yield indented(line)
 
 

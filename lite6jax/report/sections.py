@@ -5,8 +5,7 @@ report. To add a kind of block, give it a look in `_LOOKS` here and a macro of i
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -21,7 +20,7 @@ from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, ruled_out_statements
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import by_site
-from lite6jax.report.screen import indented
+from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
 
 Document = Mapping[str, Any]
@@ -50,41 +49,29 @@ class Section(NamedTuple):
     kind: str = ""
 
 
-@final
-@dataclass(frozen=True)
-class Report:
-    """Of what a report is made.
+def sections_of(
+    document: Document,
+    files: Files | None = None,
+    details: bool = True,
+    pictures: Mapping[str, Picture] | None = None,
+    anchor: str = "",
+) -> list[Section]:
+    """The sections that have something to show.
 
-    Attributes:
+    Args:
         document: of one domain, as in the JSON file, with statements; all text is made from it.
         files: for commands to copy; without them there are none.
         details: whether to list also the rejected alternatives, what was ruled out and what was not tested.
         pictures: of a page, by the name of the figure, or of one of `finding1`, `finding2` … by rank.
         anchor: begins the names of places on a page, which is of both domains.
     """
-
-    document: Document
-    files: Files | None = None
-    details: bool = True
-    pictures: Mapping[str, Picture] | None = None
-    anchor: str = ""
-
-    def pictures_of(self, *names: str) -> list[Block]:
-        """Those there are of some names."""
-        pictures = self.pictures or {}
-        return [("picture", pictures[name]) for name in names if name in pictures]
-
-
-def sections_of(report: Report) -> list[Section]:
-    """The sections that have something to show."""
-    document, files = report.document, report.files
-    unit = f"{ranking.unit_of(document)} RMS".strip()
-    ranked = statements.findings_of(document)
-    bars = [(finding["title"], bar) for bar, finding in zip(ranking.bars(document), ranked, strict=True)]
-    cause = [statements.verdict_statement(document), *statements.cautions(document)]
-    measured = [statements.held_out_statement(document), statements.noise_statement(document)]
-    several, actions = len(ranked) > 1, ranking.actions(document)
-    to_do = [f"{row_ranges(ranks)}. {said}" if several else said for ranks, said in actions]
+    pictures = pictures or {}
+    drawn = lambda *names: [("picture", pictures[name]) for name in names if name in pictures]  # noqa: E731
+    ranked, actions = statements.findings_of(document), ranking.actions(document)
+    unit = ranking.unit_of(document)
+    bars = [(each["title"], each["share"], each["contribution"].removesuffix(f" {unit}")) for each in ranked]
+    verdict = (statements.verdict_statement(document), *statements.cautions(document))
+    to_do = [f"{row_ranges(ranks)}. {said}" if len(ranked) > 1 else said for ranks, said in actions]
     commands = [] if files is None else ranking.steps(document, files)
     made = [
         Section("Difference from the reference", list(_comparison(document)), "against"),
@@ -92,32 +79,52 @@ def sections_of(report: Report) -> list[Section]:
             "",
             [
                 ("cause", (document["verdict"], ranking.headline(document))),
-                *_texts([*cause, statements.setting_statement(document)]),
+                *_texts(*verdict, *statements.say_about(document, "setting")),
             ],
         ),
-        Section(f"What each finding moves ({unit})", [("bars", (bars, report.anchor))] if bars else []),
+        Section(f"What each finding moves ({f'{unit} RMS'.strip()})", [("bars", (bars, anchor))] if bars else []),
         Section(
             "Held-out errors before and after",
             [
                 ("table", statements.error_rows(document)),
-                *_texts([*measured, *statements.assumptions(document)]),
-                *report.pictures_of("error_by_joint", "over_time"),
+                *_texts(*statements.say_about(document, "held_out", "noise", "assumptions")),
+                *drawn("error_by_joint", "over_time"),
             ],
         ),
-        Section("Data faults", list(_faults(report))),
-        Section("Findings", list(_findings(report, ranked))),
+        Section("Data faults", list(_faults(document, details))),
+        Section("Findings", list(_findings(ranked, details, pictures, anchor))),
         Section("What to do", [("bullets", to_do)] if to_do else []),
         Section("Commands to copy", [("command", (capital(step.purpose), step.command)) for step in commands]),
-        Section("Explained variance by site, driver and order", report.pictures_of("where", "orders")),
-        Section("Friction", report.pictures_of("friction")),
-        Section("Filter", report.pictures_of("spectra")),
+        Section("Explained variance by site, driver and order", drawn("where", "orders")),
+        Section("Friction", drawn("friction")),
+        Section("Filter", drawn("spectra")),
         Section("What to record next", list(_next_recording(document))),
-        Section("Tested and ruled out, and not tested", list(_tests(report)), "folded" if report.details else ""),
+        Section("Tested and ruled out, and not tested", list(_tests(document, details)), "folded" if details else ""),
     ]
     return [section for section in made if section.blocks]
 
 
-def _texts(lines: Iterable[str]) -> list[Block]:
+def parts_of(
+    document: Document,
+    files: Files | None = None,
+    details: bool = True,
+    pictures: Sequence[Mapping[str, Picture]] = ({}, {}),
+) -> list[tuple[str, list[Section]]]:
+    """The sections of each domain of a document, and of both together, with titles where there are several parts.
+
+    Arguments are those of `sections_of`, with the pictures of each domain.
+    """
+    parts = [("", sections_of(document, files, details, pictures[0]))]
+    if "torques" in document:
+        shared = Section("What poses and torques both depend on", [("bullets", statements.shared_statements(document))])
+        torques = sections_of(document["torques"], None, details, pictures[1], "torque-")
+        parts = [("Poses", parts[0][1]), ("Torques", torques), ("Both", [shared])]
+    elif "torques_refused" in document:
+        parts = [("Poses", parts[0][1]), ("Torques", [Section("", _texts(*statements.say_about(document, "refusal")))])]
+    return parts
+
+
+def _texts(*lines: str) -> list[Block]:
     return [("text", line) for line in lines]
 
 
@@ -130,26 +137,27 @@ def _comparison(document: Document) -> Iterator[Block]:
         yield "text", comparison["statement"]
 
 
-def _faults(report: Report) -> Iterator[Block]:
-    if found := report.document["data_faults"]:
+def _faults(document: Document, details: bool) -> Iterator[Block]:
+    if found := document["data_faults"]:
         yield "faults", [(fault_name(each["fault"]), each["statement"], row_ranges(each["rows"])) for each in found]
-    elif report.details:
+    elif details:
         yield "text", "None found."
 
 
-def _findings(report: Report, ranked: Iterable[Document]) -> Iterator[Block]:
+def _findings(
+    ranked: Sequence[Document], details: bool, pictures: Mapping[str, Picture], anchor: str
+) -> Iterator[Block]:
     found = []
-    for rank, finding in enumerate(ranked, 1):
+    for finding in ranked:
         lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
         if finding["rivals"]:
             lines.append(f"Not distinguished from {', '.join(finding['rivals'])}.")
-        if report.details and finding["rejected"]:
+        if details and finding["rejected"]:
             lines.append(f"Nearest effects that were rejected: {', '.join(finding['rejected'])}.")
-        picture = (report.pictures or {}).get(f"finding{rank}")
-        found.append({"rank": rank, "title": finding["title"], "lines": lines, "picture": picture})
+        found.append({**finding, "lines": lines, "picture": pictures.get(f"finding{finding['rank']}")})
     if found:
-        yield "findings", (found, report.anchor)
-    elif report.details:
+        yield "findings", (found, anchor)
+    elif details:
         yield "text", "None: no effect of the catalogue, and no function of what was recorded, is significant."
 
 
@@ -167,12 +175,12 @@ def _next_recording(document: Document) -> Iterator[Block]:
         yield "text", statements.NOT_CHECKED
 
 
-def _tests(report: Report) -> Iterator[Block]:
-    entries, untested = report.document["ruled_out"], statements.untested(report.document)
+def _tests(document: Document, details: bool) -> Iterator[Block]:
+    entries, untested = document["ruled_out"], statements.untested(document)
     effects = len({(entry["effect"], entry["site"]) for group in untested for entry in group.entries})
     said = [f"{counted(len(entries), 'data fault')} ruled out"] if entries else []
     said += [f"{counted(effects, 'effect')} not tested"] if effects else []
-    if not report.details:
+    if not details:
         yield from [("text", f"{' and '.join(said)}: --details lists them.")] if said else []
         return
     if entries:
@@ -208,11 +216,11 @@ def _bars(shown: Any) -> Iterator[RenderableType]:
     table.add_column(max_width=44)
     table.add_column(min_width=_NARROW)
     table.add_column(justify="right", no_wrap=True)
-    for rank, (title, bar) in enumerate(bars[:_MOST], 1):
-        table.add_row(Text(f"{rank}."), Text(title), _TextBar(bar.share), Text(bar.size))
+    for rank, (title, share, size) in enumerate(bars[:_MOST], 1):
+        table.add_row(f"{rank}.", title, _TextBar(share), size)
     yield table
     if len(bars) > _MOST:
-        yield Text(f"and {len(bars) - _MOST} more, which move less")
+        yield f"and {len(bars) - _MOST} more, which move less"
 
 
 def _grid(rows: Iterable[Iterable[str]], apart: int) -> Iterator[RenderableType]:
@@ -223,16 +231,16 @@ def _grid(rows: Iterable[Iterable[str]], apart: int) -> Iterator[RenderableType]
 
 
 _LOOKS: Mapping[str, Callable[[Any], Iterator[RenderableType]]] = {
-    "text": lambda line: iter([Text(line)]),
-    "cause": lambda said: iter([Text(said[1]), ""]),
-    "heading": lambda line: iter(["", Text(f"{line}:")]),
+    "text": lambda line: iter([line]),
+    "cause": lambda said: iter([said[1], ""]),
+    "heading": lambda line: iter(["", f"{line}:"]),
     "bullets": lambda lines: map(indented, lines),
     "faults": lambda found: (indented(said + (f" Rows {rows}." if rows else "")) for _, said, rows in found),
     "table": lambda shown: iter([listing(*shown[0], rows=shown[1], wrapped=[0])]),
     "pairs": lambda pairs: _grid(pairs, 2),
     "bars": _bars,
     "findings": lambda shown: _grid(((f"{each['rank']}.", "\n".join(each["lines"])) for each in shown[0]), 1),
-    "command": lambda step: iter([indented(f"{step[0]}:"), Text(f"    {step[1]}", no_wrap=True, overflow="ignore")]),
+    "command": lambda step: iter([indented(f"{step[0]}:"), unbroken(f"    {step[1]}")]),
     "picture": lambda _: iter(()),
 }
 """By the kind of a block, how a terminal shows it."""
@@ -243,7 +251,7 @@ def show_sections(sections: Sequence[Section]) -> Iterator[RenderableType]:
     for section in sections:
         if any(kind != "picture" for kind, _ in section.blocks):
             yield ""
-            yield from [Text(f"{section.title}:")] if section.title else []
+            yield from [f"{section.title}:"] if section.title else []
             for kind, shown in section.blocks:
                 yield from _LOOKS[kind](shown)
 
@@ -255,15 +263,9 @@ def diagnosis_report(
 
     Without files there are no commands to copy. Details: rejected alternatives, what was ruled out and not tested.
     """
-    parts = [("Poses", Report(document, files, details))]
-    parts += [("Torques", Report(document["torques"], None, details))] if "torques" in document else []
-    refused = "torques_refused" in document
-    yield Text(source, no_wrap=True, overflow="ignore")
-    for title, report in parts:
-        yield from ["", Text(title, style="bold")] if refused or len(parts) > 1 else []
-        yield from show_sections(sections_of(report))
-    if len(parts) > 1:
-        yield from show_sections([Section(statements.SHARED, [("bullets", statements.shared_statements(document))])])
-    elif refused:
-        yield from ["", Text(statements.refusal(document))]
+    titles = ("Poses", "Torques") if "torques" in document else ("Poses",)
+    yield unbroken(source)
+    for title, sections in parts_of(document, files, details):
+        yield from ["", Text(title, style="bold")] if title in titles else []
+        yield from show_sections(sections)
     yield ""

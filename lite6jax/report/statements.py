@@ -28,7 +28,6 @@ from lite6jax.report.remedies import (
     shape,
     with_articles,
 )
-from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     NAMED,
     NAMED_OF_TORQUES,
@@ -36,11 +35,13 @@ from lite6jax.report.words import (
     Quantity,
     capital,
     each_with_unit,
+    fill,
     fixed,
     multiple,
     number,
     plus_minus,
     quantity,
+    read_texts,
     rounded,
     significant,
 )
@@ -50,9 +51,6 @@ Entry = Mapping[str, Any]
 
 _TEXTS = read_texts("diagnosis.yaml")
 NOT_CHECKED: str = _TEXTS["not_checked"]
-COMPUTED: str = _TEXTS["computed"]
-SHARED = "What poses and torques both depend on"
-"""The heading of the sentences of `shared_statements`."""
 _STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
@@ -97,10 +95,17 @@ def with_statements(document: Document) -> dict[str, Any]:
 # ------------------------------------------------------------------ the recording and the verdict
 
 
-def setting_statement(document: Document) -> str:
-    """The arm, and how much was recorded."""
-    what = " of torques" if is_of_torques(document) else f" ({document['model']['motion']})"
-    return f"{document['model']['arm']}, {document['samples']} samples{what}."
+def say_about(document: Document, *names: str) -> list[str]:
+    """Texts, or lists of them, filled with a document; without those that are empty.
+
+    They are `setting`, the arm and how much was recorded; `held_out`, how errors were held out; `noise`, the estimated
+    beside the declared; `assumptions`, on what the tests rest beyond the recording; and `refusal` of the torques.
+    """
+    texts = [_TEXTS[name] for name in names]
+    each = [one for text in texts for one in ([text] if isinstance(text, str) else text)]
+    drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
+    loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
+    return [said for text in each if (said := fill_about(text, document, loaded=loaded))]
 
 
 def verdict_statement(document: Document) -> str:
@@ -126,17 +131,15 @@ def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
     torques, withdrawn = is_of_torques(document), document["withdrawn"]
-    if torques:
-        lines = [_TEXTS["estimated"]] if document["source"] == "estimated" else []
-    else:
-        bad = quality_statement(document["quality"])
-        lines = [*([COMPUTED] if ranking.is_computed(document) else []), *([] if bad is None else [bad])]
-    if withdrawn is None:
-        return lines
-    given: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
-    if not torques:
-        given |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
-    return [*lines, fill(_TEXTS["withdrawn"], given)]
+    lines = say_about(document, "not_measured")
+    if not torques and (bad := quality_statement(document["quality"])):
+        lines.append(bad)
+    if withdrawn is not None:
+        given: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
+        if not torques:
+            given |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
+        lines.append(fill(_TEXTS["withdrawn"], given))
+    return lines
 
 
 def quality_statement(quality: Entry) -> str | None:
@@ -170,43 +173,31 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     return headers, [[name, size(own), size(left), *ratio(own, left)] for name, own, left in rows]
 
 
-def held_out_statement(document: Document) -> str:
-    """How errors were held out, and what a quick diagnosis left out."""
-    return fill_about(_TEXTS["held_out"], document)
-
-
-def noise_statement(document: Document) -> str:
-    """The noise estimated from the residuals beside the declared one."""
-    return fill_about(_TEXTS["noise"], document)
-
-
-def assumptions(document: Document) -> list[str]:
-    """What the tests rest on beyond the recording and its sidecar; of torques, how they were filtered."""
-    drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
-    loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [said for text in _TEXTS["assumptions"] if (said := fill_about(text, document, loaded=loaded))]
-
-
 # ------------------------------------------------------------------ findings
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:
     """The findings, the largest contribution first, each with its own fields and with what is said of it.
 
-    Added are `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from 0), `rivals` and
-    `rejected` (effects that are not, and are, distinguished from it).
+    Added are `rank` (from 1), `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from
+    0), `contribution` (what it moves, with its unit), `share` (of the largest contribution), `rivals` and `rejected`
+    (effects that are not, and are, distinguished from it).
     """
-    findings = ranking.detailed(document)
+    findings, shares = ranking.detailed(document), ranking.shares(document)
+    largest = max(shares, default=0.0) or 1.0
     return [
         {
             **findings[k],
+            "rank": rank,
             "title": capital(effect_title(findings[k])),
             "statement": finding_statement(findings[k], findings),
             "place": k,
+            "contribution": ranking.contribution(document, findings[k]),
+            "share": shares[k] / largest,
             "rivals": rivals(findings[k]),
             "rejected": rivals(findings[k], rejected=True),
         }
-        for k in ranking.order(document)
+        for rank, k in enumerate(ranking.order(document), 1)
     ]
 
 
@@ -408,14 +399,6 @@ def agreement_statement(entry: Entry) -> str:
     over = f" over {entry['driver']}" if "driver" in entry else ""
     title = f"Unnamed effect at {entry['site']}{over}" if over else capital(effect_title(entry))
     return fill(_TEXTS["against"]["effect"], entry, title=title, said=said)
-
-
-# ------------------------------------------------------------------ what poses and torques share
-
-
-def refusal(document: Document) -> str:
-    """Why the torques of a recording were not diagnosed."""
-    return f"The torques of this recording are not diagnosed: {document['torques_refused']}."
 
 
 def shared_statements(document: Document) -> list[str]:

@@ -8,7 +8,6 @@ from functools import reduce
 
 import numpy as np
 from rich.console import RenderableType
-from rich.text import Text
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.design.candidates import Candidates
@@ -22,7 +21,6 @@ from lite6jax.design.torques import JOINT, JOINT_UNITS, WELL, TorqueIdentificati
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
 from lite6jax.report.fits import parameter_tables
-from lite6jax.report.texts import fill, read_texts
 from lite6jax.report.words import (
     SCREEN,
     capital,
@@ -33,6 +31,8 @@ from lite6jax.report.words import (
     number,
     plus_minus,
     ranges,
+    read_texts,
+    say,
     torque_units,
 )
 
@@ -42,22 +42,17 @@ _CLEAR = 5.0
 """Standard deviations between two models at which a test at a level of 1 % has a power of 99 % or more."""
 
 
-def _say(text: str, **facts: object) -> Iterator[Text]:
-    """A text by its path, such as `poses.rank`, or a list of them: a line each, but for those that are empty."""
-    found = reduce(lambda texts, name: texts[name], text.split("."), _TEXTS)
-    for one in [found] if isinstance(found, str) else found:
-        if said := fill(one, facts):
-            yield Text(said)
+def _say(text: str, **facts: object) -> Iterator[str]:
+    """A text by its path, such as `poses.rank`, or a list of them."""
+    return say(reduce(lambda texts, name: texts[name], text.split("."), _TEXTS), facts)
 
 
 def _begin(
     source: str, text: str, disabled: Sequence[tuple[str, str]] = (), **facts: object
 ) -> Iterator[RenderableType]:
     """The arm or the file, what was studied, and which pairs of links are not checked against each other."""
-    yield Text(source, no_wrap=True, overflow="ignore")
-    yield from _say(text, **facts)
-    yield from _say("beginning", disabled=disabled)
-    yield ""
+    yield screen.unbroken(source)
+    yield from (*_say(text, **facts), *_say("beginning", disabled=disabled), "")
 
 
 # ------------------------------------------------------------------ what poses determine
@@ -74,23 +69,19 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
     experiment, d, arm = found.experiment, found.determination, found.experiment.arm
     yield from _begin(source, "poses.studied", e=experiment, d=d, drawn=drawn, sensor=described(experiment.sensor))
     narrow = found.narrow()
-    yield from _say("poses.rank", found=found, d=d, narrow=_name_narrow(arm, narrow) if len(narrow) < arm.dof else "")
-    yield ""
+    said = _name_narrow(arm, narrow) if len(narrow) < arm.dof else ""
+    yield from (*_say("poses.rank", found=found, d=d, narrow=said), "")
     if d.dependencies:
-        yield from map(Text, _in_words(experiment, d.dependencies))
-        yield ""
-    yield from (Text("Predicted standard deviations (mm, deg)"), "")
+        yield from (*_in_words(experiment, d.dependencies), "")
+    yield from ("Predicted standard deviations (mm, deg)", "")
     yield from _deviation_tables(experiment, d)
     pairs = [f"{a} with {b} ({rho:+.3f})" for a, b, rho in d.correlated()]
-    yield from _say("poses.accuracy", accuracy=found.accuracy, weak=d.weak(), pairs=pairs)
-    yield ""
+    yield from (*_say("poses.accuracy", accuracy=found.accuracy, weak=d.weak(), pairs=pairs), "")
     if (o := found.observability) is not None:
-        yield Text("Observability (parameters in units of 0.8 mm and 0.15 deg, readings in standard deviations)")
-        yield ""
-        table = listing("O1", "O2", "O3", "O4", "O5", "condition")
+        table = listing("O1", "O2", "O3", "O4", "O5", "condition", rows=[[f"{value:.4g}" for value in o[:6]]])
         table.columns[0].justify = "right"
-        table.add_row(*(f"{value:.4g}" for value in o[:6]))
-        yield table
+        yield "Observability (parameters in units of 0.8 mm and 0.15 deg, readings in standard deviations)"
+        yield from ("", table)
         yield from _say("poses.noise", noise_amplification=o.noise_amplification)
     yield from screen.notes(found.notes)
 
@@ -129,20 +120,17 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
         for name, unit, deviation, free in parameters
     }
     if experiment.movable[: chain.size].any():
-        yield from parameter_tables(chain, lambda name, _: shown.get(name, ""))
-        yield ""
+        yield from (*parameter_tables(chain, lambda name, _: shown.get(name, "")), "")
     parts = [part for part in ("frame", "tool") if getattr(experiment.form, part)]
     if parts:
         rows = ((part, *(shown.get(f"{part}_{twist}", "") for twist in TWIST_NAMES)) for part in parts)
-        yield listing("", *TWIST_NAMES, rows=rows)
-        yield ""
+        yield from (listing("", *TWIST_NAMES, rows=rows), "")
     if experiment.physics.effects:
         table = listing("effect", "deviation", "typical", "unit")
         for i in range(experiment.size - experiment.physics.size, experiment.size):
             deviation = f"{d.standard_deviation[i]:.2g}" if d.free[i] else "held"
             table.add_row(d.names[i], deviation, f"{d.scale[i]:.2g}", d.units[i].strip("1"))
-        yield table
-        yield ""
+        yield from (table, "")
 
 
 # ------------------------------------------------------------------ where the error of an arm comes from
@@ -153,8 +141,7 @@ def sensitivity_report(found: Sensitivity, source: str) -> Iterator[RenderableTy
     tolerance = {"m": 0.0, "rad": 0.0} | dict(zip(found.units, found.tolerance.tolist(), strict=True))
     yield from _begin(source, "tolerances.studied", tolerance=tolerance)
     error = found.expected_error
-    yield from _say("tolerances.error", rms=np.sqrt(np.mean(error**2)), least=error.min(), most=error.max())
-    yield ""
+    yield from (*_say("tolerances.error", rms=np.sqrt(np.mean(error**2)), least=error.min(), most=error.max()), "")
     table = listing("parameter", "mm per unit", "share")
     for i in np.argsort(-found.share)[:_MOST_LISTED]:
         scale, unit = SCREEN[found.units[i]]
@@ -181,10 +168,8 @@ def design_report(
     sensor = described(found.experiment.sensor)
     yield from _begin(source, "design.studied", disabled, found=found, drawn=drawn, refused=refused, sensor=sensor)
     yield from plan_report(found, accuracy) if isinstance(found, Plan) else discrimination_report(found)
-    yield ""
-    effects = found.experiment.physics.effects
-    yield from _say("design.approach", approached=any(driver.discrete for e in effects for driver in e.drivers))
-    yield from _say("design.chosen", found=found)
+    approached = any(driver.discrete for effect in found.experiment.physics.effects for driver in effect.drivers)
+    yield from ("", *_say("design.approach", approached=approached), *_say("design.chosen", found=found))
 
 
 def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterator[RenderableType]:
@@ -197,7 +182,7 @@ def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterato
         (name, *(f"{1e3 * part:.0f}" for part in at), str(count))
         for (name, at), count in zip(sensor.places, counts, strict=True)
     )
-    yield from ("", Text("Put them within some centimetres of these places (mm in the arm's base frame)"), "")
+    yield from ("", "Put them within some centimetres of these places (mm in the arm's base frame)", "")
     yield listing("", "x", "y", "z", "touches", rows=rows)
 
 
@@ -246,7 +231,7 @@ def _torque_noise(model: TorqueModel) -> str:
     return f"torques to ±{each} (one standard deviation, white)"
 
 
-def _rank(found: TorqueIdentification) -> Iterator[Text]:
+def _rank(found: TorqueIdentification) -> Iterator[str]:
     base = found.model.base
     links, rank = sum(item.name.startswith("link") for item in base), int(found.determined.sum())
     return _say("torques.rank", rank=rank, links=links, joints=len(base) - links, inertial=found.model.inertial)
@@ -286,8 +271,7 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
     for name, carriers in model.confounded.items():
         if name.startswith("joint"):
             yield from _say("torques.confounded", name=name, carriers=carriers)
-    yield from _say("torques.links", names=[name for name in model.confounded if name.startswith("link")])
-    yield ""
+    yield from (*_say("torques.links", names=[name for name in model.confounded if name.startswith("link")]), "")
     if model.inertial:
         rows = (
             (combination(item.terms), deviations[item.name], f"{item.scale:.2g}", item.unit)
@@ -296,12 +280,11 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
         )
         table = listing("combination", "±", "typical", "unit", rows=rows)
         table.columns[0].no_wrap = False
-        yield Text("Base parameters of the links, standard deviation and unit (factors in m and m²)")
+        yield "Base parameters of the links, standard deviation and unit (factors in m and m²)"
         yield from ("", table, "")
     kinds = [(own, label) for own, label in ((False, ""), (True, "of prismatic joints, P: ")) if own in arm.slides]
     units = "; ".join(label + ", ".join(joint_unit(unit, own) for unit in JOINT_UNITS) for own, label in kinds)
-    yield Text(f"Friction and rotors, standard deviations ({units})")
-    yield ""
+    yield from (f"Friction and rotors, standard deviations ({units})", "")
     table, carried = listing("joint", *JOINT), model.confounded
     for joint, slides in enumerate(arm.slides, 1):
         names = [f"joint{joint} {kind}" for kind in JOINT]
@@ -331,8 +314,7 @@ def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], s
         name: f"{found.gain(float(value)):.2f}" if np.isfinite(value) else ""
         for name, value in (("median", median), ("best", best))
     }
-    yield from _say("motion.gain", finite=np.isfinite(best), count=len(random), **gains)
-    yield ""
+    yield from (*_say("motion.gain", finite=np.isfinite(best), count=len(random), **gains), "")
     table = listing("", "designed", "random, median", "random, best")
     for name, of, best_of in (
         ("log determinant", lambda one: one.log_determinant, np.max),

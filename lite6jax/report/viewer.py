@@ -10,8 +10,8 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, final
 
 import matplotlib as mpl
 import numpy as np
@@ -50,19 +50,6 @@ WINDOW_S = 0.2
 LEAST_LIMIT = 3.0
 """Times the noise, at which colours end at least."""
 WITH, WITHOUT = "with the findings", "without the findings"
-
-
-class Place(NamedTuple):
-    """A finding and where it is: its rank from 1, what it moves with its unit, and parts of the arm as drawn.
-
-    Parts are `joint2`, `link0` (the base) … or `tool`; none where it is not on the arm.
-    """
-
-    number: int
-    title: str
-    statement: str
-    size: str
-    parts: tuple[str, ...]
 
 
 @final
@@ -142,7 +129,8 @@ class Scene:
         arm: its chain, as identified.
         headline: the cause and its worth.
         remarks: what qualifies the picture, a sentence each.
-        findings: ranked.
+        findings: as `statements.findings_of` gives them, with `parts` of the arm as drawn: `joint2`, `link0` (the base)
+            … or `tool`; none of what is not on the arm.
         capsules: of the links, in their frames; link 0 is the base.
         frames: `T_base_link` `(sample, link, 4, 4)`, of the base and after each joint.
         row: `(sample,)`, in the recording's file, from 1.
@@ -156,7 +144,7 @@ class Scene:
     arm: Arm
     headline: str
     remarks: tuple[str, ...]
-    findings: tuple[Place, ...]
+    findings: tuple[Document, ...]
     capsules: tuple[Capsule, ...]
     frames: Array
     row: NDArray[np.integer]
@@ -172,6 +160,11 @@ class Scene:
         return len(self.row)
 
     @property
+    def errors(self) -> "Sequence[PoseErrors | TorqueErrors]":
+        """Those of poses or of torques; none of a motion alone."""
+        return self.poses or self.torques
+
+    @property
     def step(self) -> float:
         """Seconds from row to row of a moving arm; 1 where that is not known."""
         steps = np.diff(self.time) if self.moving and self.time is not None else np.zeros(0)
@@ -179,11 +172,8 @@ class Scene:
 
     def marked(self) -> dict[str, list[int]]:
         """Part of the arm to the numbers of the findings there."""
-        found: dict[str, list[int]] = {}
-        for place in self.findings:
-            for part in place.parts:
-                found.setdefault(part, []).append(place.number)
-        return found
+        parts = dict.fromkeys(part for finding in self.findings for part in finding["parts"])
+        return {part: [each["rank"] for each in self.findings if part in each["parts"]] for part in parts}
 
 
 def shades(share: Array) -> NDArray[np.uint8]:
@@ -231,13 +221,12 @@ def torque_scene(document: Document, model: DiagnosedMotors, recording: Recordin
     steps = np.diff(recording.time)
     window = max(1, round(WINDOW_S / float(np.median(steps[steps > 0]))))
 
+    average = partial(uniform_filter1d, size=window, axis=0, mode="nearest")
+
     def averaged(each: DiagnosedMotors) -> Array:
         errors = (measured - predict(each, recording)) / noise
         there = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
-        sums = (
-            uniform_filter1d(x, window, axis=0, mode="nearest") for x in (np.where(there, errors**2, 0.0), 1.0 * there)
-        )
-        squares, share = sums
+        squares, share = average(np.where(there, errors**2, 0.0)), average(1.0 * there)
         return np.sqrt(np.where(there, squares / np.maximum(share, 1e-9), np.nan))
 
     errors = tuple(TorqueErrors(caption, averaged(each)) for caption, each in models)
@@ -254,20 +243,11 @@ def _scene(
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
     links = [capsule.link for capsule in capsules]
-    findings = [
-        Place(rank, each["title"], each["statement"], ranking.contribution(document, each), _parts(each["site"], links))
-        for rank, each in enumerate(statements.findings_of(document), 1)
-    ]
+    findings = [{**each, "parts": _parts(each["site"], links)} for each in statements.findings_of(document)]
+    remarks = (*remarks, *([f"{said}: {', '.join(faults)}."] if faults else []))
+    said = ranking.headline(document)
     return Scene(
-        arm=arm,
-        headline=ranking.headline(document),
-        remarks=(*remarks, *([f"{said}: {', '.join(faults)}."] if faults else [])),
-        findings=tuple(findings),
-        capsules=tuple(capsules),
-        frames=frames,
-        row=recording.row,
-        time=recording.time,
-        moving=True,
+        arm, said, remarks, tuple(findings), tuple(capsules), frames, recording.row, recording.time, moving=True
     )
 
 
@@ -292,7 +272,6 @@ PORT = 8080
 FOUND, ARROWS = BEFORE, AFTER
 """Vermillion and blue of Okabe and Ito: with colour blindness too they differ from each other and from grey."""
 ARM, TOOL, PREDICTED = "#B4B8BD", "#6B7077", "#000000"
-_Colour = tuple[int, int, int]
 
 
 @contextmanager
@@ -342,8 +321,7 @@ class Shown:
     def __init__(self, scene: Scene, server: "ViserServer") -> None:
         self.scene, self.server = scene, server
         self._lock, self._at = threading.RLock(), 0.0
-        self._size = scene.arm.reach / 20
-        self._drawn = ""
+        self._size, self._drawn = scene.arm.reach / 20, ""
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.scene.add_grid("/floor", width=40 * self._size, height=40 * self._size, cell_size=2 * self._size)
         middle = np.array([0.0, 0.0, 8 * self._size])
@@ -381,7 +359,8 @@ class Shown:
             name = f"link{capsule.link}"
             self._parts[name] = add.add_cylinder(
                 f"/arm/{capsule.link}/{name}", 0.6 * r, float(np.linalg.norm(axis)), _rgb(ARM),
-                wxyz=_from_z(axis), position=0.5 * (capsule.start + capsule.end),
+                wxyz=Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0].as_quat(scalar_first=True),
+                position=0.5 * (capsule.start + capsule.end),
             )  # fmt: skip
             if capsule.link == scene.arm.dof:
                 self._parts["tool"] = add.add_icosphere(
@@ -411,15 +390,14 @@ class Shown:
             last = max(scene.samples, 2)
             self.row = gui.add_slider("row", 1, last, 1, 1, disabled=scene.samples < 2)
             self.playing = gui.add_checkbox("play", False)
-            if scene.moving:
-                self.speed = gui.add_slider("times real time", 0.1, 10.0, 0.1, 1.0)
-            else:
-                self.speed = gui.add_slider("rows per second", 0.5, 20.0, 0.5, 2.0)
+            speeds = (
+                ("times real time", 0.1, 10.0, 0.1, 1.0) if scene.moving else ("rows per second", 0.5, 20.0, 0.5, 2.0)
+            )
+            self.speed = gui.add_slider(*speeds)
             self._status = gui.add_html("")
-        errors: Sequence[PoseErrors | TorqueErrors] = scene.poses or scene.torques
-        if errors:
+        if scene.errors:
             with gui.add_folder("Errors"):
-                captions = [each.caption for each in errors]
+                captions = [each.caption for each in scene.errors]
                 # first what was found, which then shrinks to what is left
                 self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
                 self.prediction.on_update(lambda _: self._to(self.row.value - 1))
@@ -432,30 +410,25 @@ class Shown:
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
 
-    @property
-    def _errors(self) -> Any:
-        errors: Sequence[PoseErrors | TorqueErrors] = self.scene.poses or self.scene.torques
-        return next((each for each in errors if each.caption == self.prediction.value), None) if errors else None
-
     def _to(self, sample: int) -> None:
         """Moves everything to a sample."""
         with self._lock, self.server.atomic():
             self._at = self._at if int(self._at) == sample else float(sample)
-            frames = self.scene.frames[sample]
-            turned = Rotation.from_matrix(frames[:, :3, :3]).as_quat(scalar_first=True)
-            for link, wxyz, T in zip(self._links, turned, frames, strict=True):
-                link.wxyz, link.position = wxyz, T[:3, 3]
+            for link, T in zip(self._links, self.scene.frames[sample], strict=True):
+                link.wxyz, link.position = _wxyz(T[:3, :3]), T[:3, 3]
             time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
-            errors, said = self._errors, f"Row {self.scene.row[sample]}{time}"
-            if isinstance(errors, PoseErrors):
-                said += self._compare(errors, sample)
-            elif isinstance(errors, TorqueErrors):
+            said = f"Row {self.scene.row[sample]}{time}"
+            for errors in self.scene.errors:
+                if errors.caption != self.prediction.value:
+                    continue
+                if isinstance(errors, PoseErrors):
+                    said += self._compare(errors, sample)
+                    continue
                 for joint, colour in enumerate(errors.colours(sample, self._limit), 1):
                     self._parts[f"joint{joint}"].color = tuple(map(int, colour))
                 row = errors.over_noise[sample]
                 if np.isfinite(row).all():
-                    worst = int(row.argmax())
-                    said += f": joint {worst + 1} is off most, by {row[worst]:.2g} times its noise"
+                    said += f": joint {row.argmax() + 1} is off most, by {row.max():.2g} times its noise"
             self._status.content = _paragraphs([said])
 
     def _compare(self, errors: PoseErrors, sample: int) -> str:
@@ -488,30 +461,24 @@ class Shown:
 
     def _mark(self) -> None:
         """Colours and labels the places of the findings."""
-        add, marked = self.server.scene, self.scene.marked()
-        for part, node in self._parts.items():
-            if part not in marked:
+        add = self.server.scene
+        for part, numbers in self.scene.marked().items():
+            if (node := self._parts.get(part)) is None:
                 continue
             if self.scene.torques and part.startswith("joint"):  # whose colours are those of errors
                 ring = 0.75 * self._size
                 add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND))
             else:
                 node.color = _rgb(FOUND)
-            add.add_label(f"{node.name}/label", ", ".join(map(str, marked[part])))
-
-
-def _from_z(axis: np.ndarray) -> np.ndarray:
-    """The quaternion that turns z into a direction."""
-    return Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0].as_quat(scalar_first=True)
+            add.add_label(f"{node.name}/label", ", ".join(map(str, numbers)))
 
 
 def _wxyz(R: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(R).as_quat(scalar_first=True)
 
 
-def _rgb(colour: str) -> _Colour:
-    red, green, blue = (round(255 * part) for part in to_rgb(colour))
-    return red, green, blue
+def _rgb(colour: str) -> Any:
+    return tuple(round(255 * part) for part in to_rgb(colour))
 
 
 _STYLE = "font-size: 0.85em; line-height: 1.35; margin: 0.3em 0.6em"
@@ -527,9 +494,9 @@ def _finding_list(scene: Scene) -> str:
         return _paragraphs(["None."])
     dot = f'<span style="color: {FOUND}">&#9632;</span>'
     entries = []
-    for place in scene.findings:
-        title, size, statement = map(html.escape, (place.title, place.size, place.statement))
-        where = f"{dot} {', '.join(place.parts)}." if place.parts else "Not on the arm."
+    for finding in scene.findings:
+        title, size, statement = (html.escape(finding[key]) for key in ("title", "contribution", "statement"))
+        where = f"{dot} {', '.join(finding['parts'])}." if finding["parts"] else "Not on the arm."
         entries.append(f"<li>{title}: <b>{size}</b>. {where} {statement}</li>")
     return f'<ol style="{_STYLE}; padding-left: 1.4em">{"".join(entries)}</ol>'
 

@@ -1,10 +1,14 @@
-"""How numbers, units and lists are written: on screens, on pages and in sentences alike."""
+"""How numbers, units and lists are written, on screens, on pages and in sentences alike, and texts filled with them."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import jinja2
 import numpy as np
+import yaml
 from rich import box
 from rich.table import Table
 from rich.text import Text
@@ -155,7 +159,7 @@ def joints_named(joints: Sequence[int]) -> str:
 
 def counted(count: int, noun: str) -> str:
     """A number with its noun: 1 row, or 3 rows."""
-    return f"{count} {noun}{'s' * (count != 1)}"
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def be(count: int) -> str:
@@ -263,3 +267,68 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
         scale, unit = (1e3, "mm") if end == "_m_per_s" else (180 / np.pi, "deg")
         return f"{' ± '.join(rounded(scale * _DAY * value, scale * _DAY * std))} {unit} a day"
     return ""
+
+
+# ------------------------------------------------------------------ texts of `templates`
+
+
+@cache
+def read_texts(name: str) -> dict[str, Any]:
+    """The texts of a file in `templates`."""
+    text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:
+    """A text with its numbers, and one blank between words but those of a name.
+
+    Raises:
+        KeyError: a number is missing.
+    """
+    try:
+        return " ".join(_template(text).render(numbers, **more).split()).replace("\0", " ")
+    except jinja2.UndefinedError as error:
+        raise KeyError(str(error)) from error
+
+
+def say(texts: str | Iterable[str], numbers: Mapping[str, Any], /, **more: object) -> Iterator[str]:
+    """A text or several, a line each, but for those that are empty."""
+    for text in [texts] if isinstance(texts, str) else texts:
+        if said := fill(text, numbers, **more):
+            yield said
+
+
+def _count_of(function: Callable[..., str]) -> Callable[..., str]:
+    """A function of a number, which takes rows or joints in its place."""
+    return lambda of, *more: function(len(of) if isinstance(of, Sized) else of, *more)
+
+
+def _vector(numbers: Sequence[float], digits: int = 3) -> str:
+    return f"({', '.join(milli(value, digits) for value in numbers)})"
+
+
+@cache
+def _template(text: str) -> jinja2.Template:
+    return _environment().from_string(text)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    kept = lambda value: value.replace("  ", " \0") if isinstance(value, str) else value  # noqa: E731
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, finalize=kept)
+    environment.filters |= {
+        "g": significant,
+        "mm": milli,
+        "mm_vector": _vector,
+        "joined": lambda parts, last="and": joined(map(str, parts), last),
+        "count_of": _count_of(counted),
+        **{of.__name__: of for of in (capital, joints_named, number, multiple, rows_named)},
+        "plus_minus": plus_minus,
+    }
+    environment.globals |= {
+        "be": _count_of(be),
+        "deg": lambda angle: float(np.rad2deg(angle)),
+        "chance": chance,
+        "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
+    }
+    return environment

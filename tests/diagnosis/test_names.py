@@ -228,7 +228,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(judged):
     document = diagnosis.to_dict()
     assert document["heldout_blocks"] == 25
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
-    said = statements.held_out_statement(document)
+    (said,) = statements.say_about(document, "held_out")
     assert said.startswith("Errors of 40 rows, held out in 25 contiguous blocks, several at a time")
     assert "without each of 5 contiguous blocks predicts them worse" in said
 

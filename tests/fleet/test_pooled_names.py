@@ -5,7 +5,7 @@ import pytest
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
 from lite6jax.fleet.terms import PooledTerm, Process
-from lite6jax.report.fleets import population_report
+from lite6jax.report.listings import population_report
 
 SOFT = PooledTerm("soft")
 
