@@ -4,7 +4,7 @@ Columns are those of poses or of torques: how whitened readings change per typic
 which columns are taken says which parameter stands for those that it is confounded with.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -156,20 +156,24 @@ class Determination:
         return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
 
 
-def accumulate_root(rows: Callable[..., Array], parts: Sequence[Array], size: int, block: int) -> Array:
+def each_block(rows: Callable[..., Array], parts: Sequence[Array], block: int) -> Iterator[Array]:
+    """Rows `(size, row, sample)` of parts `(sample, …)` that they depend on, `block` samples at a time.
+
+    Parts are filled up with zeros to one shape, which is compiled once.
+    """
+    for first in range(0, len(parts[0]), block):
+        padded = (pad(part[first : first + block], 0, block) for part in parts)
+        yield rows(*padded)[..., : len(parts[0]) - first]
+
+
+def accumulate_root(blocks: Iterable[Array], size: int) -> Array:
     """An upper triangular R `(size, size)` with RᵀR the information of readings, by orthogonal steps.
 
-    Its singular values are those of the rows to rounding, where an eigenvalue of RᵀR would lose half the digits.
-
-    Args:
-        rows: of parts `(block, …)`, the rows `(size, row, block)`.
-        parts: what rows depend on, `(sample, …)` each.
-        size: how many parameters.
-        block: samples at a time: parts are filled up with zeros to one shape, which is compiled once.
+    Its singular values are those of the rows to rounding, where an eigenvalue of RᵀR would lose half the digits. The
+    rows are blocks `(size, row, sample)`.
     """
-    count, R = len(parts[0]), np.zeros((size, size))
-    for first in range(0, count, block):
-        J = rows(*(pad(part[first : first + block], 0, block) for part in parts))[..., : count - first]
+    R = np.zeros((size, size))
+    for J in blocks:
         R = np.asarray(np.linalg.qr(np.concatenate([R, J.reshape(size, -1).T]), mode="r"))
     return R
 

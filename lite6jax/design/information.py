@@ -4,7 +4,7 @@ Everything here is dimensionless: a reading counts in standard deviations of its
 tolerance that it plausibly has. What follows, indices, designs and null spaces, then does not depend on units.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
-from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
+from lite6jax.arms.se3 import Frame, Turn, Twist, cross, joint_rate
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
-from lite6jax.design.determination import accumulate_root
-from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
+from lite6jax.design.determination import accumulate_root, each_block
+from lite6jax.design.sensor import AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion, Sliding
@@ -89,59 +89,51 @@ def _move_tool(
     return predict_frames_with(chain, physics, model, values, motion, statics)[1]
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _columns(
-    form: ModelForm, physics: Physics, sensor: AnySensor, own: int, numbers: Numbers, q: jax.Array, direction: jax.Array
-) -> jax.Array:
-    """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit.
+@partial(jax.jit, static_argnums=(0, 1))
+def _tool_motions(
+    form: ModelForm, physics: Physics, numbers: Numbers, q: jax.Array, direction: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The tools `(sample, 4, 4)`, and how they shift and turn with the parameters, `(parameter, 6, sample)`.
 
-    Arguments are those of `_move_tool`; another sensor than that which has the `own` unknowns does not depend on them.
+    Arguments are those of `_move_tool`.
     """
+    zero = jnp.zeros(form.size + physics.size)
+    moved = partial(_move_tool, form, physics, numbers, q, direction)
+    tool = moved(zero)
     if physics.effects:  # they have no closed form in common
-        zero = jnp.zeros(form.size + physics.size)
-        moved = partial(_move_tool, form, physics, numbers, q, direction)
-        tool = moved(zero)
-        columns = jax.lax.map(
-            lambda entry: sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1])), jnp.eye(len(zero))
-        )
+        motions = jax.lax.map(lambda step: _displacement(tool, jax.jvp(moved, (zero,), (step,))[1]), jnp.eye(len(zero)))
     else:
-        joint = joint_motion(form.chain, q.T)
-        tool = predict_frames(form, numbers.model, joint)[1]
-        columns = twist_columns(form, numbers.model, joint, partial(sensor.change, tool))[step_order(form)]
-    if own:
-        by_own = sensor.by_own(tool) if sensor.own else jnp.zeros((own, *columns.shape[1:]))
-        columns = jnp.concatenate([columns[: form.size], by_own, columns[form.size :]])
-    if not sensor.joint_noise:
-        return columns
-    return jnp.sum(_whiten_joints(form, sensor, numbers.model, q) * columns[:, None], 2)
+
+        def displace(twist: Twist) -> jax.Array:
+            if twist.angular is None:
+                return jnp.concatenate([twist.linear, jnp.zeros_like(twist.linear)])
+            return jnp.concatenate([twist.linear + cross(twist.angular, tool.origin), twist.angular])
+
+        motions = twist_columns(form, numbers.model, joint_motion(form.chain, q.T), displace)[step_order(form)]
+    T = jnp.zeros((len(q), 4, 4)).at[:, 3, 3].set(1.0)
+    return T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)), motions
 
 
-def _whiten_joints(form: ModelForm, sensor: AnySensor, model: ArmModel, q: jax.Array) -> jax.Array:
-    """What makes the noise of whitened readings unit again where the joints' read-outs are noisy: `(row, row, sample)`.
-
-    With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
-    Prismatic joints are read without noise.
-    """
+@partial(jax.jit, static_argnums=0)
+def _joint_motions(form: ModelForm, model: ArmModel, q: jax.Array) -> jax.Array:
+    """How the rigid arm's tool shifts and turns with the revolute joints, `(joint, 6, sample)`."""
     chain, joint = form.chain, joint_motion(form.chain, q.T)
-    tool = predict_frames(form, model, joint)[1]
 
-    def change(direction: jax.Array) -> jax.Array:
-        rate = joint_rate(joint, direction, chain.sliding)
-        moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (rate,))[1]
-        return sensor.change(tool, _twist(tool, moved))
+    def frame(joint: Turn) -> Frame:
+        return predict_frames(form, model, joint)[1]
+
+    def motion(direction: jax.Array) -> jax.Array:
+        return _displacement(frame(joint), jax.jvp(frame, (joint,), (joint_rate(joint, direction, chain.sliding),))[1])
 
     turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
-    J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
-    unit = jnp.eye(J.shape[1])
-    L = jnp.linalg.cholesky(unit + sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
-    return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
+    return jax.vmap(motion)(jnp.eye(chain.dof)[turning])
 
 
-def _twist(frame: Frame, moved: Frame) -> Twist:
-    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
+def _displacement(frame: Frame, moved: Frame) -> jax.Array:
+    """The shift and the turn `(6, sample)` of a frame whose derivative is `moved`."""
     # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
-    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
-    return Twist(moved.origin - cross(spin, frame.origin), spin)
+    turn = [sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))]
+    return jnp.concatenate([moved.origin, jnp.stack(turn)])
 
 
 @final
@@ -231,13 +223,29 @@ class Experiment:
         Raises:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
+        return np.transpose(np.concatenate(list(self._blocks(joint_position)), 2), (2, 1, 0)) * self.unit
+
+    def root(self, joint_position: ArrayLike) -> Array:
+        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
+        return self.unit * accumulate_root(self._blocks(joint_position), self.size)
+
+    def _blocks(self, joint_position: ArrayLike) -> Iterator[Array]:
+        """`_columns`, a block of samples at a time."""
         q = check_joints(self, joint_position)
-        return np.transpose(self._columns(q, self.direction(q)), (2, 1, 0)) * self.unit
+        return each_block(self._columns, (q, self.direction(q)), min(len(q), BLOCK))
 
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
-        static = self.form, self.physics, self.sensor, len(self.own)
-        return np.asarray(_columns(*static, self.numbers, q, direction))[self.movable]  # type: ignore[arg-type]
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, direction))  # type: ignore[arg-type]
+        slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
+        columns = np.einsum("rks,pks->prs", slopes, motions)
+        columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.movable]
+        if not self.sensor.joint_noise:
+            return columns
+        # with J the change of whitened readings per rad of the joints, and I + σ² J Jᵀ = L Lᵀ, L⁻¹ whitens them again
+        J = np.einsum("rks,jks->srj", slopes, np.asarray(_joint_motions(self.form, self.numbers.model, q)))  # type: ignore[arg-type]
+        L = np.linalg.cholesky(np.eye(len(slopes)) + self.sensor.joint_noise**2 * J @ np.swapaxes(J, 1, 2))
+        return np.transpose(np.linalg.solve(L, np.transpose(columns)), (2, 1, 0))
 
     def error_rows(self, joint_position: ArrayLike) -> Array:
         """How the tool's pose changes with the parameters, `(sample, 6, size)` m and rad per tolerance.
@@ -245,26 +253,16 @@ class Experiment:
         A sensor with unknown places of its own determines no base: then but for the displacement of the base that
         moves the positions as nearly alike.
         """
-        J = self.with_sensor(BARE).rows(joint_position)
+        q = check_joints(self, joint_position)
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
+        motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.movable]
+        J = np.transpose(motions, (2, 1, 0)) * self.unit
         if not self.own:
             return J
-        q = np.asarray(joint_position, float)
-        still = jnp.zeros(self.form.size + self.physics.size)
-        moved = jnp.asarray(q), jnp.asarray(self.direction(q))
-        p = np.asarray(_move_tool(self.form, self.physics, self.numbers, *moved, still).origin)
         base = np.tile(np.eye(6), (len(q), 1, 1))
-        base[:, :3, 3:] = np.cross(np.eye(3), p.T[:, None]).swapaxes(1, 2)
+        base[:, :3, 3:] = np.cross(np.eye(3), tool[:, None, :3, 3]).swapaxes(1, 2)
         alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
         return J - base @ alike
-
-    def root(self, joint_position: ArrayLike) -> Array:
-        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
-        q = check_joints(self, joint_position)
-        return self.unit * accumulate_root(self._columns, (q, self.direction(q)), self.size, min(len(q), BLOCK))
-
-    def with_sensor(self, sensor: AnySensor) -> "Experiment":
-        """The same model with another sensor."""
-        return replace(self, sensor=sensor)
 
     def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
         """The same with these effects unknown too, linearised at `values` `(number,)`, or where they are neutral.

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -225,8 +224,7 @@ def read_places(of: Experiment, joint_position: Array) -> NDArray[np.integer]:
     if not isinstance(of.sensor, PlacedReading):
         return np.zeros(len(joint_position), int)
     T = frames.chain(frames.transform_from_row(of.arm.kinematics), joint_position, of.arm.sliding)
-    point = (T @ np.asarray(of.model.T_flange_tool))[:, :3, 3]
-    return np.asarray(of.sensor.nearest(jnp.asarray(point.T)))
+    return of.sensor.nearest(T @ np.asarray(of.model.T_flange_tool))
 
 
 def planned_readings(

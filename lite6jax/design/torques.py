@@ -20,6 +20,7 @@ from lite6jax.design.determination import (
     Determination,
     accumulate_root,
     determination_of,
+    each_block,
     narrow_joints,
 )
 from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
@@ -98,7 +99,7 @@ class TorqueModel:
             return np.asarray(self.columns(Motion(*(part.T for part in parts)))).swapaxes(0, 1)
 
         parts = [np.asarray(part).T for part in motion]
-        return self.scale * accumulate_root(rows, parts, len(self.names), _BLOCK)
+        return self.scale * accumulate_root(each_block(rows, parts, _BLOCK), len(self.names))
 
     @cached_property
     def possible(self) -> Determination:

@@ -20,7 +20,6 @@ from lite6jax.design.poses import (
     plan_poses,
     short_path,
 )
-from lite6jax.design.sensor import BARE
 from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, JointOffset
 from lite6jax.errors import InputError
 from lite6jax.report.study import plan_report
@@ -43,7 +42,7 @@ def workspace_accuracy(q):
     """By the definition: root mean square over the workspace of the standard deviation of a predicted position."""
     rows = SETUP.rows(q).reshape(-1, 28) / SETUP.unit
     covariance = np.linalg.inv(rows.T @ rows)
-    J = SETUP.with_sensor(BARE).rows(sample_within_limits(LITE6, WORKSPACE, 1))[:, :3] / SETUP.unit
+    J = SETUP.error_rows(sample_within_limits(LITE6, WORKSPACE, 1))[:, :3] / SETUP.unit
     return np.sqrt(np.mean(np.sum((J @ covariance) * J, (1, 2))))
 
 
