@@ -265,12 +265,14 @@ def present(
 ) -> int:
     """Prints the document of a result, or its report and the files that were written, and returns the exit code.
 
-    Files are written before: a reader who leaves early, like `head`, must not cost them. A result is a document, has
-    one, or returns one.
+    Files are written before: a reader who leaves early, like `head`, must not cost them. A result is a document or its
+    text, has one, or returns one.
     """
     if as_json:
         found = result() if callable(result) else result
-        print(documents.text(found if isinstance(found, Mapping) else documents.document(found), written))
+        if not isinstance(found, str):
+            found = documents.text(found if isinstance(found, Mapping) else documents.document(found), written)
+        print(found)
         return code
     screen.show(report)
     screen.written(written)

@@ -132,15 +132,11 @@ class Diagnose:
         recording, found = self.search()
         document = self.document(found)
         written = self.write(found, document)
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            files = ranking.Files(self.source, self.out, self.effects)
-            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
-            screen.show(screen.notes(recording.notes))
-            screen.written(written)
+        files = ranking.Files(self.source, self.out, self.effects)
+        report = sections.diagnosis_report(document, str(self.source), files, self.details)
         bad = isinstance(found, diagnose.Diagnosis) and found.quality.verdict == "bad"
-        return command.BAD_FIT if bad else command.DONE
+        code = command.BAD_FIT if bad else command.DONE
+        return _present(self.json, document, chain(report, screen.notes(recording.notes)), written, code)
 
     def search(self) -> "tuple[recordings.Recording, Found]":
         """The recording and its diagnosis."""
@@ -226,18 +222,13 @@ class Diagnose:
                 f"{self.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
             )
         command.check_processes(self.processes, self.scheduler)
+        pooled = self.out / diagnoses.POOLED
         if self.fleet:
-            return self._diagnose_fleet(self.out)
-        table = self._diagnose_each(self.out)
-        rows = fleets.read_diagnoses(table)
-        report = fleets.diagnoses_report(rows)
-        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [table])
-
-    def _diagnose_each(self, out: Path) -> Path:
+            diagnoses.check_pooled(self.out, list_recordings(Place.of(self.source)), self.force)
         with screen.progress_of_many("diagnosing") as advance:
-            return diagnoses.diagnose_folder(
+            table = diagnoses.diagnose_folder(
                 self.source,
-                out,
+                self.out,
                 diagnose_names,
                 (self,),
                 scheduler=self.scheduler,
@@ -245,28 +236,17 @@ class Diagnose:
                 progress=advance,
                 overwrite=self.force,
             )
-
-    def _diagnose_fleet(self, out: Path) -> int:
-        path = out / diagnoses.POOLED
-        diagnoses.check_pooled(out, list_recordings(Place.of(self.source)), self.force)
-        self._diagnose_each(out)
-        effects = [0]
-        with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
-            document = diagnoses.pool_folder(
-                str(self.source),
-                out,
-                terms.PoolingOptions(),
-                self.scheduler,
-                self.processes,
-                lambda count: effects.__setitem__(0, count),
-            ).to_dict()
-        write_atomically(path, diagnosis_file.document_text(document), overwrite=self.force)
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            screen.show(fleets.population_report(document))
-            screen.written([out / diagnoses.TABLE, path])
-        return command.DONE
+        if not self.fleet:
+            rows = fleets.read_diagnoses(table)
+            return command.present(
+                self.json, lambda: documents.of_diagnoses(rows), fleets.diagnoses_report(rows), [table]
+            )
+        rounds: list[int] = []
+        given = str(self.source), self.out, terms.PoolingOptions(), self.scheduler, self.processes
+        with screen.repeated(lambda: f"pooling the recordings: {rounds[-1] if rounds else 0} effects so far"):
+            document = diagnoses.pool_folder(*given, rounds.append).to_dict()
+        write_atomically(pooled, diagnosis_file.document_text(document), overwrite=self.force)
+        return _present(self.json, document, fleets.population_report(document), [table, pooled])
 
     def diagnose(self) -> tuple[str, bytes | None]:
         """The document of the recording, as `run` writes it, and with `fleet` the reduced recording.
@@ -280,11 +260,16 @@ class Diagnose:
         return text, reduction.reduced(found).to_bytes()
 
 
+def _present(as_json: bool, document: Any, report: Any, written: list[Path], code: int = command.DONE) -> int:
+    """As `command.present`, with the document as its file has it."""
+    return command.present(as_json, lambda: diagnosis_file.document_text(document), report, written, code)
+
+
 def _is_folder(source: Path) -> bool:
     """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
-    if restore_url(source) is not None or not os.path.isdir(source):
-        return restore_url(source) is not None
-    return recordings.recording_file(source) is None
+    if restore_url(source) is not None:
+        return True
+    return os.path.isdir(source) and recordings.recording_file(source) is None
 
 
 def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
@@ -352,12 +337,7 @@ class Report:
                     itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
                     said["inputs"] = [*said.get("inputs", ()), itself]
                     written.append(pages.write_certificate(said, self.certificate, self.force))
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            screen.show(page)
-            screen.written(written)
-        return command.DONE
+        return _present(self.json, document, page, written)
 
 
 @final
