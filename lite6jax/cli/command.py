@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, command_line
@@ -22,7 +22,7 @@ with import_lazily():
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.report import documents, figures, screen
+    from lite6jax.report import documents, figures, screen, texts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,6 +76,10 @@ AssumeDegrees = Annotated[bool, arg(help="Take joint columns that say rad as deg
 AssumeMillimetres = Annotated[bool, arg(help="Take position columns that say m as millimetres.")]
 Seed = Annotated[int, arg(help="Seed of the random numbers.")]
 Duration = Annotated[float | None, arg(metavar="S", help="The duration; by default until Ctrl-C.")]
+Known = Literal["known", "unknown"]
+Geometry = Literal["declared", "exact", "prior", "free"]
+Reading = Literal["contact", "plane", "distance", "axis", "fixed_camera", "flange_camera"]
+EffectTexts = Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")]
 Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
@@ -277,6 +281,13 @@ def present(
     screen.show(report)
     screen.written(written)
     return code
+
+
+def say(text: str, **facts: object) -> "Iterator[Text]":
+    """What a command says of its work: the sentences of `templates/commands.yaml` by this name, a line each."""
+    from rich.text import Text
+
+    yield from (Text(texts.fill(one, facts)) for one in texts.read_texts("commands.yaml")[text])
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":

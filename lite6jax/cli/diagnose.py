@@ -84,7 +84,7 @@ class Diagnose:
     motion, what each recording shows is compared."""
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """Of poses, what is known of its geometry: as the sidecar declares; exactly the factory calibration; near it;
     nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None

@@ -94,7 +94,7 @@ class Fit:
     figures: command.Folder = None
     """Draw the error against each joint into this folder (PNG and SVG)."""
     force: command.Force = False
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
     loss: Literal["student_t", "least_squares"] = "student_t"
     """Of a recording: student_t is robust to outliers."""

@@ -174,7 +174,7 @@ class Emulate:
     """The address, on loopback only. The report ports are 30000 to 30003."""
     control_port: Annotated[int, arg(metavar="PORT")] = 502
     """502, as on an arm, requires privileges; another one must be set in the SDK."""
-    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    effect: command.EffectTexts = ()
     """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3 in the pose on port 30000, or
     viscous_friction:joint=2,viscous_Nm_s_per_rad=3 in the torques of the motors; repeatable. The controller's
     kinematics contain none."""

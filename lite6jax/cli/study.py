@@ -32,21 +32,7 @@ if TYPE_CHECKING:
     Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
     """A design, what is written of it, and its report."""
 
-SensorName = Literal[
-    "tracker",
-    "tracker_6d",
-    "motion_capture",
-    "camera",
-    "dial_gauge",
-    "ball_bar",
-    "contact",
-    "plane",
-    "distance",
-    "axis",
-    "fixed_camera",
-    "flange_camera",
-]
-Known = Literal["known", "unknown"]
+PoseSensor = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 _TRIED_READINGS = 2000
 """Poses that read places, among which a design chooses."""
 
@@ -56,7 +42,7 @@ _TRIED_READINGS = 2000
 class Setup:
     """How poses are measured; the sidecar states it for a recording that has poses."""
 
-    sensor: SensorName = "tracker"
+    sensor: Literal[PoseSensor, command.Reading] = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar.
     Readings of which places and tool are unknown: contact (sockets), plane, distance, axis, fixed_camera,
     flange_camera."""
@@ -64,9 +50,9 @@ class Setup:
     """Plates with two sockets each (2 where not given), or with a plane (3)."""
     chain: Literal["hayati", "six_parameter"] = "hayati"
     """The parameters: Hayati's effective model, or the six numbers a joint of a factory file."""
-    frame: Known = "unknown"
+    frame: command.Known = "unknown"
     """Whether the sensor's frame is known."""
-    tool: Known = "known"
+    tool: command.Known = "known"
     """Whether the measured point's place on the flange is known."""
     tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The nominal place of the measured point, mm in the flange's frame."""
@@ -80,7 +66,7 @@ class Setup:
     """One standard deviation per axis, degrees."""
     joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
     """One standard deviation of a joint's read-out, degrees."""
-    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    effect: command.EffectTexts = ()
     """An effect that is unknown too, such as joint_compliance:joint=2; may be given more than once."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """Mass at the flange, for effects of gravity."""
@@ -227,7 +213,7 @@ class Identify:
     """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
     """Seed of the poses."""
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
     arm: command.ArmName = None

@@ -87,12 +87,12 @@ class SelfCollision(NamedTuple):
         """Each pair's distance of surfaces, m, `(pair, sample)`."""
         q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
         xp, walked = q.__array_namespace__(), walk_chain(self.arm, q)
-        ends = []
-        for which in (2, 3):
-            T = [(walked[capsule.link], capsule[which]) for capsule in self.capsules]
-            ends.append(xp.stack([(frame[:, :3, :3] @ end + frame[:, :3, 3]).T for frame, end in T], 1))
-        (i, j), radius = self.pairs.T, np.array([capsule.radius for capsule in self.capsules])
-        apart = segment_distance(*(end[:, of] for of in (i, j) for end in ends))
+        p, r = (
+            xp.stack([walked[c.link][:, :3, :3] @ c[end] + walked[c.link][:, :3, 3] for c in self.capsules])
+            for end in (2, 3)
+        )
+        (i, j), radius = self.pairs.T, np.array([c.radius for c in self.capsules])
+        apart = segment_distance(*(xp.moveaxis(each, -1, 0) for each in (p[i], r[i], p[j], r[j])))
         return apart - (radius[i] + radius[j])[:, None]
 
 

@@ -50,7 +50,7 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
         InputError: joints that the arm does not have.
     """
     e = experiment
-    geometry, rigid = (int(e.movable[:size].sum()) for size in (e.form.chain.size, e.form.size + len(e.own)))
+    geometry, rigid = int(e.movable[: e.form.chain.size].sum()), e.size - e.physics.size
     return determination_of(
         e.root(joint_position),
         e.names,

@@ -147,16 +147,14 @@ class Experiment:
         arm: the nominal arm; its masses cause the loads that effects depend on.
         form: the geometry, sensor frame and tool.
         model: where they are linearised; NumPy leaves.
-        sensor: what is measured.
-        movable: `(parameter,)` bool, those that are unknown.
-        precision: `(parameter,)` the prior of each, one over its variance; zero is no prior.
-        scale: `(parameter,)` the unit of each: its tolerance or typical size, SI.
-        physics: effects beyond the rigid arm.
+        sensor: what is measured. Its own unknowns, as points that are touched, are somewhere within reach.
+        movable: `(form.size,)` bool, which entries of a step are unknown.
+        precision: `(form.size,)` the prior of each, one over its variance; zero is no prior.
+        physics: effects beyond the rigid arm, all unknown.
         values: `(physics.size,)` where those are linearised.
         payload: kg at the flange.
         approach: from where each pose is approached, on which effects of the direction of motion depend:
             the pose before it, for the first all joints at zero; or always all joints at zero.
-        own: the unknowns that the sensor has, as points that are touched.
     """
 
     arm: Arm
@@ -165,39 +163,50 @@ class Experiment:
     sensor: AnySensor
     movable: NDArray[np.bool_]
     precision: Array
-    scale: Array
     physics: Physics = field(default_factory=Physics)
     values: tuple[float, ...] = ()
     payload: float = 0.0
     approach: Approach = "sequence"
-    own: tuple[OwnNumber, ...] = ()
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """The unknowns that the sensor has."""
+        return self.sensor.own
+
+    @cached_property
+    def unknown(self) -> NDArray[np.bool_]:
+        """`(parameter,)`, which of all parameters are unknown."""
+        return np.concatenate([self.movable, np.ones(len(self.own) + self.physics.size, bool)])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
         own = (one.name for one in self.own)
-        return tuple(compress((*self.form.names, *own, *self.physics.names), self.movable))
+        return tuple(compress((*self.form.names, *own, *self.physics.names), self.unknown))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m`, `rad`, or an effect's unit, of each."""
         own = (one.unit for one in self.own)
-        return tuple(compress((*self.form.units, *own, *self.physics.units), self.movable))
+        return tuple(compress((*self.form.units, *own, *self.physics.units), self.unknown))
 
     @property
     def size(self) -> int:
         """How many are unknown."""
-        return int(self.movable.sum())
+        return int(self.unknown.sum())
 
     @cached_property
     def unit(self) -> Array:
         """`(size,)`, the tolerance or typical size of each unknown parameter, SI."""
-        return self.scale[self.movable]
+        tolerances = [TOLERANCE[unit] for unit in (*self.form.units, *(one.unit for one in self.own))]
+        return np.concatenate([tolerances, self.physics.typical])[self.unknown]
 
     @cached_property
     def prior(self) -> Array:
         """`(size, size)`, the information of the prior, in these units; diagonal."""
-        return np.diag(self.precision[self.movable] * self.unit**2)
+        own = [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in self.own]
+        precision = np.concatenate([self.precision, own, np.zeros(self.physics.size)])
+        return np.diag(precision[self.unknown] * self.unit**2)
 
     @cached_property
     def numbers(self) -> Numbers:
@@ -239,7 +248,7 @@ class Experiment:
         tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, direction))  # type: ignore[arg-type]
         slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
         columns = np.einsum("rks,pks->prs", slopes, motions)
-        columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.movable]
+        columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.unknown]
         if not self.sensor.joint_noise:
             return columns
         # with J the change of whitened readings per rad of the joints, and I + σ² J Jᵀ = L Lᵀ, L⁻¹ whitens them again
@@ -255,7 +264,7 @@ class Experiment:
         """
         q = check_joints(self, joint_position)
         tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
-        motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.movable]
+        motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.unknown]
         J = np.transpose(motions, (2, 1, 0)) * self.unit
         if not self.own:
             return J
@@ -270,15 +279,9 @@ class Experiment:
         Raises:
             InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
         """
-        physics, rigid = Physics(tuple(effects)), self.form.size + len(self.own)
-        extended = replace(
-            self,
-            movable=np.concatenate([self.movable[:rigid], np.ones(physics.size, bool)]),
-            precision=np.concatenate([self.precision[:rigid], np.zeros(physics.size)]),
-            scale=np.concatenate([self.scale[:rigid], physics.typical]),
-            physics=physics,
-            values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
-        )
+        physics = Physics(tuple(effects))
+        values = np.zeros(physics.size) if values is None else np.asarray(values, float)
+        extended = replace(self, physics=physics, values=tuple(values.tolist()))
         extended.rows(np.zeros((1, self.arm.dof)))  # raises now rather than after a long computation
         return extended
 
@@ -342,23 +345,11 @@ def experiment(
     movable: NDArray[np.bool_] | None = None,
     precision: Array | None = None,
 ) -> Experiment:
-    """An experiment of any model; all parameters are unknown and without a prior where not given.
-
-    The sensor's own unknowns are unknown, and somewhere within reach.
-    """
-    own = sensor.own
+    """An experiment of any model; all parameters are unknown and without a prior where not given."""
     movable = np.ones(form.size, bool) if movable is None else movable
     precision = np.zeros(form.size) if precision is None else precision
-    return Experiment(
-        arm=arm,
-        form=form,
-        model=ArmModel(*(np.asarray(leaf) for leaf in model)),  # type: ignore[arg-type]
-        sensor=sensor,
-        movable=np.concatenate([movable, np.ones(len(own), bool)]),
-        precision=np.concatenate([precision, [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in own]]),
-        scale=np.array([TOLERANCE[unit] for unit in (*form.units, *(one.unit for one in own))]),
-        own=own,
-    )
+    model = ArmModel(*(np.asarray(leaf) for leaf in model))  # type: ignore[arg-type]
+    return Experiment(arm, form, model, sensor, movable, precision)
 
 
 def recording_experiment(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:

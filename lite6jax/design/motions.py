@@ -152,15 +152,10 @@ def motion_room(
         InputError: a limit, duration or rate that is not positive, limits as many as neither one nor the joints, as
             `inside_limits`, fewer than two harmonics, or so few samples that the highest is not sampled ten times.
     """
-    limits = []
-    for name, given, unit in (("velocity", velocity, "rad/s"), ("acceleration", acceleration, "rad/s²")):
-        values = np.atleast_1d(np.asarray(given, float))
-        if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
-            raise InputError(
-                f"{name} limit {np.array2string(values, precision=4)} {unit}: give one number above 0, or"
-                f" {arm.dof} of them"
-            )
-        limits.append(joint_sizes(float(values[0]), unit, arm.slides) if values.shape == (1,) else values.copy())
+    limits = (
+        per_joint(arm, velocity, "velocity limit", "rad/s"),
+        per_joint(arm, acceleration, "acceleration limit", "rad/s²"),
+    )
     for name, value, unit in (("duration", duration, "s"), ("rate", rate, "samples a second")):
         if not 0 < value < np.inf:
             raise InputError(f"{name} {value:g}: give a number of {unit}, above 0")
@@ -174,7 +169,20 @@ def motion_room(
     position = inside_limits(arm, margin)
     middle, widest = position.mean(1, keepdims=True), np.where(arm.slides, np.inf, np.pi)[:, None]
     position = np.clip(position, middle - widest, middle + widest)
-    return MotionRoom(arm, position, limits[0], limits[1], filters, duration, harmonics, rate)
+    return MotionRoom(arm, position, *limits, filters, duration, harmonics, rate)
+
+
+def per_joint(arm: Arm, given: ArrayLike, name: str, unit: str, number: str = "number") -> Matrix:
+    """A number above zero of each joint `(joint,)`, of one for all, of prismatic joints at `LEVER`, or of one for each.
+
+    Raises:
+        InputError: other numbers; it says the `name`, the unit, and which `number` to give.
+    """
+    values = np.atleast_1d(np.asarray(given, float))
+    if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
+        shown = " ".join(f"{value:g}" for value in values.ravel())
+        raise InputError(f"{name} {shown} {unit}: give one {number} above 0, or {arm.dof} of them")
+    return joint_sizes(float(values[0]), unit, arm.slides) if values.shape == (1,) else values.copy()
 
 
 @jax.jit

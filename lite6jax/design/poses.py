@@ -87,17 +87,16 @@ class Criterion:
     def approximate_gains(self, rows: Array, M: Array) -> Array:
         """As `gains`, with each row of a pose by itself: exact for a single row, and fast."""
         C = np.linalg.inv(M)
-        weighted, found = None if self.weight is None else C @ self.weight @ C, np.empty(len(rows))
-        for first in range(0, len(rows), _BLOCK):
-            block = rows[first : first + _BLOCK]
-            flat = block.reshape(-1, len(M))
+        weighted = None if self.weight is None else C @ self.weight @ C
+
+        def gains(flat: Array) -> Array:
             leverage = np.einsum("nk,nk->n", flat @ C, flat)
             if weighted is None:
-                each = np.log1p(leverage)
-            else:
-                each = np.einsum("nk,nk->n", flat @ weighted, flat) / (1 + leverage)
-            found[first : first + _BLOCK] = each.reshape(len(block), -1).sum(1)
-        return found
+                return np.log1p(leverage)
+            return np.einsum("nk,nk->n", flat @ weighted, flat) / (1 + leverage)
+
+        blocks = (rows[first : first + _BLOCK] for first in range(0, len(rows), _BLOCK))
+        return np.concatenate([gains(block.reshape(-1, len(M))).reshape(len(block), -1).sum(1) for block in blocks])
 
 
 def _products(J: Array, C: Array) -> Array:
@@ -176,9 +175,10 @@ class Pool:
             raise InputError(criterion.confounded)
         return Criterion(self.outward.T @ criterion.weight @ self.outward)
 
-    def accumulate(self, rows: Array) -> Array:
-        """The information of the prior and of the first 1, 2, … of rows `(pose, row, k)`, `(pose, k, k)`."""
-        return self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0)
+    def curve(self, criterion: Criterion, chosen: ArrayLike) -> Array:
+        """The criterion of the prior and the first 1, 2, … of some candidates, `(pose,)`."""
+        rows = self.rows[np.asarray(chosen, int)]
+        return criterion.value(self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0))
 
     def information(self, chosen: ArrayLike) -> Array:
         """The information of the prior and some candidates, with what keeps it invertible."""
@@ -235,7 +235,7 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
         chosen = among[_build(pool, criterion, among, len(chosen), min(len(chosen) + _TOGETHER, count))]
     chosen, exchanges, cycles = exchange(pool, criterion, chosen)
     chosen = chosen[_build(pool, criterion, chosen, 0, count)]
-    return Design(chosen, criterion.value(pool.accumulate(pool.rows[chosen])), rank, exchanges, cycles)
+    return Design(chosen, pool.curve(criterion, chosen), rank, exchanges, cycles)
 
 
 def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count: int) -> list[int]:
@@ -403,7 +403,7 @@ def plan_poses(
         """The accuracy after the first 1, 2, … of some candidates."""
         if judged is None:
             return np.full(len(indices), np.inf)
-        return np.sqrt(-judged.value(pool.accumulate(pool.rows[indices])))
+        return np.sqrt(-pool.curve(judged, indices))
 
     achieved = reached = curve(design.indices)
     needed, more = None, count
@@ -472,7 +472,7 @@ def plan_discrimination(
     design = choose(pool, count, by)
 
     def distances(indices: NDArray[np.integer]) -> Array:
-        variances = -by.value(pool.accumulate(pool.rows[indices]))
+        variances = -pool.curve(by, indices)
         return 1 / np.sqrt(np.where(np.isfinite(variances), variances, np.nan))
 
     return DiscriminationPlan(

@@ -279,7 +279,7 @@ class BoardView(AnySensor):
 def _corner_slopes(mounted: Mounted, lens: Lens, corners: Array, tool: Array) -> tuple[jax.Array, jax.Array]:
     """The pixels `(sample, corner, 2)` and their slopes `(sample, corner, 2, 6)`, turns in the moved axes."""
 
-    def pixels(T: jax.Array, twist: jax.Array) -> jax.Array:
+    def pixels(T: Any, twist: jax.Array) -> jax.Array:
         return seen_corners(mounted, lens, corners, T, twist)
 
     still = jnp.zeros(6)

@@ -23,7 +23,7 @@ from lite6jax.design.determination import (
     each_block,
     narrow_joints,
 )
-from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
+from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, per_joint, random_motions
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
 
@@ -154,16 +154,10 @@ def torque_model(
     Raises:
         InputError: noise that is not positive or is of another number of joints, or gravity that is not three numbers.
     """
-    values = np.atleast_1d(np.asarray(NOISE if noise is None else noise, float))
-    if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
-        raise InputError(
-            f"torque noise {' '.join(f'{v:g}' for v in values.ravel())} Nm: give one standard deviation above 0, or"
-            f" {arm.dof} of them"
-        )
+    each = per_joint(arm, NOISE if noise is None else noise, "torque noise", "Nm", "standard deviation")
     g = np.asarray(gravity, float)
     if g.shape != (3,) or not np.isfinite(g).all():
         raise InputError(f"gravity {np.asarray(gravity).tolist()}: give three finite numbers in m/s²")
-    each = joint_sizes(float(values[0]), "Nm", arm.slides) if values.shape == (1,) else values.copy()
     mass = np.full(arm.dof, _UNKNOWN_MASS) if arm.mass is None else arm.mass
     mass = np.maximum(mass, 1e-3 * mass.max(initial=_UNKNOWN_MASS))
     ahead = np.vstack([arm.kinematics[1:, :3], arm.T_joint_flange[:3, 3]])

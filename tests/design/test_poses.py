@@ -170,7 +170,7 @@ NAMES = tuple(ORACLES)
 def test_gains_are_what_poses_add(name):
     rows = random_rows(11, candidates=40, rows=2)
     pool = Pool(rows)
-    criterion, before = apply(name, pool), pool.accumulate(pool.rows[:5])[-1]
+    criterion, before = apply(name, pool), information(pool.rows[:5])
     each = [criterion.value(before + J.T @ J) - criterion.value(before) for J in pool.rows]
     np.testing.assert_allclose(criterion.gains(pool.rows, before), each, rtol=1e-9)
 
