@@ -99,6 +99,11 @@ def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> d
     return found
 
 
+def assumptions(options: Any) -> dict[str, bool]:
+    """What a command takes the units of a recording for, as readers want it."""
+    return {name: getattr(options, name) for name in ("assume_degrees", "assume_millimetres")}
+
+
 def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":
     """The effects in a user's file; none where none is given."""
     return () if file is None else user_effects.load_effects(file)

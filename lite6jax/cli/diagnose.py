@@ -159,8 +159,7 @@ class Diagnose:
 
         Of a recording that has both, poses and torques are diagnosed together, but of a fleet the poses.
         """
-        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        arm = source.load_nominal(self.arm)
+        assumed, arm = command.assumptions(self), source.load_nominal(self.arm)
         recording = source.load_recording(self.source, arm, **assumed)
         if self.more:
             further = [source.load_recording(file, arm, **assumed) for file in self.more]

@@ -50,9 +50,7 @@ class Check:
             raise InputError("check needs a file or more; name them")
         nominal = sources.load_nominal(self.arm)
         for path in self.files:
-            source = sources.read_source(
-                path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
+            source = sources.read_source(path, nominal, **command.assumptions(self))
             if isinstance(source, recordings.Recording):
                 found = pose_check.check_recording(source, nominal)
             else:
@@ -164,9 +162,7 @@ class Fit:
     def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
         if self.source is None:
             return station.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
-        return sources.read_source(
-            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-        )
+        return sources.read_source(self.source, nominal, **command.assumptions(self))
 
 
 @dataclass(frozen=True)

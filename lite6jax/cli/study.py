@@ -163,7 +163,7 @@ class TorqueSetup:
         """What is unknown of an arm, and the noise, of a recording as `declared`."""
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
-        return torques.torque_model(arm, noise, gravity, self.inertial == "unknown")
+        return torques.TorqueModel(arm, noise, gravity, self.inertial == "unknown")
 
     def room(
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
@@ -174,7 +174,7 @@ class TorqueSetup:
             np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
             for numbers in (self.velocity, self.acceleration)
         )
-        return motions.motion_room(
+        return motions.MotionRoom(
             arm, velocity, acceleration, margin, filters, self.duration, self.harmonics, self.rate
         )
 
@@ -233,9 +233,7 @@ class Identify:
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:
             nominal = source.load_nominal(self.arm)
-            recording = source.load_recording(
-                self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
+            recording = source.load_recording(self.source, nominal, **command.assumptions(self))
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None

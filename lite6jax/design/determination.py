@@ -246,24 +246,18 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
     """
-    size = root.shape[1]
     length = np.linalg.norm(root, axis=0)
-    largest = length.max(initial=0.0)
-    free, shares, Q = np.zeros(size, bool), dict[int, Array](), np.zeros((len(root), 0))
+    observable = length > _UNOBSERVABLE * length.max(initial=0.0)
+    unit = root / np.where(observable, length, 1.0)
+    free, shares = np.zeros(len(length), bool), dict[int, Array]()
     for k in order:
-        share = np.zeros(size)
-        if length[k] > _UNOBSERVABLE * largest:
-            rest = root[:, k] / length[k]
-            for _ in range(2):  # twice is enough (Kahan): once leaves rounding in proportion to what was removed
-                rest = rest - Q @ (Q.T @ rest)
-            remaining = float(np.linalg.norm(rest))
-            if remaining > _DEPENDENT:
-                Q = np.column_stack([Q, rest / remaining])
+        share, taken = np.zeros(len(length)), np.flatnonzero(free)
+        if observable[k]:
+            share[taken] = np.linalg.lstsq(unit[:, taken], unit[:, k], rcond=None)[0]
+            if np.linalg.norm(unit[:, k] - unit @ share) > _DEPENDENT:
                 free[k] = True
                 continue
-            taken = np.flatnonzero(free)
-            scaled = root[:, taken] / length[taken]
-            share[taken] = np.linalg.lstsq(scaled, root[:, k], rcond=None)[0] / length[taken]
+            share[taken] *= length[k] / length[taken]
         shares[k] = share
     return free, shares
 

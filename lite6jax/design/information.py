@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
-from typing import Literal, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -146,10 +146,11 @@ class Experiment:
     Attributes:
         arm: the nominal arm; its masses cause the loads that effects depend on.
         form: the geometry, sensor frame and tool.
-        model: where they are linearised; NumPy leaves.
+        model: where they are linearised.
         sensor: what is measured. Its own unknowns, as points that are touched, are somewhere within reach.
-        movable: `(form.size,)` bool, which entries of a step are unknown.
-        precision: `(form.size,)` the prior of each, one over its variance; zero is no prior.
+        movable: `(form.size,)` bool, which entries of a step are unknown; all where not given.
+        precision: `(form.size,)` the prior of each, one over its variance; zero is no prior, and none is where not
+            given.
         physics: effects beyond the rigid arm, all unknown.
         values: `(physics.size,)` where those are linearised.
         payload: kg at the flange.
@@ -161,12 +162,18 @@ class Experiment:
     form: ModelForm
     model: ArmModel
     sensor: AnySensor
-    movable: NDArray[np.bool_]
-    precision: Array
+    movable: Any = None
+    precision: Any = None
     physics: Physics = field(default_factory=Physics)
     values: tuple[float, ...] = ()
     payload: float = 0.0
     approach: Approach = "sequence"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", ArmModel(*(np.asarray(leaf) for leaf in self.model)))  # type: ignore[arg-type]
+        for name, default in (("movable", np.ones(self.form.size, bool)), ("precision", np.zeros(self.form.size))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
 
     @property
     def own(self) -> tuple[OwnNumber, ...]:
@@ -334,22 +341,7 @@ def plan_experiment(
     T_joint_tool = np.array(arm.T_joint_flange)
     T_joint_tool[:3, 3] += T_joint_tool[:3, :3] @ np.asarray(tool_at, float)
     model = ArmModel(values, np.eye(4), T_joint_tool)  # type: ignore[arg-type]
-    return experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
-
-
-def experiment(
-    arm: Arm,
-    form: ModelForm,
-    model: ArmModel,
-    sensor: AnySensor,
-    movable: NDArray[np.bool_] | None = None,
-    precision: Array | None = None,
-) -> Experiment:
-    """An experiment of any model; all parameters are unknown and without a prior where not given."""
-    movable = np.ones(form.size, bool) if movable is None else movable
-    precision = np.zeros(form.size) if precision is None else precision
-    model = ArmModel(*(np.asarray(leaf) for leaf in model))  # type: ignore[arg-type]
-    return Experiment(arm, form, model, sensor, movable, precision)
+    return Experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
 
 
 def recording_experiment(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
@@ -367,4 +359,4 @@ def recording_experiment(recording: Recording, arm: Arm | None = None, geometry:
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"
     sensor = Sensor(quantity, position, orientation, joint_noise=recording.settings.joint_noise_rad)
-    return experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)
+    return Experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)
