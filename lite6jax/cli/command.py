@@ -288,11 +288,13 @@ def present(
     return code
 
 
-def say(text: str, **facts: object) -> "Iterator[Text]":
+def say(text: str, wrapped: bool = True, **facts: object) -> "Iterator[Text]":
     """What a command says of its work: the sentences of `templates/commands.yaml` by this name, a line each."""
     from rich.text import Text
 
-    yield from (Text(texts.fill(one, facts)) for one in texts.read_texts("commands.yaml")[text])
+    for one in texts.read_texts("commands.yaml")[text]:
+        if (said := texts.fill(one, facts)) or not one:
+            yield Text(said) if wrapped else Text(said, no_wrap=True, overflow="ignore")
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":
