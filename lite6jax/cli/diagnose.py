@@ -370,7 +370,16 @@ class View:
             raise InputError(f"--port {self.port}: is not a port; give 1 to 65535")
         from rich.text import Text
 
-        scene, file = self._scene()
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        domain = "torques" if self.torques else None
+        model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis), domain)
+        file = self.recording or command.require_recording(document, self.diagnosis)
+        with command.refuse_damage(self.diagnosis):
+            if isinstance(model, pose_predict.DiagnosedArm):
+                scene = viewer.pose_scene(document, model, recordings.read_motion(file, model))
+            else:
+                measured = recordings.read_recording(file, arm=model.arm)
+                scene = viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, measured)
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
@@ -379,17 +388,6 @@ class View:
             for _ in command.repeat(self.duration, _REFRESH_S):
                 shown.play(_REFRESH_S)
         return command.DONE
-
-    def _scene(self) -> "tuple[viewer.Scene, Path]":
-        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
-        given = effects, str(self.diagnosis), "torques" if self.torques else None
-        model = diagnosis_file.model_from_document(document, *given)
-        file = self.recording or command.require_recording(document, self.diagnosis)
-        with command.refuse_damage(self.diagnosis):
-            if isinstance(model, pose_predict.DiagnosedArm):
-                return viewer.pose_scene(document, model, recordings.read_motion(file, model)), file
-            recording = recordings.read_recording(file, arm=model.arm)
-            return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, recording), file
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from lite6jax.errors import InputError
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.arms import arm as arms
     from lite6jax.arms import factory
     from lite6jax.calibration import fit, solution
     from lite6jax.calibration import fleet as comparing
@@ -119,7 +118,11 @@ class Fit:
         nominal = sources.load_nominal(self.arm)
         title = self.source.name if self.source else str(self.ip)
         stem = self.source.stem if self.source else title.replace(":", "_")
-        source, written = self._read(nominal), []
+        written: list[Path] = []
+        if self.source is None:
+            source = station.read_calibration(connection.parse_address(title), nominal).calibration
+        else:
+            source = sources.read_source(self.source, nominal, **command.assumptions(self))
         if self.save_calibration and isinstance(source, factory.FactoryCalibration):
             # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
@@ -158,11 +161,6 @@ class Fit:
         if found.result.name != "CONVERGED" or (verification is not None and not verification.passed):
             return command.NOT_REACHED
         return command.BAD_FIT if found.quality.verdict == "bad" else command.DONE
-
-    def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
-        if self.source is None:
-            return station.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
-        return sources.read_source(self.source, nominal, **command.assumptions(self))
 
 
 @dataclass(frozen=True)

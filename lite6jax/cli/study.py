@@ -1,9 +1,10 @@
 """Commands that study an arm: what poses or torques determine of it, which to record, and what its error comes from."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+from typing import Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -24,14 +25,8 @@ with import_lazily():
     from lite6jax.effects import serialization
     from lite6jax.report import figures, study, words
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from rich.console import RenderableType
-
-    Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
-    """A design, what is written of it, and its report."""
-
+Designed = tuple[Any, "recordings.Recording", Iterable[Any]]
+"""A design, what is written of it, and its report."""
 PoseSensor = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 _TRIED_READINGS = 2000
 """Poses that read places, among which a design chooses."""
@@ -431,7 +426,7 @@ class Design:
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
 
-    def _design_poses(self, arm: "arms.Arm") -> "Designed":
+    def _design_poses(self, arm: "arms.Arm") -> Designed:
         experiment = self.setup.experiment(arm)
         recorded = None if self.recorded is None else source.load_recording(self.recorded, arm).joint_position
         margin = math.radians(self.limit_margin)
@@ -461,7 +456,7 @@ class Design:
         planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding, readings=readings)
         return found, planned, report
 
-    def _design_motion(self, arm: "arms.Arm") -> "Designed":
+    def _design_motion(self, arm: "arms.Arm") -> Designed:
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
         found = torques.plan_motion(self.torque.model(arm), room, seed=self.seed)

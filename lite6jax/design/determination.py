@@ -253,11 +253,11 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
     for k in order:
         share, taken = np.zeros(len(length)), np.flatnonzero(free)
         if observable[k]:
-            share[taken] = np.linalg.lstsq(unit[:, taken], unit[:, k], rcond=None)[0]
-            if np.linalg.norm(unit[:, k] - unit @ share) > _DEPENDENT:
+            found = np.linalg.lstsq(unit[:, taken], root[:, k], rcond=None)[0]
+            if np.linalg.norm(root[:, k] - unit[:, taken] @ found) > _DEPENDENT * length[k]:
                 free[k] = True
                 continue
-            share[taken] *= length[k] / length[taken]
+            share[taken] = found / length[taken]
         shares[k] = share
     return free, shares
 
