@@ -97,7 +97,7 @@ def test_design_a_motion(capsys, tmp_path, arm):
     ("arguments", "says"),
     [
         (("--torque", "--duration", "0.1"), "a motion of 0.1 s at 100 samples a second is too short for 5 harmonics"),
-        (("--torque", "--velocity", "0"), "velocity limit [0.] rad/s: give one number above 0, or 6 of them"),
+        (("--torque", "--velocity", "0"), "velocity limit 0 rad/s: give one number above 0, or 6 of them"),
         (("--torque", "--torque-noise", "0.1", "0.2"), "torque noise 0.1 0.2 Nm: give one standard deviation"),
         (("--torque", "--limit-margin", "900"), "leaves joint1 no room; give a smaller one"),
         (("--torque", "--box", "5000", "0", "0", "6000", "10", "10"), "box refused 100 % of them; widen it"),

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, command_line
@@ -22,7 +22,7 @@ with import_lazily():
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.effects import user_effects
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.report import documents, figures, screen
+    from lite6jax.report import documents, figures, screen, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,6 +76,10 @@ AssumeDegrees = Annotated[bool, arg(help="Take joint columns that say rad as deg
 AssumeMillimetres = Annotated[bool, arg(help="Take position columns that say m as millimetres.")]
 Seed = Annotated[int, arg(help="Seed of the random numbers.")]
 Duration = Annotated[float | None, arg(metavar="S", help="The duration; by default until Ctrl-C.")]
+Known = Literal["known", "unknown"]
+Geometry = Literal["declared", "exact", "prior", "free"]
+Reading = Literal["contact", "plane", "distance", "axis", "fixed_camera", "flange_camera"]
+EffectTexts = Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")]
 Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 
 
@@ -93,6 +97,11 @@ def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> d
         except yaml.YAMLError as error:
             raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
     return found
+
+
+def assumptions(options: Any) -> dict[str, bool]:
+    """What a command takes the units of a recording for, as readers want it."""
+    return {name: getattr(options, name) for name in ("assume_degrees", "assume_millimetres")}
 
 
 def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":
@@ -265,16 +274,27 @@ def present(
 ) -> int:
     """Prints the document of a result, or its report and the files that were written, and returns the exit code.
 
-    Files are written before: a reader who leaves early, like `head`, must not cost them. A result is a document, has
-    one, or returns one.
+    Files are written before: a reader who leaves early, like `head`, must not cost them. A result is a document or its
+    text, has one, or returns one.
     """
     if as_json:
         found = result() if callable(result) else result
-        print(documents.text(found if isinstance(found, Mapping) else documents.document(found), written))
+        if not isinstance(found, str):
+            found = documents.text(found if isinstance(found, Mapping) else documents.document(found), written)
+        print(found)
         return code
     screen.show(report)
     screen.written(written)
     return code
+
+
+def say(text: str, wrapped: bool = True, **facts: object) -> "Iterator[Text]":
+    """What a command says of its work: the sentences of `templates/commands.yaml` by this name, a line each."""
+    from rich.text import Text
+
+    for one in words.read_texts("commands.yaml")[text]:
+        if (said := words.fill(one, facts)) or not one:
+            yield Text(said) if wrapped else Text(said, no_wrap=True, overflow="ignore")
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":

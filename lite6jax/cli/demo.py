@@ -71,15 +71,7 @@ class Demo:
             arm.arm, effects=HIDDEN, samples=POSES, kinematics=arm.kinematics, settings=settings
         )
         simulated.save(run, overwrite=self.force)
-        screen.show(
-            [
-                "No arm was measured: this Lite 6 is simulated. Two faults are hidden in it, and a laser tracker "
-                f"measures it at {POSES} poses.",
-                "",
-                "1. What is wrong with the arm?",
-                f"The diagnosis sees {run} only and knows nothing of the faults. It takes about half a minute.",
-            ]
-        )
+        screen.show(command.say("demo", poses=POSES, run=run))
         asked = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
         _, found = asked.search()
         document = asked.document(found)
@@ -87,14 +79,7 @@ class Demo:
         main = [one for one in sections.sections_of(document) if one.title in ("", _RANKING)]
         _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
         screen.show(sections.show_sections(main))
-        screen.show(
-            [
-                "",
-                "2. Its factory calibration as a DH table",
-                "Some vendors measure each arm in the factory: six numbers a joint, here simulated as well. The fit "
-                "turns them into a DH table.",
-            ]
-        )
+        screen.show(command.say("demo_fit"))
         _print_command("fit", factory, out=table)
         print()
         Fit(factory, out=table, force=self.force).run()

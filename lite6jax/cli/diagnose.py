@@ -84,7 +84,7 @@ class Diagnose:
     motion, what each recording shows is compared."""
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """Of poses, what is known of its geometry: as the sidecar declares; exactly the factory calibration; near it;
     nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
@@ -132,15 +132,11 @@ class Diagnose:
         recording, found = self.search()
         document = self.document(found)
         written = self.write(found, document)
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            files = ranking.Files(self.source, self.out, self.effects)
-            screen.show(sections.diagnosis_report(document, str(self.source), files, self.details))
-            screen.show(screen.notes(recording.notes))
-            screen.written(written)
+        files = ranking.Files(self.source, self.out, self.effects)
+        report = sections.diagnosis_report(document, str(self.source), files, self.details)
         bad = isinstance(found, diagnose.Diagnosis) and found.quality.verdict == "bad"
-        return command.BAD_FIT if bad else command.DONE
+        code = command.BAD_FIT if bad else command.DONE
+        return _present(self.json, document, chain(report, screen.notes(recording.notes)), written, code)
 
     def search(self) -> "tuple[recordings.Recording, Found]":
         """The recording and its diagnosis."""
@@ -163,8 +159,7 @@ class Diagnose:
 
         Of a recording that has both, poses and torques are diagnosed together, but of a fleet the poses.
         """
-        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
-        arm = source.load_nominal(self.arm)
+        assumed, arm = command.assumptions(self), source.load_nominal(self.arm)
         recording = source.load_recording(self.source, arm, **assumed)
         if self.more:
             further = [source.load_recording(file, arm, **assumed) for file in self.more]
@@ -226,18 +221,13 @@ class Diagnose:
                 f"{self.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
             )
         command.check_processes(self.processes, self.scheduler)
+        pooled = self.out / diagnoses.POOLED
         if self.fleet:
-            return self._diagnose_fleet(self.out)
-        table = self._diagnose_each(self.out)
-        rows = listings.read_diagnoses(table)
-        report = listings.diagnoses_report(rows)
-        return command.present(self.json, lambda: documents.of_diagnoses(rows), report, [table])
-
-    def _diagnose_each(self, out: Path) -> Path:
+            diagnoses.check_pooled(self.out, list_recordings(Place.of(self.source)), self.force)
         with screen.progress_of_many("diagnosing") as advance:
-            return diagnoses.diagnose_folder(
+            table = diagnoses.diagnose_folder(
                 self.source,
-                out,
+                self.out,
                 diagnose_names,
                 (self,),
                 scheduler=self.scheduler,
@@ -245,28 +235,17 @@ class Diagnose:
                 progress=advance,
                 overwrite=self.force,
             )
-
-    def _diagnose_fleet(self, out: Path) -> int:
-        path = out / diagnoses.POOLED
-        diagnoses.check_pooled(out, list_recordings(Place.of(self.source)), self.force)
-        self._diagnose_each(out)
-        effects = [0]
-        with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
-            document = diagnoses.pool_folder(
-                str(self.source),
-                out,
-                terms.PoolingOptions(),
-                self.scheduler,
-                self.processes,
-                lambda count: effects.__setitem__(0, count),
-            ).to_dict()
-        write_atomically(path, diagnosis_file.document_text(document), overwrite=self.force)
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            screen.show(listings.population_report(document))
-            screen.written([out / diagnoses.TABLE, path])
-        return command.DONE
+        if not self.fleet:
+            rows = listings.read_diagnoses(table)
+            return command.present(
+                self.json, lambda: documents.of_diagnoses(rows), listings.diagnoses_report(rows), [table]
+            )
+        rounds: list[int] = []
+        given = str(self.source), self.out, terms.PoolingOptions(), self.scheduler, self.processes
+        with screen.repeated(lambda: f"pooling the recordings: {rounds[-1] if rounds else 0} effects so far"):
+            document = diagnoses.pool_folder(*given, rounds.append).to_dict()
+        write_atomically(pooled, diagnosis_file.document_text(document), overwrite=self.force)
+        return _present(self.json, document, listings.population_report(document), [table, pooled])
 
     def diagnose(self) -> tuple[str, bytes | None]:
         """The document of the recording, as `run` writes it, and with `fleet` the reduced recording.
@@ -280,11 +259,16 @@ class Diagnose:
         return text, reduction.reduced(found).to_bytes()
 
 
+def _present(as_json: bool, document: Any, report: Any, written: list[Path], code: int = command.DONE) -> int:
+    """As `command.present`, with the document as its file has it."""
+    return command.present(as_json, lambda: diagnosis_file.document_text(document), report, written, code)
+
+
 def _is_folder(source: Path) -> bool:
     """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
-    if restore_url(source) is not None or not os.path.isdir(source):
-        return restore_url(source) is not None
-    return recordings.recording_file(source) is None
+    if restore_url(source) is not None:
+        return True
+    return os.path.isdir(source) and recordings.recording_file(source) is None
 
 
 def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
@@ -352,12 +336,7 @@ class Report:
                     itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
                     said["inputs"] = [*said.get("inputs", ()), itself]
                     written.append(pages.write_certificate(said, self.certificate, self.force))
-        if self.json:
-            print(diagnosis_file.document_text(document))
-        else:
-            screen.show(page)
-            screen.written(written)
-        return command.DONE
+        return _present(self.json, document, page, written)
 
 
 @final
@@ -391,7 +370,16 @@ class View:
             raise InputError(f"--port {self.port}: is not a port; give 1 to 65535")
         from rich.text import Text
 
-        scene, file = self._scene()
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        domain = "torques" if self.torques else None
+        model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis), domain)
+        file = self.recording or command.require_recording(document, self.diagnosis)
+        with command.refuse_damage(self.diagnosis):
+            if isinstance(model, pose_predict.DiagnosedArm):
+                scene = viewer.pose_scene(document, model, recordings.read_motion(file, model))
+            else:
+                measured = recordings.read_recording(file, arm=model.arm)
+                scene = viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, measured)
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
@@ -400,17 +388,6 @@ class View:
             for _ in command.repeat(self.duration, _REFRESH_S):
                 shown.play(_REFRESH_S)
         return command.DONE
-
-    def _scene(self) -> "tuple[viewer.Scene, Path]":
-        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
-        given = effects, str(self.diagnosis), "torques" if self.torques else None
-        model = diagnosis_file.model_from_document(document, *given)
-        file = self.recording or command.require_recording(document, self.diagnosis)
-        with command.refuse_damage(self.diagnosis):
-            if isinstance(model, pose_predict.DiagnosedArm):
-                return viewer.pose_scene(document, model, recordings.read_motion(file, model)), file
-            recording = recordings.read_recording(file, arm=model.arm)
-            return viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, recording), file
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from lite6jax.errors import InputError
 
 with import_lazily():
     from lite6jax import recordings
-    from lite6jax.arms import arm as arms
     from lite6jax.arms import factory
     from lite6jax.calibration import fit, solution
     from lite6jax.calibration import fleet as comparing
@@ -50,9 +49,7 @@ class Check:
             raise InputError("check needs a file or more; name them")
         nominal = sources.load_nominal(self.arm)
         for path in self.files:
-            source = sources.read_source(
-                path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
+            source = sources.read_source(path, nominal, **command.assumptions(self))
             if isinstance(source, recordings.Recording):
                 found = pose_check.check_recording(source, nominal)
             else:
@@ -94,7 +91,7 @@ class Fit:
     figures: command.Folder = None
     """Draw the error against each joint into this folder (PNG and SVG)."""
     force: command.Force = False
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
     loss: Literal["student_t", "least_squares"] = "student_t"
     """Of a recording: student_t is robust to outliers."""
@@ -121,7 +118,11 @@ class Fit:
         nominal = sources.load_nominal(self.arm)
         title = self.source.name if self.source else str(self.ip)
         stem = self.source.stem if self.source else title.replace(":", "_")
-        source, written = self._read(nominal), []
+        written: list[Path] = []
+        if self.source is None:
+            source = station.read_calibration(connection.parse_address(title), nominal).calibration
+        else:
+            source = sources.read_source(self.source, nominal, **command.assumptions(self))
         if self.save_calibration and isinstance(source, factory.FactoryCalibration):
             # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
@@ -160,13 +161,6 @@ class Fit:
         if found.result.name != "CONVERGED" or (verification is not None and not verification.passed):
             return command.NOT_REACHED
         return command.BAD_FIT if found.quality.verdict == "bad" else command.DONE
-
-    def _read(self, nominal: "arms.Arm | None") -> "factory.FactoryCalibration | recordings.Recording":
-        if self.source is None:
-            return station.read_calibration(connection.parse_address(str(self.ip)), nominal).calibration
-        return sources.read_source(
-            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-        )
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from lite6jax.interruption import list_signals
 with import_lazily():
     from lite6jax import emulator, recordings, simulation
     from lite6jax.arms import factory, files
-    from lite6jax.arms import factory as factories
     from lite6jax.controller import connection, recorder, station
     from lite6jax.effects import catalogue, composition, dynamic, serialization
     from lite6jax.report import fits, screen
@@ -174,7 +173,7 @@ class Emulate:
     """The address, on loopback only. The report ports are 30000 to 30003."""
     control_port: Annotated[int, arg(metavar="PORT")] = 502
     """502, as on an arm, requires privileges; another one must be set in the SDK."""
-    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    effect: command.EffectTexts = ()
     """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3 in the pose on port 30000, or
     viscous_friction:joint=2,viscous_Nm_s_per_rad=3 in the torques of the motors; repeatable. The controller's
     kinematics contain none."""
@@ -270,8 +269,8 @@ class Emulate:
         physics = composition.Physics(tuple(effect for effect, _ in parsed))
         nominal = None if self.arm is None else files.read_arm(self.arm)
         if self.factory:
-            factory = factories.read_factory(self.factory[index], nominal)
-            arm, kinematics = factory.arm, factory.kinematics
+            read = factory.read_factory(self.factory[index], nominal)
+            arm, kinematics = read.arm, read.kinematics
         else:
             arm = nominal or files.read_arm("lite6")
             kinematics = simulation.draw_calibration(arm, self.seed + index)
@@ -285,25 +284,16 @@ class Emulate:
 
         first = controllers[0]
         for controller in controllers:
-            name, port = controller.body.arm.name, controller.control_port
-            yield Text(f"An emulated {name} at {controller.address}: control port {port}, reports on 30000 to 30003.")
-        drawn = "as drawn" if not self.factory else ", ".join(map(str, self.factory))
-        clock = "" if self.speed == 1 else f" Its clock runs {self.speed:g} times as fast."
-        yield Text(f"Calibration: {drawn}.", no_wrap=True, overflow="ignore")
-        yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True, overflow="ignore")
-        physics = first.body.physics
+            yield from command.say("emulated", one=controller)
+        yield from command.say("emulation", wrapped=False, c=self)
+        physics, of_torques = first.body.physics, first.body.torque_effects
         if physics.effects:
             yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
             yield from command.list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))
-        if first.body.torque_effects:
+        if of_torques:
             yield Text("Hidden effects, in the torques")
-            yield from command.list_effects(
-                (effect, effect.reported(values)) for effect, values in first.body.torque_effects
-            )
-        if first.body.torque_noise.any():
-            yield Text(f"Noise of the torques: {' '.join(f'{sigma:g}' for sigma in first.body.torque_noise)} N m.")
-        if self.fault:
-            yield Text(f"Faults: {', '.join(self.fault)}.")
+            yield from command.list_effects((effect, effect.reported(values)) for effect, values in of_torques)
+        yield from command.say("emulation_faults", c=self, body=first.body)
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
         named = first.body.arm.name if self.arm is None else self.arm
         other = "" if named == "lite6" else f" --arm {named}"  # the default of the commands

@@ -1,10 +1,10 @@
 """The program: which commands there are, how their help is shown, how one is run, and what becomes of its mistakes."""
 
-import ast
 import gc
 import inspect
 import operator
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -15,7 +15,6 @@ from dataclasses import is_dataclass
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
-from itertools import pairwise
 from typing import Annotated, Any
 
 import tyro
@@ -133,23 +132,17 @@ def _subcommands(arguments: Sequence[str]) -> Any:
     return reduce(operator.or_, options)
 
 
+_FIELD = re.compile(r'^    (\w+):(?:(?!^    \w).)*?^    """(.*?)"""', re.MULTILINE | re.DOTALL)
+"""A field of a class and the description below it."""
+
+
 def _describe_options(command: Any) -> None:
     """Lets help show a command's options, and groups of options in it, as people read them.
 
     Nothing is said of the default of an option that is left out, or of a flag that is not set. Descriptions become one
     paragraph: tyro would keep the line breaks of the source.
     """
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
-    assert isinstance(tree, ast.ClassDef)
-    said = {
-        field.target.id: " ".join(text.value.value.split())
-        for field, text in pairwise(tree.body)
-        if isinstance(field, ast.AnnAssign)
-        and isinstance(field.target, ast.Name)
-        and isinstance(text, ast.Expr)
-        and isinstance(text.value, ast.Constant)
-        and isinstance(text.value.value, str)
-    }
+    said = {name: " ".join(text.split()) for name, text in _FIELD.findall(inspect.getsource(command))}
     for name, annotation in command.__annotations__.items():
         if is_dataclass(annotation):
             _describe_options(annotation)

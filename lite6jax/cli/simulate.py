@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import RenderableType
 
-Known = Literal["known", "unknown"]
-
 
 @dataclass(frozen=True)
 class Simulate:
@@ -42,24 +40,12 @@ class Simulate:
     """A bundled arm or an arm's file."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write the recording here (.csv or .parquet), and its sidecar beside it."""
-    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    effect: command.EffectTexts = ()
     """An effect with its parameters, such as joint_compliance:joint=2,compliance_rad_per_Nm=9e-5; may be
     repeated."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that --effect may name. Runs the file."""
-    sensor: Literal[
-        "tracker",
-        "tracker_6d",
-        "motion_capture",
-        "camera",
-        "controller_fk",
-        "contact",
-        "plane",
-        "distance",
-        "axis",
-        "fixed_camera",
-        "flange_camera",
-    ] = "tracker"
+    sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk", command.Reading] = "tracker"
     """Positions: tracker; poses: the next four; touches of sockets or plates, distances from an anchor, heights, and
     corners of a board in images: the others, of which tool and places are unknown."""
     motion: Literal["static", "trajectory"] = "static"
@@ -85,11 +71,11 @@ class Simulate:
     calibration beside the recording."""
     factory_uncertainty: Annotated[tuple[float, float] | None, arg(metavar="MM DEG")] = None
     """Standard deviation of the geometry about its calibration in each number, which the sidecar declares."""
-    geometry: Known = "known"
+    geometry: command.Known = "known"
     """known: the sidecar names the calibration; unknown: it does not."""
-    frame: Known = "known"
+    frame: command.Known = "known"
     """known: poses are in the arm's base frame; unknown: in the frame of a sensor whose place is not declared."""
-    tool: Known = "known"
+    tool: command.Known = "known"
     """Whether the sidecar declares the measured point on the flange."""
     tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The measured point, mm in the flange's frame."""
@@ -202,43 +188,16 @@ class Simulate:
         self, arm: "arms.Arm", physics: "composition.Physics", values: "np.ndarray", measured: "simulation.Measurement"
     ) -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
-        from rich.text import Text
-
-        recording, settings = measured.recording, measured.recording.settings
+        recording = measured.recording
         kind = "positions" if recording.quaternion is None else "poses"
         kind = fits.what_is_measured(recording) if recording.readings is not None else kind
-        by = settings.pose_source.replace("_", " ")
-        runs = f" in {self.runs} runs" if self.runs > 1 else ""
-        yield Text(f"Simulated {recording.samples} {kind} of a {arm.name} by {by}, {recording.motion}{runs}.")
-        chain = "nominal, not declared"
-        if self.factory is not None or self.tolerance:
-            chain = "as drawn" if self.tolerance else f"that of {self.factory}"
-            if self.factory_uncertainty is not None:
-                chain += ", within its declared uncertainty"
-            if self.geometry == "unknown":
-                chain += ", not declared"
-        frame = "the arm's base" if self.frame == "known" else "unknown"
-        tool = settings.tool if isinstance(settings.tool, str) else "declared"
-        yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
-        said = [f"{1e3 * (settings.position_noise_m or 0):.3g} mm"]
-        if recording.readings is not None:
-            pixels = recording.readings.kind == "camera"
-            key = "pixel_noise_px" if pixels else f"{recording.readings.kind}_noise_m"
-            noise = float(getattr(settings, key))
-            said = [f"{noise:.3g} px" if pixels else f"{1e3 * noise:.3g} mm"]
-        if settings.orientation_noise_rad is not None:
-            said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
-        said += [f"joints {self.joint_noise:.3g} deg"] if self.joint_noise else []
-        yield Text(f"Noise, as declared: {', '.join(said)}.")
+        yield from command.say("simulated", c=self, r=recording, s=recording.settings, kind=kind, arm=arm.name)
         yield from screen.notes(recording.notes)
         yield ""
         if not physics.effects:
-            yield Text("No effects: the arm is rigid.")
+            yield "No effects: the arm is rigid."
             return
-        yield Text("Effects beyond the rigid model")
+        yield "Effects beyond the rigid model"
         yield from command.list_effects(zip(physics.effects, physics.reported(values), strict=True))
-        distance, largest = (words.number(1e3 * size) for size in (measured.rms[0], float(measured.displacement.max())))
-        yield Text(
-            f"The effects displace the measured point by {distance} mm RMS ({largest} mm at most) and rotate it by "
-            f"{words.fixed(math.degrees(measured.rms[1]))} deg RMS."
-        )
+        turn = words.fixed(math.degrees(measured.rms[1]))
+        yield from command.say("moved", rms=measured.rms, most=float(measured.displacement.max()), turn=turn)

@@ -1,9 +1,10 @@
 """Commands that study an arm: what poses or torques determine of it, which to record, and what its error comes from."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, final
+from typing import Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -24,29 +25,9 @@ with import_lazily():
     from lite6jax.effects import serialization
     from lite6jax.report import figures, study, words
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from rich.console import RenderableType
-
-    Designed = tuple[Any, recordings.Recording, Iterable[RenderableType]]
-    """A design, what is written of it, and its report."""
-
-SensorName = Literal[
-    "tracker",
-    "tracker_6d",
-    "motion_capture",
-    "camera",
-    "dial_gauge",
-    "ball_bar",
-    "contact",
-    "plane",
-    "distance",
-    "axis",
-    "fixed_camera",
-    "flange_camera",
-]
-Known = Literal["known", "unknown"]
+Designed = tuple[Any, "recordings.Recording", Iterable[Any]]
+"""A design, what is written of it, and its report."""
+PoseSensor = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 _TRIED_READINGS = 2000
 """Poses that read places, among which a design chooses."""
 
@@ -56,7 +37,7 @@ _TRIED_READINGS = 2000
 class Setup:
     """How poses are measured; the sidecar states it for a recording that has poses."""
 
-    sensor: SensorName = "tracker"
+    sensor: Literal[PoseSensor, command.Reading] = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar.
     Readings of which places and tool are unknown: contact (sockets), plane, distance, axis, fixed_camera,
     flange_camera."""
@@ -64,9 +45,9 @@ class Setup:
     """Plates with two sockets each (2 where not given), or with a plane (3)."""
     chain: Literal["hayati", "six_parameter"] = "hayati"
     """The parameters: Hayati's effective model, or the six numbers a joint of a factory file."""
-    frame: Known = "unknown"
+    frame: command.Known = "unknown"
     """Whether the sensor's frame is known."""
-    tool: Known = "known"
+    tool: command.Known = "known"
     """Whether the measured point's place on the flange is known."""
     tool_at: command.Triple = (0.0, 0.0, 0.0)
     """The nominal place of the measured point, mm in the flange's frame."""
@@ -80,7 +61,7 @@ class Setup:
     """One standard deviation per axis, degrees."""
     joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
     """One standard deviation of a joint's read-out, degrees."""
-    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    effect: command.EffectTexts = ()
     """An effect that is unknown too, such as joint_compliance:joint=2; may be given more than once."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
     """Mass at the flange, for effects of gravity."""
@@ -177,7 +158,7 @@ class TorqueSetup:
         """What is unknown of an arm, and the noise, of a recording as `declared`."""
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
-        return torques.torque_model(arm, noise, gravity, self.inertial == "unknown")
+        return torques.TorqueModel(arm, noise, gravity, self.inertial == "unknown")
 
     def room(
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
@@ -188,7 +169,7 @@ class TorqueSetup:
             np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
             for numbers in (self.velocity, self.acceleration)
         )
-        return motions.motion_room(
+        return motions.MotionRoom(
             arm, velocity, acceleration, margin, filters, self.duration, self.harmonics, self.rate
         )
 
@@ -227,7 +208,7 @@ class Identify:
     """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
     """Seed of the poses."""
-    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    geometry: command.Geometry = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
     arm: command.ArmName = None
@@ -247,9 +228,7 @@ class Identify:
         nominal = recording = None
         if recordings.recording_file(self.source) is not None:
             nominal = source.load_nominal(self.arm)
-            recording = source.load_recording(
-                self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
+            recording = source.load_recording(self.source, nominal, **command.assumptions(self))
         of_torques = self.torque.torque
         if recording is not None and recording.position is None:
             of_torques |= recording.joint_torque is not None or recording.motor_current is not None
@@ -447,7 +426,7 @@ class Design:
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
 
-    def _design_poses(self, arm: "arms.Arm") -> "Designed":
+    def _design_poses(self, arm: "arms.Arm") -> Designed:
         experiment = self.setup.experiment(arm)
         recorded = None if self.recorded is None else source.load_recording(self.recorded, arm).joint_position
         margin = math.radians(self.limit_margin)
@@ -477,7 +456,7 @@ class Design:
         planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding, readings=readings)
         return found, planned, report
 
-    def _design_motion(self, arm: "arms.Arm") -> "Designed":
+    def _design_motion(self, arm: "arms.Arm") -> Designed:
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
         found = torques.plan_motion(self.torque.model(arm), room, seed=self.seed)

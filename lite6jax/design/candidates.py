@@ -23,7 +23,6 @@ SLENDERNESS = 20.0
 ALWAYS = 0.95
 """A pair that overlaps in more than this share of poses overlaps by construction (MoveIt's setup assistant does so)."""
 _SAMPLES = 2048
-_BLOCK = 4096
 _SMALLEST = 1e-30
 """m²; the root of a squared distance of zero has no gradient."""
 
@@ -82,13 +81,19 @@ class SelfCollision(NamedTuple):
 
     def clearance(self, joint_position: Any) -> Any:
         """The least distance between surfaces of any pair, `(sample,)` m, negative where they overlap."""
+        return self.pair_clearances(joint_position).min(0, initial=np.inf)
+
+    def pair_clearances(self, joint_position: Any) -> Any:
+        """Each pair's distance of surfaces, m, `(pair, sample)`."""
         q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
-        if not len(self.pairs):
-            return np.full(len(q), np.inf)
-        if not isinstance(q, np.ndarray):
-            return _pair_clearances(self.arm, self.capsules, self.pairs, q).min(0)
-        blocks = (q[first : first + _BLOCK] for first in range(0, max(len(q), 1), _BLOCK))
-        return np.concatenate([_pair_clearances(self.arm, self.capsules, self.pairs, some).min(0) for some in blocks])
+        xp, walked = q.__array_namespace__(), walk_chain(self.arm, q)
+        p, r = (
+            xp.stack([walked[c.link][:, :3, :3] @ c[end] + walked[c.link][:, :3, 3] for c in self.capsules])
+            for end in (2, 3)
+        )
+        (i, j), radius = self.pairs.T, np.array([c.radius for c in self.capsules])
+        apart = segment_distance(*(xp.moveaxis(each, -1, 0) for each in (p[i], r[i], p[j], r[j])))
+        return apart - (radius[i] + radius[j])[:, None]
 
 
 def self_collision(arm: Arm, capsules: Sequence[Capsule] | None = None) -> SelfCollision:
@@ -99,17 +104,18 @@ def self_collision(arm: Arm, capsules: Sequence[Capsule] | None = None) -> SelfC
         capsules: `chain_capsules` if not given.
     """
     capsules = tuple(chain_capsules(arm) if capsules is None else capsules)
-    pairs = np.array([(i, j) for i in range(len(capsules)) for j in range(i)], int).reshape(-1, 2)
-    link, radius = (np.array([getattr(each, name) for each in capsules]) for name in ("link", "radius"))
-    i, j = pairs.T
-    pairs = pairs[(np.abs(link[i] - link[j]) > 1) & (radius[i] + radius[j] > 0)]
+    pairs = [
+        (i, j)
+        for i, one in enumerate(capsules)
+        for j, other in enumerate(capsules[:i])
+        if one.link - other.link not in (-1, 0, 1) and one.radius + other.radius > 0
+    ]
+    found = SelfCollision(arm, capsules, np.array(pairs, int).reshape(-1, 2), ())
     lower, upper = arm.joint_limits.T
     q = lower + (upper - lower) * (sample_joints(arm.dof, _SAMPLES) / (2 * np.pi) + 0.5)
-    always = (
-        np.mean(_pair_clearances(arm, capsules, pairs, q) < 0, axis=1) > ALWAYS if len(pairs) else np.zeros(0, bool)
-    )
-    disabled = tuple((capsules[j].name, capsules[i].name) for i, j in pairs[always])
-    return SelfCollision(arm, capsules, pairs[~always], disabled)
+    always = np.mean(found.pair_clearances(q) < 0, axis=1) > ALWAYS
+    disabled = tuple((capsules[j].name, capsules[i].name) for i, j in found.pairs[always])
+    return found._replace(pairs=found.pairs[~always], disabled=disabled)
 
 
 def link_frames(arm: Arm, joint_position: ArrayLike) -> Array:
@@ -163,20 +169,6 @@ def segment_distance(p1: Any, q1: Any, p2: Any, q2: Any) -> Any:
         along = xp.clip(xp.sum(to * d, 0) / xp.where(length2 > 0, length2, 1.0), 0.0, 1.0)
         squares.append(xp.sum((to - along * d) ** 2, 0))
     return xp.sqrt(xp.maximum(xp.stack(squares).min(0), _SMALLEST))
-
-
-def _pair_clearances(arm: Arm, capsules: Sequence[Capsule], pairs: NDArray[np.integer], q: Any) -> Any:
-    """Each pair's distance of surfaces, m, `(pair, sample)`."""
-    xp, walked = q.__array_namespace__(), walk_chain(arm, q)
-    p, r = (
-        xp.stack(
-            [walked[c.link][:, :3, :3] @ end + walked[c.link][:, :3, 3] for c, end in zip(capsules, ends, strict=True)]
-        )
-        for ends in ([c.start for c in capsules], [c.end for c in capsules])
-    )
-    (i, j), radius = pairs.T, np.array([c.radius for c in capsules])
-    apart = segment_distance(*(xp.moveaxis(each, -1, 0) for each in (p[i], r[i], p[j], r[j])))
-    return apart - (radius[i] + radius[j])[:, None]
 
 
 # ------------------------------------------------------------------ joint positions and filters

@@ -4,7 +4,7 @@ Columns are those of poses or of torques: how whitened readings change per typic
 which columns are taken says which parameter stands for those that it is confounded with.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
@@ -156,20 +156,24 @@ class Determination:
         return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
 
 
-def accumulate_root(rows: Callable[..., Array], parts: Sequence[Array], size: int, block: int) -> Array:
+def each_block(rows: Callable[..., Array], parts: Sequence[Array], block: int) -> Iterator[Array]:
+    """Rows `(size, row, sample)` of parts `(sample, …)` that they depend on, `block` samples at a time.
+
+    Parts are filled up with zeros to one shape, which is compiled once.
+    """
+    for first in range(0, len(parts[0]), block):
+        padded = (pad(part[first : first + block], 0, block) for part in parts)
+        yield rows(*padded)[..., : len(parts[0]) - first]
+
+
+def accumulate_root(blocks: Iterable[Array], size: int) -> Array:
     """An upper triangular R `(size, size)` with RᵀR the information of readings, by orthogonal steps.
 
-    Its singular values are those of the rows to rounding, where an eigenvalue of RᵀR would lose half the digits.
-
-    Args:
-        rows: of parts `(block, …)`, the rows `(size, row, block)`.
-        parts: what rows depend on, `(sample, …)` each.
-        size: how many parameters.
-        block: samples at a time: parts are filled up with zeros to one shape, which is compiled once.
+    Its singular values are those of the rows to rounding, where an eigenvalue of RᵀR would lose half the digits. The
+    rows are blocks `(size, row, sample)`.
     """
-    count, R = len(parts[0]), np.zeros((size, size))
-    for first in range(0, count, block):
-        J = rows(*(pad(part[first : first + block], 0, block) for part in parts))[..., : count - first]
+    R = np.zeros((size, size))
+    for J in blocks:
         R = np.asarray(np.linalg.qr(np.concatenate([R, J.reshape(size, -1).T]), mode="r"))
     return R
 
@@ -242,24 +246,18 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
     """
-    size = root.shape[1]
     length = np.linalg.norm(root, axis=0)
-    largest = length.max(initial=0.0)
-    free, shares, Q = np.zeros(size, bool), dict[int, Array](), np.zeros((len(root), 0))
+    observable = length > _UNOBSERVABLE * length.max(initial=0.0)
+    unit = root / np.where(observable, length, 1.0)
+    free, shares = np.zeros(len(length), bool), dict[int, Array]()
     for k in order:
-        share = np.zeros(size)
-        if length[k] > _UNOBSERVABLE * largest:
-            rest = root[:, k] / length[k]
-            for _ in range(2):  # twice is enough (Kahan): once leaves rounding in proportion to what was removed
-                rest = rest - Q @ (Q.T @ rest)
-            remaining = float(np.linalg.norm(rest))
-            if remaining > _DEPENDENT:
-                Q = np.column_stack([Q, rest / remaining])
+        share, taken = np.zeros(len(length)), np.flatnonzero(free)
+        if observable[k]:
+            found = np.linalg.lstsq(unit[:, taken], root[:, k], rcond=None)[0]
+            if np.linalg.norm(root[:, k] - unit[:, taken] @ found) > _DEPENDENT * length[k]:
                 free[k] = True
                 continue
-            taken = np.flatnonzero(free)
-            scaled = root[:, taken] / length[taken]
-            share[taken] = np.linalg.lstsq(scaled, root[:, k], rcond=None)[0] / length[taken]
+            share[taken] = found / length[taken]
         shares[k] = share
     return free, shares
 

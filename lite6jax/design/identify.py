@@ -23,7 +23,7 @@ from lite6jax.design.information import (
     plan_experiment,
     recording_experiment,
 )
-from lite6jax.design.sensor import BARE, Sensor
+from lite6jax.design.sensor import Sensor
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import predict
@@ -50,7 +50,7 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
         InputError: joints that the arm does not have.
     """
     e = experiment
-    geometry, rigid = (int(e.movable[:size].sum()) for size in (e.form.chain.size, e.form.size + len(e.own)))
+    geometry, rigid = int(e.movable[: e.form.chain.size].sum()), e.size - e.physics.size
     return determination_of(
         e.root(joint_position),
         e.names,
@@ -216,7 +216,7 @@ def identify_recording(
     if settings.position_noise_m is None or (sensor.rows == 6 and settings.orientation_noise_rad is None):
         noise = fit_recording(recording, arm, geometry=geometry).noise
         assert noise is not None
-        experiment = experiment.with_sensor(sensor.with_noise(noise.position, noise.orientation))
+        experiment = replace(experiment, sensor=sensor.with_noise(noise.position, noise.orientation))
         notes.append("the sidecar does not declare the noise of all that is measured: it is that of a fit's residuals")
     if effects:
         experiment = experiment.with_physics(effects)
@@ -303,11 +303,11 @@ def sensitivity(
     Raises:
         InputError: tolerances of which none moves the flange.
     """
-    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
+    experiment = plan_experiment(arm, chain=chain, frame=False)
     drawn = joint_position is None
     q = sample_within_limits(experiment.arm, samples, seed) if drawn else np.asarray(joint_position, float)
     size = np.array([tolerance[unit] for unit in experiment.units])
-    rows = experiment.rows(q) / experiment.unit
+    rows = experiment.error_rows(q) / experiment.unit
     per_unit = np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, 1), 0))
     if not (per_unit * size).any():
         raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")

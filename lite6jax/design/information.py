@@ -4,11 +4,11 @@ Everything here is dimensionless: a reading counts in standard deviations of its
 tolerance that it plausibly has. What follows, indices, designs and null spaces, then does not depend on units.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
-from typing import Literal, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
-from lite6jax.arms.se3 import Frame, Twist, cross, joint_rate
+from lite6jax.arms.se3 import Frame, Turn, Twist, cross, joint_rate
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
-from lite6jax.design.determination import accumulate_root
-from lite6jax.design.sensor import BARE, AnySensor, Sensor, sensor_named
+from lite6jax.design.determination import accumulate_root, each_block
+from lite6jax.design.sensor import AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion, Sliding
@@ -89,59 +89,51 @@ def _move_tool(
     return predict_frames_with(chain, physics, model, values, motion, statics)[1]
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _columns(
-    form: ModelForm, physics: Physics, sensor: AnySensor, own: int, numbers: Numbers, q: jax.Array, direction: jax.Array
-) -> jax.Array:
-    """How readings change with the parameters, `(parameter, row, sample)`: standard deviations per SI unit.
+@partial(jax.jit, static_argnums=(0, 1))
+def _tool_motions(
+    form: ModelForm, physics: Physics, numbers: Numbers, q: jax.Array, direction: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The tools `(sample, 4, 4)`, and how they shift and turn with the parameters, `(parameter, 6, sample)`.
 
-    Arguments are those of `_move_tool`; another sensor than that which has the `own` unknowns does not depend on them.
+    Arguments are those of `_move_tool`.
     """
+    zero = jnp.zeros(form.size + physics.size)
+    moved = partial(_move_tool, form, physics, numbers, q, direction)
+    tool = moved(zero)
     if physics.effects:  # they have no closed form in common
-        zero = jnp.zeros(form.size + physics.size)
-        moved = partial(_move_tool, form, physics, numbers, q, direction)
-        tool = moved(zero)
-        columns = jax.lax.map(
-            lambda entry: sensor.change(tool, _twist(tool, jax.jvp(moved, (zero,), (entry,))[1])), jnp.eye(len(zero))
-        )
+        motions = jax.lax.map(lambda step: _displacement(tool, jax.jvp(moved, (zero,), (step,))[1]), jnp.eye(len(zero)))
     else:
-        joint = joint_motion(form.chain, q.T)
-        tool = predict_frames(form, numbers.model, joint)[1]
-        columns = twist_columns(form, numbers.model, joint, partial(sensor.change, tool))[step_order(form)]
-    if own:
-        by_own = sensor.by_own(tool) if sensor.own else jnp.zeros((own, *columns.shape[1:]))
-        columns = jnp.concatenate([columns[: form.size], by_own, columns[form.size :]])
-    if not sensor.joint_noise:
-        return columns
-    return jnp.sum(_whiten_joints(form, sensor, numbers.model, q) * columns[:, None], 2)
+
+        def displace(twist: Twist) -> jax.Array:
+            if twist.angular is None:
+                return jnp.concatenate([twist.linear, jnp.zeros_like(twist.linear)])
+            return jnp.concatenate([twist.linear + cross(twist.angular, tool.origin), twist.angular])
+
+        motions = twist_columns(form, numbers.model, joint_motion(form.chain, q.T), displace)[step_order(form)]
+    T = jnp.zeros((len(q), 4, 4)).at[:, 3, 3].set(1.0)
+    return T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)), motions
 
 
-def _whiten_joints(form: ModelForm, sensor: AnySensor, model: ArmModel, q: jax.Array) -> jax.Array:
-    """What makes the noise of whitened readings unit again where the joints' read-outs are noisy: `(row, row, sample)`.
-
-    With J the change of whitened readings per rad of the revolute joints, and I + σ² J Jᵀ = L Lᵀ, it is L⁻¹.
-    Prismatic joints are read without noise.
-    """
+@partial(jax.jit, static_argnums=0)
+def _joint_motions(form: ModelForm, model: ArmModel, q: jax.Array) -> jax.Array:
+    """How the rigid arm's tool shifts and turns with the revolute joints, `(joint, 6, sample)`."""
     chain, joint = form.chain, joint_motion(form.chain, q.T)
-    tool = predict_frames(form, model, joint)[1]
 
-    def change(direction: jax.Array) -> jax.Array:
-        rate = joint_rate(joint, direction, chain.sliding)
-        moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (rate,))[1]
-        return sensor.change(tool, _twist(tool, moved))
+    def frame(joint: Turn) -> Frame:
+        return predict_frames(form, model, joint)[1]
+
+    def motion(direction: jax.Array) -> jax.Array:
+        return _displacement(frame(joint), jax.jvp(frame, (joint,), (joint_rate(joint, direction, chain.sliding),))[1])
 
     turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
-    J = jnp.transpose(jax.vmap(change)(jnp.eye(chain.dof)[turning]), (2, 1, 0))
-    unit = jnp.eye(J.shape[1])
-    L = jnp.linalg.cholesky(unit + sensor.joint_noise**2 * J @ jnp.swapaxes(J, 1, 2))
-    return jnp.moveaxis(jax.scipy.linalg.solve_triangular(L, jnp.broadcast_to(unit, L.shape), lower=True), 0, -1)
+    return jax.vmap(motion)(jnp.eye(chain.dof)[turning])
 
 
-def _twist(frame: Frame, moved: Frame) -> Twist:
-    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
+def _displacement(frame: Frame, moved: Frame) -> jax.Array:
+    """The shift and the turn `(6, sample)` of a frame whose derivative is `moved`."""
     # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
-    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
-    return Twist(moved.origin - cross(spin, frame.origin), spin)
+    turn = [sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))]
+    return jnp.concatenate([moved.origin, jnp.stack(turn)])
 
 
 @final
@@ -154,58 +146,74 @@ class Experiment:
     Attributes:
         arm: the nominal arm; its masses cause the loads that effects depend on.
         form: the geometry, sensor frame and tool.
-        model: where they are linearised; NumPy leaves.
-        sensor: what is measured.
-        movable: `(parameter,)` bool, those that are unknown.
-        precision: `(parameter,)` the prior of each, one over its variance; zero is no prior.
-        scale: `(parameter,)` the unit of each: its tolerance or typical size, SI.
-        physics: effects beyond the rigid arm.
+        model: where they are linearised.
+        sensor: what is measured. Its own unknowns, as points that are touched, are somewhere within reach.
+        movable: `(form.size,)` bool, which entries of a step are unknown; all where not given.
+        precision: `(form.size,)` the prior of each, one over its variance; zero is no prior, and none is where not
+            given.
+        physics: effects beyond the rigid arm, all unknown.
         values: `(physics.size,)` where those are linearised.
         payload: kg at the flange.
         approach: from where each pose is approached, on which effects of the direction of motion depend:
             the pose before it, for the first all joints at zero; or always all joints at zero.
-        own: the unknowns that the sensor has, as points that are touched.
     """
 
     arm: Arm
     form: ModelForm
     model: ArmModel
     sensor: AnySensor
-    movable: NDArray[np.bool_]
-    precision: Array
-    scale: Array
+    movable: Any = None
+    precision: Any = None
     physics: Physics = field(default_factory=Physics)
     values: tuple[float, ...] = ()
     payload: float = 0.0
     approach: Approach = "sequence"
-    own: tuple[OwnNumber, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", ArmModel(*(np.asarray(leaf) for leaf in self.model)))  # type: ignore[arg-type]
+        for name, default in (("movable", np.ones(self.form.size, bool)), ("precision", np.zeros(self.form.size))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
+
+    @property
+    def own(self) -> tuple[OwnNumber, ...]:
+        """The unknowns that the sensor has."""
+        return self.sensor.own
+
+    @cached_property
+    def unknown(self) -> NDArray[np.bool_]:
+        """`(parameter,)`, which of all parameters are unknown."""
+        return np.concatenate([self.movable, np.ones(len(self.own) + self.physics.size, bool)])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
         own = (one.name for one in self.own)
-        return tuple(compress((*self.form.names, *own, *self.physics.names), self.movable))
+        return tuple(compress((*self.form.names, *own, *self.physics.names), self.unknown))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m`, `rad`, or an effect's unit, of each."""
         own = (one.unit for one in self.own)
-        return tuple(compress((*self.form.units, *own, *self.physics.units), self.movable))
+        return tuple(compress((*self.form.units, *own, *self.physics.units), self.unknown))
 
     @property
     def size(self) -> int:
         """How many are unknown."""
-        return int(self.movable.sum())
+        return int(self.unknown.sum())
 
     @cached_property
     def unit(self) -> Array:
         """`(size,)`, the tolerance or typical size of each unknown parameter, SI."""
-        return self.scale[self.movable]
+        tolerances = [TOLERANCE[unit] for unit in (*self.form.units, *(one.unit for one in self.own))]
+        return np.concatenate([tolerances, self.physics.typical])[self.unknown]
 
     @cached_property
     def prior(self) -> Array:
         """`(size, size)`, the information of the prior, in these units; diagonal."""
-        return np.diag(self.precision[self.movable] * self.unit**2)
+        own = [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in self.own]
+        precision = np.concatenate([self.precision, own, np.zeros(self.physics.size)])
+        return np.diag(precision[self.unknown] * self.unit**2)
 
     @cached_property
     def numbers(self) -> Numbers:
@@ -231,13 +239,29 @@ class Experiment:
         Raises:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
+        return np.transpose(np.concatenate(list(self._blocks(joint_position)), 2), (2, 1, 0)) * self.unit
+
+    def root(self, joint_position: ArrayLike) -> Array:
+        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
+        return self.unit * accumulate_root(self._blocks(joint_position), self.size)
+
+    def _blocks(self, joint_position: ArrayLike) -> Iterator[Array]:
+        """`_columns`, a block of samples at a time."""
         q = check_joints(self, joint_position)
-        return np.transpose(self._columns(q, self.direction(q)), (2, 1, 0)) * self.unit
+        return each_block(self._columns, (q, self.direction(q)), min(len(q), BLOCK))
 
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
-        static = self.form, self.physics, self.sensor, len(self.own)
-        return np.asarray(_columns(*static, self.numbers, q, direction))[self.movable]  # type: ignore[arg-type]
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, direction))  # type: ignore[arg-type]
+        slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
+        columns = np.einsum("rks,pks->prs", slopes, motions)
+        columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.unknown]
+        if not self.sensor.joint_noise:
+            return columns
+        # with J the change of whitened readings per rad of the joints, and I + σ² J Jᵀ = L Lᵀ, L⁻¹ whitens them again
+        J = np.einsum("rks,jks->srj", slopes, np.asarray(_joint_motions(self.form, self.numbers.model, q)))  # type: ignore[arg-type]
+        L = np.linalg.cholesky(np.eye(len(slopes)) + self.sensor.joint_noise**2 * J @ np.swapaxes(J, 1, 2))
+        return np.transpose(np.linalg.solve(L, np.transpose(columns)), (2, 1, 0))
 
     def error_rows(self, joint_position: ArrayLike) -> Array:
         """How the tool's pose changes with the parameters, `(sample, 6, size)` m and rad per tolerance.
@@ -245,26 +269,16 @@ class Experiment:
         A sensor with unknown places of its own determines no base: then but for the displacement of the base that
         moves the positions as nearly alike.
         """
-        J = self.with_sensor(BARE).rows(joint_position)
+        q = check_joints(self, joint_position)
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
+        motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.unknown]
+        J = np.transpose(motions, (2, 1, 0)) * self.unit
         if not self.own:
             return J
-        q = np.asarray(joint_position, float)
-        still = jnp.zeros(self.form.size + self.physics.size)
-        moved = jnp.asarray(q), jnp.asarray(self.direction(q))
-        p = np.asarray(_move_tool(self.form, self.physics, self.numbers, *moved, still).origin)
         base = np.tile(np.eye(6), (len(q), 1, 1))
-        base[:, :3, 3:] = np.cross(np.eye(3), p.T[:, None]).swapaxes(1, 2)
+        base[:, :3, 3:] = np.cross(np.eye(3), tool[:, None, :3, 3]).swapaxes(1, 2)
         alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
         return J - base @ alike
-
-    def root(self, joint_position: ArrayLike) -> Array:
-        """`accumulate_root` of readings at `joint_position` `(sample, joint)` rad, without prior, per tolerance."""
-        q = check_joints(self, joint_position)
-        return self.unit * accumulate_root(self._columns, (q, self.direction(q)), self.size, min(len(q), BLOCK))
-
-    def with_sensor(self, sensor: AnySensor) -> "Experiment":
-        """The same model with another sensor."""
-        return replace(self, sensor=sensor)
 
     def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
         """The same with these effects unknown too, linearised at `values` `(number,)`, or where they are neutral.
@@ -272,15 +286,9 @@ class Experiment:
         Raises:
             InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
         """
-        physics, rigid = Physics(tuple(effects)), self.form.size + len(self.own)
-        extended = replace(
-            self,
-            movable=np.concatenate([self.movable[:rigid], np.ones(physics.size, bool)]),
-            precision=np.concatenate([self.precision[:rigid], np.zeros(physics.size)]),
-            scale=np.concatenate([self.scale[:rigid], physics.typical]),
-            physics=physics,
-            values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
-        )
+        physics = Physics(tuple(effects))
+        values = np.zeros(physics.size) if values is None else np.asarray(values, float)
+        extended = replace(self, physics=physics, values=tuple(values.tolist()))
         extended.rows(np.zeros((1, self.arm.dof)))  # raises now rather than after a long computation
         return extended
 
@@ -333,34 +341,7 @@ def plan_experiment(
     T_joint_tool = np.array(arm.T_joint_flange)
     T_joint_tool[:3, 3] += T_joint_tool[:3, :3] @ np.asarray(tool_at, float)
     model = ArmModel(values, np.eye(4), T_joint_tool)  # type: ignore[arg-type]
-    return experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
-
-
-def experiment(
-    arm: Arm,
-    form: ModelForm,
-    model: ArmModel,
-    sensor: AnySensor,
-    movable: NDArray[np.bool_] | None = None,
-    precision: Array | None = None,
-) -> Experiment:
-    """An experiment of any model; all parameters are unknown and without a prior where not given.
-
-    The sensor's own unknowns are unknown, and somewhere within reach.
-    """
-    own = sensor.own
-    movable = np.ones(form.size, bool) if movable is None else movable
-    precision = np.zeros(form.size) if precision is None else precision
-    return Experiment(
-        arm=arm,
-        form=form,
-        model=ArmModel(*(np.asarray(leaf) for leaf in model)),  # type: ignore[arg-type]
-        sensor=sensor,
-        movable=np.concatenate([movable, np.ones(len(own), bool)]),
-        precision=np.concatenate([precision, [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in own]]),
-        scale=np.array([TOLERANCE[unit] for unit in (*form.units, *(one.unit for one in own))]),
-        own=own,
-    )
+    return Experiment(arm, ModelForm(geometry, frame, tool), model, sensor)
 
 
 def recording_experiment(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
@@ -378,4 +359,4 @@ def recording_experiment(recording: Recording, arm: Arm | None = None, geometry:
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"
     sensor = Sensor(quantity, position, orientation, joint_noise=recording.settings.joint_noise_rad)
-    return experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)
+    return Experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)

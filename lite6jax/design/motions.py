@@ -14,7 +14,8 @@ the greatest possible amplitude is used, 0 for a half.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from functools import cached_property
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -87,27 +88,58 @@ def read_motion(recording: Recording) -> tuple[Motion, list[str]]:
 @final
 @dataclass(frozen=True, eq=False)
 class MotionRoom:
-    """Where and how fast a motion may be; all with m for rad of prismatic joints.
+    """Where and how fast a motion may be.
+
+    One limit is of revolute joints, and of prismatic joints at `arms.arm.LEVER`: 180 deg/s is 0.31 m/s.
 
     Attributes:
-        arm: that moves.
-        position: `(joint, 2)` lower and upper, rad.
-        velocity: `(joint,)` greatest magnitude, rad/s.
-        acceleration: `(joint,)` greatest magnitude, rad/s².
+        arm: that moves, inside its limits of position.
+        velocity: greatest magnitude, rad/s, m/s of prismatic joints; `(joint,)`, made of one number or one per joint.
+        acceleration: rad/s², likewise.
+        margin: by which limits of position are drawn in, rad.
         filters: that every position passes.
         duration: of one period, s.
         harmonics: of the series.
         rate: samples a second that are recorded.
+
+    Raises:
+        InputError: a limit, duration or rate that is not positive, limits as many as neither one nor the joints, as
+            `inside_limits`, fewer than two harmonics, or so few samples that the highest is not sampled ten times.
     """
 
     arm: Arm
-    position: Matrix
-    velocity: Matrix
-    acceleration: Matrix
-    filters: Sequence[Filter]
-    duration: float
-    harmonics: int
-    rate: float
+    velocity: Any = VELOCITY
+    acceleration: Any = ACCELERATION
+    margin: float = 0.0
+    filters: Sequence[Filter] = ()
+    duration: float = 10.0
+    harmonics: int = 5
+    rate: float = 100.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s²")):
+            limits = per_joint(self.arm, getattr(self, name), f"{name} limit", unit)
+            object.__setattr__(self, name, limits)
+        for name, value, unit in (("duration", self.duration, "s"), ("rate", self.rate, "samples a second")):
+            if not 0 < value < np.inf:
+                raise InputError(f"{name} {value:g}: give a number of {unit}, above 0")
+        if self.harmonics < 2:
+            raise InputError(f"harmonics {self.harmonics}: a motion from rest to rest takes 2 or more")
+        least = 10 * self.harmonics
+        if self.samples < least:
+            raise InputError(
+                f"a motion of {self.duration:g} s at {self.rate:g} samples a second is too short for {self.harmonics}"
+                f" harmonics: give a longer one, of {least} samples or more"
+            )
+        inside_limits(self.arm, self.margin)
+
+    @cached_property
+    def position(self) -> Matrix:
+        """`(joint, 2)` lower and upper, rad, m of prismatic joints; of more than one turn the middle one."""
+        position = inside_limits(self.arm, self.margin)
+        middle = position.mean(1, keepdims=True)
+        widest = np.where(self.arm.slides, np.inf, np.pi)[:, None]
+        return np.clip(position, middle - widest, middle + widest)
 
     @property
     def samples(self) -> int:
@@ -127,54 +159,17 @@ class MotionRoom:
         return not self.filters or bool(all_pass(self.filters, np.asarray(self.move_evenly(free, _CHECKED).q).T).all())
 
 
-def motion_room(
-    arm: Arm,
-    velocity: ArrayLike = VELOCITY,
-    acceleration: ArrayLike = ACCELERATION,
-    margin: float = 0.0,
-    filters: Sequence[Filter] = (),
-    duration: float = 10.0,
-    harmonics: int = 5,
-    rate: float = 100.0,
-) -> MotionRoom:
-    """An arm's limits of position, drawn in by a margin (rad), with limits of velocity and acceleration.
-
-    One number is of revolute joints, and of prismatic joints at `arms.arm.LEVER`: 180 deg/s is 0.31 m/s.
-
-    Args:
-        arm: whose limits of position; of a range of more than one turn its middle turn is used.
-        velocity: rad/s, one number or one per joint, m/s of prismatic joints.
-        acceleration: rad/s², likewise.
-        margin: rad.
-        filters, duration, harmonics, rate: as of `MotionRoom`.
+def per_joint(arm: Arm, given: ArrayLike, name: str, unit: str, number: str = "number") -> Matrix:
+    """A number above zero of each joint `(joint,)`, of one for all, of prismatic joints at `LEVER`, or of one for each.
 
     Raises:
-        InputError: a limit, duration or rate that is not positive, limits as many as neither one nor the joints, as
-            `inside_limits`, fewer than two harmonics, or so few samples that the highest is not sampled ten times.
+        InputError: other numbers; it says the `name`, the unit, and which `number` to give.
     """
-    limits = []
-    for name, given, unit in (("velocity", velocity, "rad/s"), ("acceleration", acceleration, "rad/s²")):
-        values = np.atleast_1d(np.asarray(given, float))
-        if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
-            raise InputError(
-                f"{name} limit {np.array2string(values, precision=4)} {unit}: give one number above 0, or"
-                f" {arm.dof} of them"
-            )
-        limits.append(joint_sizes(float(values[0]), unit, arm.slides) if values.shape == (1,) else values.copy())
-    for name, value, unit in (("duration", duration, "s"), ("rate", rate, "samples a second")):
-        if not 0 < value < np.inf:
-            raise InputError(f"{name} {value:g}: give a number of {unit}, above 0")
-    if harmonics < 2:
-        raise InputError(f"harmonics {harmonics}: a motion from rest to rest takes 2 or more")
-    if round(duration * rate) < 10 * harmonics:
-        raise InputError(
-            f"a motion of {duration:g} s at {rate:g} samples a second is too short for {harmonics} harmonics: give a"
-            f" longer one, of {10 * harmonics} samples or more"
-        )
-    position = inside_limits(arm, margin)
-    middle, widest = position.mean(1, keepdims=True), np.where(arm.slides, np.inf, np.pi)[:, None]
-    position = np.clip(position, middle - widest, middle + widest)
-    return MotionRoom(arm, position, limits[0], limits[1], filters, duration, harmonics, rate)
+    values = np.atleast_1d(np.asarray(given, float))
+    if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
+        shown = " ".join(f"{value:g}" for value in values.ravel())
+        raise InputError(f"{name} {shown} {unit}: give one {number} above 0, or {arm.dof} of them")
+    return joint_sizes(float(values[0]), unit, arm.slides) if values.shape == (1,) else values.copy()
 
 
 @jax.jit

@@ -57,12 +57,10 @@ class Criterion:
         weight: W `(parameter, parameter)` of −tr(W M⁻¹), minus a weighted sum of variances (H. Chernoff, Ann. Math.
             Stat. 24, 1953): the identity of A-optimality, the mean information Σ JᵀJ / count of the errors that matter
             of I-optimality. None is D-optimality, log det M (A. Wald, 1943).
-        offset: added to log det M.
         confounded: what is said where `weight` has a direction that neither data nor prior determine.
     """
 
     weight: Array | None = None
-    offset: float = 0.0
     confounded: str = "criterion: a direction of its weight is determined by no candidate; give others"
 
     def value(self, M: Array) -> Array:
@@ -70,10 +68,7 @@ class Criterion:
         sizes = np.linalg.eigvalsh(M)
         determined = sizes[..., 0] > _DESIGN_DETERMINES * sizes[..., -1]
         M = np.where(determined[..., None, None], M, np.eye(M.shape[-1]))
-        if self.weight is None:
-            value = self.offset + np.linalg.slogdet(M)[1]
-        else:
-            value = -np.sum(self.weight * np.linalg.inv(M), (-2, -1))
+        value = np.linalg.slogdet(M)[1] if self.weight is None else -np.sum(self.weight * np.linalg.inv(M), (-2, -1))
         return np.where(determined, value, -np.inf)
 
     def gains(self, rows: Array, M: Array) -> Array:
@@ -87,17 +82,16 @@ class Criterion:
     def approximate_gains(self, rows: Array, M: Array) -> Array:
         """As `gains`, with each row of a pose by itself: exact for a single row, and fast."""
         C = np.linalg.inv(M)
-        weighted, found = None if self.weight is None else C @ self.weight @ C, np.empty(len(rows))
-        for first in range(0, len(rows), _BLOCK):
-            block = rows[first : first + _BLOCK]
-            flat = block.reshape(-1, len(M))
+        weighted = None if self.weight is None else C @ self.weight @ C
+
+        def gains(flat: Array) -> Array:
             leverage = np.einsum("nk,nk->n", flat @ C, flat)
             if weighted is None:
-                each = np.log1p(leverage)
-            else:
-                each = np.einsum("nk,nk->n", flat @ weighted, flat) / (1 + leverage)
-            found[first : first + _BLOCK] = each.reshape(len(block), -1).sum(1)
-        return found
+                return np.log1p(leverage)
+            return np.einsum("nk,nk->n", flat @ weighted, flat) / (1 + leverage)
+
+        blocks = (rows[first : first + _BLOCK] for first in range(0, len(rows), _BLOCK))
+        return np.concatenate([gains(block.reshape(-1, len(M))).reshape(len(block), -1).sum(1) for block in blocks])
 
 
 def _products(J: Array, C: Array) -> Array:
@@ -157,11 +151,7 @@ class Pool:
         Q, _ = np.linalg.qr(self._basis * self._unit[:, None])
         self.outward = Q @ (Q.T @ (self._basis / self._unit[:, None] / scale))
         self.base = self.outward.T @ P @ self.outward
-        self.rows = self.express(J)
-
-    def express(self, rows: Array) -> Array:
-        """Rows `(pose, row, parameter)` in coordinates, `(pose, row, k)`."""
-        return (rows.reshape(-1, rows.shape[2]) @ self.outward).reshape(*rows.shape[:2], -1)
+        self.rows = (flat @ self.outward).reshape(*J.shape[:2], -1)
 
     def apply(self, criterion: Criterion) -> Criterion:
         """The criterion of an information matrix in coordinates.
@@ -169,16 +159,17 @@ class Pool:
         Raises:
             InputError: a weight with directions that neither data nor prior determine.
         """
-        if criterion.weight is None:
-            return Criterion(offset=-2 * float(np.log(np.abs(np.diagonal(np.linalg.qr(self.outward).R))).sum()))
+        if criterion.weight is None:  # log det M but for a constant
+            return criterion
         W = criterion.weight / self._unit[:, None] / self._unit
         if np.trace(W) - np.trace(self._basis.T @ W @ self._basis) > _LOST * np.trace(W):
             raise InputError(criterion.confounded)
         return Criterion(self.outward.T @ criterion.weight @ self.outward)
 
-    def accumulate(self, rows: Array) -> Array:
-        """The information of the prior and of the first 1, 2, … of rows `(pose, row, k)`, `(pose, k, k)`."""
-        return self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0)
+    def curve(self, criterion: Criterion, chosen: ArrayLike) -> Array:
+        """The criterion of the prior and the first 1, 2, … of some candidates, `(pose,)`."""
+        rows = self.rows[np.asarray(chosen, int)]
+        return criterion.value(self.base + np.cumsum(np.einsum("nri,nrj->nij", rows, rows), 0))
 
     def information(self, chosen: ArrayLike) -> Array:
         """The information of the prior and some candidates, with what keeps it invertible."""
@@ -199,14 +190,12 @@ class Design(NamedTuple):
 
     Attributes:
         indices: `(pose,)`, of the candidates, each once, ordered so that each beginning of them is as good as can be.
-        values: `(pose,)`, the criterion of the first 1, 2, … of them; −inf where they do not determine all directions.
         rank: how many directions of parameter space the candidates (and the prior) determine.
         exchanges: poses that were exchanged.
         cycles: how often the exchange went through all poses, the last time in vain unless the limit was reached.
     """
 
     indices: Indices
-    values: Array
     rank: int
     exchanges: int
     cycles: int
@@ -234,8 +223,7 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
         among = pool.foremost(criterion, chosen)
         chosen = among[_build(pool, criterion, among, len(chosen), min(len(chosen) + _TOGETHER, count))]
     chosen, exchanges, cycles = exchange(pool, criterion, chosen)
-    chosen = chosen[_build(pool, criterion, chosen, 0, count)]
-    return Design(chosen, criterion.value(pool.accumulate(pool.rows[chosen])), rank, exchanges, cycles)
+    return Design(chosen[_build(pool, criterion, chosen, 0, count)], rank, exchanges, cycles)
 
 
 def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count: int) -> list[int]:
@@ -388,11 +376,8 @@ def plan_poses(
     anywhere = sample_within_limits(experiment.arm, WORKSPACE, seed + 1)
     error = accuracy_criterion(experiment.error_rows(anywhere)[:, :3])  # m per tolerance
     # A: minus the sum of the variances of the determined directions
-    by = (
-        Criterion(pool.outward.T @ pool.outward)
-        if criterion == "A"
-        else pool.apply(Criterion() if criterion == "D" else error)
-    )
+    by = Criterion(pool.outward.T @ pool.outward) if criterion == "A" else Criterion()
+    by = pool.apply(error) if criterion == "I" else by
     design = choose(pool, count, by)
     try:
         judged = pool.apply(error)
@@ -403,7 +388,7 @@ def plan_poses(
         """The accuracy after the first 1, 2, … of some candidates."""
         if judged is None:
             return np.full(len(indices), np.inf)
-        return np.sqrt(-judged.value(pool.accumulate(pool.rows[indices])))
+        return np.sqrt(-pool.curve(judged, indices))
 
     achieved = reached = curve(design.indices)
     needed, more = None, count
@@ -472,7 +457,7 @@ def plan_discrimination(
     design = choose(pool, count, by)
 
     def distances(indices: NDArray[np.integer]) -> Array:
-        variances = -by.value(pool.accumulate(pool.rows[indices]))
+        variances = -pool.curve(by, indices)
         return 1 / np.sqrt(np.where(np.isfinite(variances), variances, np.nan))
 
     return DiscriminationPlan(

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -18,7 +17,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
-from lite6jax.design.information import Experiment, experiment
+from lite6jax.design.information import Experiment
 from lite6jax.design.sensor import BoardView, PlacedReading, Point
 from lite6jax.domains.pose.inverse import Target, reach
 from lite6jax.errors import InputError
@@ -134,7 +133,7 @@ def plan_reading(
         mounted = "fixed" if name == "fixed_camera" else "on_flange"
         view = BoardView(mounted, sigma, lens, BOARD.points, joint_noise)
         model = ArmModel(arm.kinematics.ravel(), T, T_tool)  # type: ignore[arg-type]
-        return experiment(arm, ModelForm(form, True, True), model, view)
+        return Experiment(arm, ModelForm(form, True, True), model, view)
     angles = np.linspace(-1.2, 1.2, places) if places > 1 else [0.0]
     points = [draw_place(rng, arm, float(angle)) for angle in angles]
     normals: list[Array] = []
@@ -157,7 +156,7 @@ def plan_reading(
     known = np.array([TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.units])
     movable = np.arange(whole.size) >= 6
     model = ArmModel(arm.kinematics.ravel(), np.eye(4), T_tool)  # type: ignore[arg-type]
-    return experiment(arm, whole, model, sensor, movable, np.concatenate([known, np.zeros(6)]))
+    return Experiment(arm, whole, model, sensor, movable, np.concatenate([known, np.zeros(6)]))
 
 
 def _point(at: Array) -> Point:
@@ -225,8 +224,7 @@ def read_places(of: Experiment, joint_position: Array) -> NDArray[np.integer]:
     if not isinstance(of.sensor, PlacedReading):
         return np.zeros(len(joint_position), int)
     T = frames.chain(frames.transform_from_row(of.arm.kinematics), joint_position, of.arm.sliding)
-    point = (T @ np.asarray(of.model.T_flange_tool))[:, :3, 3]
-    return np.asarray(of.sensor.nearest(jnp.asarray(point.T)))
+    return of.sensor.nearest(T @ np.asarray(of.model.T_flange_tool))
 
 
 def planned_readings(

@@ -8,21 +8,21 @@ from typing import Any, Literal, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from numpy.typing import NDArray
 
-from lite6jax.arms.se3 import Frame, Twist, cross
 from lite6jax.errors import InputError
 from lite6jax.sensors.camera import Lens, Mounted, seen_corners
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
 from lite6jax.sensors.sensor import OwnNumber
 from lite6jax.sensors.sensor import Sensor as ReadingSensor
 
+Array = NDArray[np.floating]
 Quantity = Literal["position", "pose", "axis", "distance"]
 Point = tuple[float, float, float]
 
 
 class AnySensor(ABC):
-    """What a plan reads with which noise; hashable, as a static argument of jitted functions.
+    """What a plan reads with which noise.
 
     What derives from it has `rows`, how many numbers a reading has, a `phrase` that says it in words, and
     `joint_noise`, one standard deviation of each joint's read-out, rad; it reaches the reading through the arm.
@@ -47,26 +47,17 @@ class AnySensor(ABC):
         """What it reads and how well, in SI units (px of a camera)."""
 
     @abstractmethod
-    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
-        """How the whitened reading `(row, sample)` changes with a shift and a turn `(3, sample)` of the tool."""
-
-    def change(self, tool: Frame, twist: Twist) -> Array:
-        """How the whitened reading changes with a motion of the tool.
-
-        Args:
-            tool: its frame in the sensor's coordinates.
-            twist: of the motion, at the sensor's origin.
+    def slopes(self, tool: Array) -> Array:
+        """How the whitened reading changes as tools `(sample, 4, 4)` in the sensor's coordinates shift and turn.
 
         Returns:
-            `(row, sample)`, in standard deviations; an orientation's as a rotation vector in the sensor's axes.
+            `(row, 6, sample)`, standard deviations per m and rad; an orientation's as a rotation vector in the sensor's
+            axes.
         """
-        spin = twist.angular
-        shift = twist.linear if spin is None else twist.linear + cross(spin, tool.origin)
-        return self.shown(tool, shift, jnp.zeros_like(shift) if spin is None else spin)
 
-    def by_own(self, tool: Frame) -> Array:
+    def by_own(self, tool: Array) -> Array:
         """How the whitened reading changes with its own unknowns, `(number, row, sample)`, per m or rad."""
-        return jnp.zeros((0, self.rows, tool.origin.shape[1]))
+        return np.zeros((0, self.rows, len(tool)))
 
 
 @final
@@ -147,17 +138,14 @@ class Sensor(AnySensor):
         turns = [self.orientation_noise] * 3 if self.quantity == "pose" else []
         return np.array([self.position_noise] * (self.rows - len(turns)) + turns, float)
 
-    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
-        if self.quantity == "position":
-            return shift / self.position_noise
-        if self.quantity == "pose":
-            assert self.orientation_noise is not None
-            return jnp.concatenate([shift / self.position_noise, spin / self.orientation_noise])
-        along = jnp.array(self.direction)[:, None]
+    def slopes(self, tool: Array) -> Array:
+        if self.rows > 1:
+            return np.repeat((np.eye(6)[: self.rows] / self.noise[:, None])[..., None], len(tool), 2)
+        along = np.tile(self.direction, (len(tool), 1))
         if self.quantity == "distance":
-            along = tool.origin - jnp.array(self.center)[:, None]
-            along = along / jnp.sqrt(jnp.sum(along**2, 0))
-        return jnp.sum(along * shift, 0, keepdims=True) / self.position_noise
+            along = tool[:, :3, 3] - self.center
+            along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        return np.concatenate([along, np.zeros_like(along)], 1).T[None] / self.position_noise
 
 
 @final
@@ -207,13 +195,12 @@ class PlacedReading(AnySensor):
             for k, one in enumerate(found)
         )
 
-    def nearest(self, point: Any) -> Any:
-        """The place `(sample,)` of tool points `(3, sample)`."""
-        places = jnp.array([at for _, at in self.places])
-        apart = point.T[:, None] - places
+    def nearest(self, tool: Array) -> NDArray[np.integer]:
+        """The place `(sample,)` of tools `(sample, 4, 4)`."""
+        apart = tool[:, None, :3, 3] - np.array([at for _, at in self.places])
         if self.quantity == "plane":
-            return jnp.argmin(jnp.abs(jnp.sum(apart * jnp.array(self.normals), 2)), 1)
-        return jnp.argmin(jnp.sum(apart**2, 2), 1)
+            return np.argmin(np.abs(np.sum(apart * np.array(self.normals), 2)), 1)
+        return np.argmin(np.sum(apart**2, 2), 1)
 
     def _at(self, group: Any) -> ReadingSensor:
         """The sensor of samples at some places, all of which are unknown."""
@@ -231,14 +218,11 @@ class PlacedReading(AnySensor):
             return Distance(group, unit, value, places, np.zeros(1), names, free)
         return Axis(group, unit, value, np.array(self.normals[0]), np.zeros(1), True)
 
-    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
-        x, y, z = (cross(spin, axis) for axis in tool[:3])
-        return jax.jvp(self._at(self.nearest(tool.origin)).residual, (tool,), (Frame(x, y, z, shift),))[1]
+    def slopes(self, tool: Array) -> Array:
+        return self._at(self.nearest(tool)).slopes(tool) / self.position_noise
 
-    def by_own(self, tool: Frame) -> Array:
-        sensor = self._at(self.nearest(tool.origin))
-        by = jax.jacfwd(lambda numbers: sensor.moved(numbers).residual(tool))(jnp.zeros(len(self.own)))
-        return jnp.moveaxis(by, -1, 0)
+    def by_own(self, tool: Array) -> Array:
+        return self._at(self.nearest(tool)).by_numbers(tool) / self.position_noise
 
     def to_dict(self) -> dict[str, Any]:
         return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)}
@@ -270,35 +254,38 @@ class BoardView(AnySensor):
         where = "on the flange" if self.mounted == "on_flange" else "that stands"
         return f"images by a camera {where}, corners to ±{self.pixel_noise:.3g} px"
 
-    def shown(self, tool: Frame, shift: Array, spin: Array) -> Array:
+    def slopes(self, tool: Array) -> Array:
         """With J the slopes of the pixels that are seen, over their noise, and JᵀJ = UᵀU, it is U times the motion.
 
         A corner behind the camera or outside the picture, whose middle is the principal point, is not seen. Where too
         few are, it is zero.
         """
-        turn = jnp.stack([jnp.sum(axis * spin, 0) for axis in tool[:3]])  # in the moved axes
         lens, corners = Lens(np.array(self.lens[:4]), np.array(self.lens[4:])), np.array(self.corners)
-
-        def slopes(T: Array) -> Array:
-            still, fixed = jnp.zeros(6), self.mounted == "fixed"
-            pixels = partial(seen_corners, self.mounted, lens, corners, T)
-            depth = corners @ T[2, :3] + T[2, 3] if fixed else (corners - T[:3, 3]) @ T[:3, 2]
-            at = pixels(still)
-            seen = (depth > 0) & jnp.all((at > 0) & (at < 2 * lens.pinhole[2:]), 1)
-            return jnp.where(seen[:, None, None], jax.jacfwd(pixels)(still) / self.pixel_noise, 0.0).reshape(-1, 6)
-
-        T = jnp.zeros((*tool.origin.shape[1:], 4, 4)).at[:, 3, 3].set(1.0)
-        J = jax.vmap(slopes)(T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)))
-        root = jnp.linalg.cholesky(jnp.swapaxes(J, 1, 2) @ J)
-        root = jnp.where(jnp.all(jnp.isfinite(root), (1, 2), keepdims=True), root, 0.0)
-        return jnp.einsum("ski,ks->is", root, jnp.concatenate([shift, turn]))
+        R, p = tool[:, :3, :3], tool[:, None, :3, 3]
+        fixed = self.mounted == "fixed"
+        depth = (corners @ np.swapaxes(R, 1, 2) + p if fixed else (corners - p) @ R)[..., 2]
+        at, J = map(np.asarray, _corner_slopes(self.mounted, lens, corners, tool))
+        seen = (depth > 0) & ((at > 0) & (at < 2 * lens.pinhole[2:])).all(2)
+        J = np.where(seen[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)
+        U = np.asarray(jnp.linalg.cholesky(np.swapaxes(J, 1, 2) @ J, upper=True))
+        U = np.where(np.isfinite(U).all((1, 2), keepdims=True), U, 0.0)
+        return np.moveaxis(np.concatenate([U[..., :3], U[..., 3:] @ np.swapaxes(R, 1, 2)], 2), 0, -1)
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self) | {"quantity": self.quantity}
 
 
-BARE = Sensor("pose", 1.0, 1.0)
-"""Reads poses in m and rad: what it sees of a motion of the tool is that motion."""
+@partial(jax.jit, static_argnums=0)
+def _corner_slopes(mounted: Mounted, lens: Lens, corners: Array, tool: Array) -> tuple[jax.Array, jax.Array]:
+    """The pixels `(sample, corner, 2)` and their slopes `(sample, corner, 2, 6)`, turns in the moved axes."""
+
+    def pixels(T: Any, twist: jax.Array) -> jax.Array:
+        return seen_corners(mounted, lens, corners, T, twist)
+
+    still = jnp.zeros(6)
+    return jax.vmap(pixels, (0, None))(tool, still), jax.vmap(jax.jacfwd(pixels, 1), (0, None))(tool, still)
+
+
 SENSORS = {
     "tracker": Sensor("position", 2e-5),
     "tracker_6d": Sensor("pose", 2e-5, 1e-4),

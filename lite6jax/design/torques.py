@@ -10,7 +10,7 @@ from typing import Any, final
 import jax.numpy as jnp
 import numpy as np
 from jax import Array as JaxArray
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
@@ -20,9 +20,10 @@ from lite6jax.design.determination import (
     Determination,
     accumulate_root,
     determination_of,
+    each_block,
     narrow_joints,
 )
-from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, random_motions
+from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, per_joint, random_motions
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
 
@@ -63,20 +64,56 @@ class TorqueModel:
 
     Attributes:
         arm: its geometry; masses, where it has them, only say which standard deviations are small.
-        noise: `(joint,)` Nm, N of a prismatic joint, one standard deviation of each joint's torque, white.
+        noise: `(joint,)` one standard deviation of each joint's torque, white: Nm, N of a prismatic joint. Made of one
+            number, of prismatic joints at `arms.arm.LEVER`, or one per joint; `NOISE` where not given.
         gravity: `(3,)` m/s² in the base's frame.
         inertial: whether the links' parameters are unknown; else only those of the joints are.
-        names, units: of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`.
-        scale: `(column,)` their typical sizes: of a link by its mass and the distance to the next joint.
+
+    Raises:
+        InputError: noise that is not positive or is of another number of joints, or gravity that is not three numbers.
     """
 
     arm: Arm
-    noise: Array
-    gravity: Array
-    inertial: bool
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    scale: Array
+    noise: Any = None
+    gravity: Any = GRAVITY
+    inertial: bool = True
+
+    def __post_init__(self) -> None:
+        noise = NOISE if self.noise is None else self.noise
+        object.__setattr__(self, "noise", per_joint(self.arm, noise, "torque noise", "Nm", "standard deviation"))
+        g = np.asarray(self.gravity, float)
+        if g.shape != (3,) or not np.isfinite(g).all():
+            raise InputError(f"gravity {np.asarray(self.gravity).tolist()}: give three finite numbers in m/s²")
+        object.__setattr__(self, "gravity", g)
+
+    @cached_property
+    def parameters(self) -> list[tuple[str, str, float]]:
+        """Name, unit and typical size of the unknown ones: of a link by its mass and the distance to the next joint."""
+        arm = self.arm
+        mass = np.full(arm.dof, _UNKNOWN_MASS) if arm.mass is None else arm.mass
+        mass = np.maximum(mass, 1e-3 * mass.max(initial=_UNKNOWN_MASS))
+        ahead = np.vstack([arm.kinematics[1:, :3], arm.T_joint_flange[:3, 3]])
+        lever = np.maximum(np.linalg.norm(ahead, axis=1), _SHORTEST * arm.reach)
+        links = [
+            (f"link{i + 1} {name}", ("kg", "kg·m", "kg·m²")[power], float(mass[i] * lever[i] ** power))
+            for i in range(arm.dof if self.inertial else 0)
+            for name, power in _LINK.items()
+        ]
+        return links + [
+            (f"joint{i + 1} {name}", joint_unit(unit, slides), joint_size(size, unit, slides))
+            for i, slides in enumerate(arm.slides.tolist())
+            for name, unit, size in zip(JOINT, JOINT_UNITS, _JOINT_SIZES, strict=True)
+        ]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`."""
+        return tuple(name for name, _, _ in self.parameters)
+
+    @property
+    def scale(self) -> Array:
+        """`(column,)` their typical sizes, SI."""
+        return np.array([size for _, _, size in self.parameters])
 
     def columns(self, motion: Motion) -> JaxArray:
         """Whitened torques per SI unit of the unknown parameters, `(joint, column, sample)`; plain JAX."""
@@ -98,7 +135,7 @@ class TorqueModel:
             return np.asarray(self.columns(Motion(*(part.T for part in parts)))).swapaxes(0, 1)
 
         parts = [np.asarray(part).T for part in motion]
-        return self.scale * accumulate_root(rows, parts, len(self.names), _BLOCK)
+        return self.scale * accumulate_root(each_block(rows, parts, _BLOCK), len(self.names))
 
     @cached_property
     def possible(self) -> Determination:
@@ -114,7 +151,8 @@ class TorqueModel:
         ]
         links = 10 * self.arm.dof if self.inertial else 0
         order = [*(first + i for first in range(0, links, 10) for i in _STANDING), *range(links, len(self.names))]
-        return determination_of(self.root(Motion(*states)), self.names, self.units, self.scale, _STATES, order)
+        units = [unit for _, unit, _ in self.parameters]
+        return determination_of(self.root(Motion(*states)), self.names, units, self.scale, _STATES, order)
 
     @property
     def base(self) -> tuple[BaseParameter, ...]:
@@ -136,49 +174,6 @@ class TorqueModel:
     def silent(self) -> tuple[str, ...]:
         """Names of parameters that change no torque."""
         return tuple(d.name for d in self.possible.dependencies if not d.partners)
-
-
-def torque_model(
-    arm: Arm, noise: ArrayLike | None = None, gravity: ArrayLike = GRAVITY, inertial: bool = True
-) -> TorqueModel:
-    """A `TorqueModel`.
-
-    Args:
-        arm: geometry suffices.
-        noise: Nm, one number, of prismatic joints at `arms.arm.LEVER`, or one per joint, Nm or N; `NOISE` where
-            not given.
-        gravity: `(3,)` m/s² in the base's frame.
-        inertial: whether the links' parameters are unknown.
-
-    Raises:
-        InputError: noise that is not positive or is of another number of joints, or gravity that is not three numbers.
-    """
-    values = np.atleast_1d(np.asarray(NOISE if noise is None else noise, float))
-    if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
-        raise InputError(
-            f"torque noise {' '.join(f'{v:g}' for v in values.ravel())} Nm: give one standard deviation above 0, or"
-            f" {arm.dof} of them"
-        )
-    g = np.asarray(gravity, float)
-    if g.shape != (3,) or not np.isfinite(g).all():
-        raise InputError(f"gravity {np.asarray(gravity).tolist()}: give three finite numbers in m/s²")
-    each = joint_sizes(float(values[0]), "Nm", arm.slides) if values.shape == (1,) else values.copy()
-    mass = np.full(arm.dof, _UNKNOWN_MASS) if arm.mass is None else arm.mass
-    mass = np.maximum(mass, 1e-3 * mass.max(initial=_UNKNOWN_MASS))
-    ahead = np.vstack([arm.kinematics[1:, :3], arm.T_joint_flange[:3, 3]])
-    lever = np.maximum(np.linalg.norm(ahead, axis=1), _SHORTEST * arm.reach)
-    links = [
-        (f"link{i + 1} {name}", ("kg", "kg·m", "kg·m²")[power], float(mass[i] * lever[i] ** power))
-        for i in range(arm.dof)
-        for name, power in _LINK.items()
-    ]
-    joints = [
-        (f"joint{i + 1} {name}", joint_unit(unit, slides), joint_size(size, unit, slides))
-        for i, slides in enumerate(arm.slides.tolist())
-        for name, unit, size in zip(JOINT, JOINT_UNITS, _JOINT_SIZES, strict=True)
-    ]
-    names, units, scale = zip(*(links if inertial else []), *joints, strict=True)
-    return TorqueModel(arm, each, g, inertial, names, units, np.array(scale))
 
 
 @final
@@ -258,7 +253,7 @@ def identify_torques(model: TorqueModel, motion: Motion, *, notes: tuple[str, ..
     """What a motion determines of an arm's base parameters and friction, and how well.
 
     Args:
-        model: from `torque_model`.
+        model: the unknowns and the noise.
         motion: `(joint, sample)` each; its accelerations free of noise, as of a zero-phase filter.
         notes: said with the result.
 

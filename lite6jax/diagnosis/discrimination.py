@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.design.candidates import candidates
-from lite6jax.design.information import experiment
+from lite6jax.design.information import Experiment
 from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.options import Options
@@ -59,7 +59,7 @@ def separating_poses(
         return ()
     rigid, (position, orientation) = recording_problem(problem.recording, problem.arm, geometry, factory), problem.noise
     sensor = Sensor("position" if orientation is None else "pose", position, orientation)
-    here = experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
+    here = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
     drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
     recorded, count, found = problem.recording.joint_position, options.separating_poses, []
     for k, rival in pairs:

@@ -12,7 +12,7 @@ from lite6jax.arms.chains import HayatiForm, hayati_fk
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.determination import observability
 from lite6jax.design.identify import determine
-from lite6jax.design.information import experiment, plan_experiment
+from lite6jax.design.information import Experiment, plan_experiment
 from lite6jax.design.sensor import SENSORS, Sensor
 from tests.oracles.arms import perturbed, random_kinematics, random_positions
 from tests.oracles.transforms import perturb_poses
@@ -168,7 +168,7 @@ def test_what_is_known_beforehand_decides_what_readings_cannot():
     form = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).form
     model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
     sigma = np.array([1e-4 if unit == "m" else 1e-3 for unit in form.units])
-    setup = experiment(LITE6, form, model, SENSORS["tracker_6d"], precision=1 / sigma**2)
+    setup = Experiment(LITE6, form, model, SENSORS["tracker_6d"], precision=1 / sigma**2)
     found = determine(setup, joints(60))
     assert found.rank == 25
     assert found.free.all()

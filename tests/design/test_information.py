@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.identify import sensitivity
-from lite6jax.design.information import TOLERANCE, experiment, plan_experiment, recording_experiment
+from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment, recording_experiment
 from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
@@ -89,7 +89,7 @@ def random_model(chain, arm=LITE6):
 def test_rows_are_finite_differences_of_plain_readings(sensor, chain):
     form = ModelForm(chain, frame=True, tool=True)
     model = random_model(chain)
-    setup = experiment(LITE6, form, model, sensor)
+    setup = Experiment(LITE6, form, model, sensor)
     want = plain_rows(sensor, form, model, Q)
     got = setup.rows(Q) / setup.unit
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-8 * np.abs(want).max())
@@ -111,8 +111,8 @@ def test_noise_of_the_joints_is_carried_through_the_arm():
     sigma = 4e-5
     sensor = Sensor("pose", 2e-5, 1e-4, joint_noise=sigma)
     form, model = ModelForm(LITE6.form, frame=True), random_model(LITE6.form)
-    got = experiment(LITE6, form, model, sensor).rows(Q)
-    clean = experiment(LITE6, form, model, sensor.with_noise(joint=0.0)).rows(Q)
+    got = Experiment(LITE6, form, model, sensor).rows(Q)
+    clean = Experiment(LITE6, form, model, sensor.with_noise(joint=0.0)).rows(Q)
     h = 1e-6
     middle = plain_poses(form, model, np.zeros(form.size), Q)
     for k in range(len(Q)):

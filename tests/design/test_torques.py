@@ -11,8 +11,8 @@ from lite6jax.arms.description import load_bundled, write_arm
 from lite6jax.cli import main
 from lite6jax.cli.study import TorqueSetup
 from lite6jax.design import candidates
-from lite6jax.design.motions import Motion, motion_room, random_motions
-from lite6jax.design.torques import identify_torques, plan_motion, record_motion, torque_model
+from lite6jax.design.motions import Motion, MotionRoom, random_motions
+from lite6jax.design.torques import TorqueModel, identify_torques, plan_motion, record_motion
 from lite6jax.errors import InputError
 from lite6jax.report.study import torque_identification_report, torque_plan_report
 from tests.oracles.arms import random_kinematics
@@ -59,7 +59,7 @@ def chain(dof, seed=0):
     ids=["lite6", "xarm7", "3R", "planar along gravity", "planar across gravity"],
 )
 def test_the_number_of_base_parameters(kinematics, gravity, known):
-    found = torque_model(Arm("an arm", kinematics), gravity=gravity)
+    found = TorqueModel(Arm("an arm", kinematics), gravity=gravity)
     rank = np.linalg.matrix_rank(oracle(kinematics, random_states(len(kinematics)), gravity), rtol=1e-9)
     assert sum(item.name.startswith("link") for item in found.base) == rank
     if known is not None:
@@ -71,7 +71,7 @@ def test_the_number_of_base_parameters(kinematics, gravity, known):
 def test_base_parameters_give_all_torques():
     """What the words say is the whole truth: torques of any link parameters follow from the combinations alone."""
     kinematics, motion = load_bundled("lite6").kinematics, random_states(6, 60)
-    model = torque_model(Arm("an arm", kinematics))
+    model = TorqueModel(Arm("an arm", kinematics))
     found = model
     x = np.random.default_rng(3).standard_normal(len(model.names))
     place = {name: i for i, name in enumerate(model.names)}
@@ -83,7 +83,7 @@ def test_base_parameters_give_all_torques():
 def test_standard_deviations_are_those_of_least_squares():
     kinematics, noise = chain(2), np.array([0.3, 0.05])
     motion = random_states(2, 150)
-    found = identify_torques(torque_model(Arm("an arm", kinematics), noise), motion)
+    found = identify_torques(TorqueModel(Arm("an arm", kinematics), noise), motion)
     W = with_friction(kinematics, motion)[:, found.model.possible.free]
     sigma = np.repeat(noise, motion.q.shape[1])
     draws = np.random.default_rng(5).standard_normal((len(W), 4000))
@@ -98,7 +98,7 @@ def test_a_joint_that_does_not_move():
     motion = random_states(3)
     motion.q[2], motion.dq[2], motion.ddq[2] = 0.3, 0.0, 0.0
     kinematics = chain(3)
-    found = identify_torques(torque_model(Arm("an arm", kinematics)), motion)
+    found = identify_torques(TorqueModel(Arm("an arm", kinematics)), motion)
     W = with_friction(kinematics, motion)[:, found.model.possible.free]
     # a number is determined where its unit vector lies in the row space
     rows = np.linalg.svd(W, full_matrices=False)
@@ -125,7 +125,7 @@ def test_a_joint_that_does_not_move():
 def test_what_is_refused(change, says):
     given = {"noise": 0.1, "gravity": GRAVITY, "motion": random_states(3)} | change
     with pytest.raises(InputError, match=re.escape(says)):
-        identify_torques(torque_model(Arm("an arm", chain(3)), given["noise"], given["gravity"]), given["motion"])
+        identify_torques(TorqueModel(Arm("an arm", chain(3)), given["noise"], given["gravity"]), given["motion"])
 
 
 def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
@@ -135,7 +135,7 @@ def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
     assert "±0.05 Nm, 0.05 Nm, 0.5 N (one standard deviation" in said
     assert "of prismatic joints, P: N·s/m, N, N, kg" in said
     assert "J3 P " in said
-    model = torque_model(slid.arm())
+    model = TorqueModel(slid.arm())
     units = {item.name: item.unit for item in model.base}
     names = ("joint3 viscous", "joint3 rotor inertia", "joint2 Coulomb")
     assert [units[name] for name in names] == ["N·s/m", "kg", "Nm"]
@@ -151,8 +151,8 @@ def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
 ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 2.5], [-3.0, 3.0]]))
 MADE = {"velocity": [1.0, 2.0, 3.0], "acceleration": [4.0, 6.0, 20.0]}
 MADE |= {"duration": 6.0, "harmonics": 4, "rate": 50.0}
-ROOM = motion_room(ARM, **MADE)
-UNKNOWN = torque_model(ARM)
+ROOM = MotionRoom(ARM, **MADE)
+UNKNOWN = TorqueModel(ARM)
 FINE = np.linspace(0.0, 6.0, 20011)
 
 
@@ -195,7 +195,7 @@ def log_determinant(motion, model):
 
 
 def test_a_designed_motion_determines_more_than_random_ones():
-    model, search = torque_model(ARM, 0.1), {"seed": 2, "draws": 20, "starts": 1, "steps": 60}
+    model, search = TorqueModel(ARM, 0.1), {"seed": 2, "draws": 20, "starts": 1, "steps": 60}
     plan = plan_motion(model, ROOM, **search)
     own = log_determinant(plan.motion, model)
     motions = [record_motion(ROOM, free)[1] for free in random_motions(ROOM, 2, 20)]
@@ -212,7 +212,7 @@ def test_obstacles_are_kept_clear_of():
     low, high = (0.0, -0.6, 0.0), (1.2, 0.9, 1.35)
     filters = [candidates.above_floor(ARM, 0.4), candidates.inside_box(ARM, low, high)]
     filters.append(candidates.Filter("mine", lambda q: q[:, 2] < 1.5))
-    room = motion_room(ARM, **MADE | {"filters": filters, "harmonics": 3})
+    room = MotionRoom(ARM, **MADE | {"filters": filters, "harmonics": 3})
     plan = plan_motion(UNKNOWN, room, draws=10, starts=1, steps=20)
     q = np.asarray(room.move(plan.free, FINE).q).T
     p = six_parameter_poses(ARM.kinematics, q)[:, :3, 3]
@@ -226,16 +226,16 @@ def test_obstacles_are_kept_clear_of():
 
 
 def limited(*accepted):
-    return motion_room(ARM, filters=[candidates.Filter("mine", accept) for accept in accepted], **MADE)
+    return MotionRoom(ARM, filters=[candidates.Filter("mine", accept) for accept in accepted], **MADE)
 
 
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: motion_room(ARM, duration=-1.0), "duration -1: give a number of s, above 0"),
-        (lambda: motion_room(ARM, rate=np.inf), "rate inf: give a number of samples a second, above 0"),
-        (lambda: motion_room(ARM, harmonics=1), "harmonics 1: a motion from rest to rest takes 2"),
-        (lambda: motion_room(ARM, 1.0, [1.0, 2.0]), "acceleration limit"),
+        (lambda: MotionRoom(ARM, duration=-1.0), "duration -1: give a number of s, above 0"),
+        (lambda: MotionRoom(ARM, rate=np.inf), "rate inf: give a number of samples a second, above 0"),
+        (lambda: MotionRoom(ARM, harmonics=1), "harmonics 1: a motion from rest to rest takes 2"),
+        (lambda: MotionRoom(ARM, 1.0, [1.0, 2.0]), "acceleration limit"),
         (lambda: random_motions(limited(lambda q: abs(q[:, 0]) < 0.004)), "mine at any amplitude; widen them"),
         (lambda: random_motions(limited(lambda q: q[:, 0] > 9)), "mine refused 100 % of them; widen it"),
     ],
@@ -249,7 +249,7 @@ def test_what_a_motion_is_refused_for(call, says):
 
 
 def test_limits_of_a_designed_motion_are_those_of_each_joint():
-    limits = motion_room(slid.arm(), np.pi, [2.0, 3.0, 0.5], margin=0.05)
+    limits = MotionRoom(slid.arm(), np.pi, [2.0, 3.0, 0.5], margin=0.05)
     np.testing.assert_allclose(limits.velocity, [np.pi, np.pi, 0.1 * np.pi])
     np.testing.assert_allclose(limits.acceleration, [2.0, 3.0, 0.5])
     np.testing.assert_allclose(limits.position[2], [0.005, 0.395])
@@ -257,7 +257,7 @@ def test_limits_of_a_designed_motion_are_those_of_each_joint():
     room = setup.room(slid.arm())
     np.testing.assert_allclose(room.velocity, [np.pi / 2, np.pi / 2, 0.25])
     np.testing.assert_allclose(room.acceleration[2], np.deg2rad(600) * 0.1)
-    model = torque_model(slid.arm(), inertial=False)
+    model = TorqueModel(slid.arm(), inertial=False)
     plan = plan_motion(model, room, draws=3, starts=1, steps=2)
     assert (np.abs(plan.motion.dq).max(1) <= room.velocity * (1 + 1e-9)).all()
     text = " ".join(str(part) for part in torque_plan_report(plan, (), "telescope"))
