@@ -113,6 +113,14 @@ class Model(Strict, kw_only=True):
     joint_limits: _Limits | None = None
     uncertainty: UncertaintyEntry | None = None
 
+    def __post_init__(self) -> None:
+        """Checks what one number alone does not show."""
+        joints, prismatic, limits = len(self.kinematics), self.prismatic_joints, self.joint_limits
+        if prismatic != tuple(sorted(set(prismatic))) or any(joint > joints for joint in prismatic):
+            raise ValueError("prismatic_joints are not joints of its chain in order")
+        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
+            raise ValueError("joint_limits are not the lower and the upper one of each joint")
+
 
 class PoseModel(Model, kw_only=True):
     """What predictions of poses need."""
@@ -123,6 +131,20 @@ class PoseModel(Model, kw_only=True):
     inertia: Inertia | None
     motion: Literal["static", "trajectory"]
     accelerated: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks frames and masses too."""
+        super().__post_init__()
+        for name in ("T_sensor_base", "T_flange_tool"):
+            T = np.array(getattr(self, name), float)
+            if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
+                raise ValueError(f"{name} is no rigid transform")
+        # the last mass contains by how much the payload is lighter than declared
+        masses, known = [] if self.inertia is None else self.inertia.mass, self.uncertainty
+        lighter = known is not None and any(site[0] == "payload" for site in known.sites)
+        for i, mass in enumerate(masses[:-1] if lighter else masses):
+            if mass < 0:
+                raise ValueError(f"inertia.mass[{i}] is {mass:.6g}, which is negative")
 
 
 class TorqueModel(Model, kw_only=True):
@@ -164,7 +186,7 @@ DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
 _ROUNDING = 1e-9
 """Of the largest covariance, by which rounding may make a variance of zero negative."""
-RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
+_RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
 """Of what was recorded; of poses the first alone."""
 
 
@@ -228,7 +250,7 @@ def _shared_entries(
 def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
     C, typical = known.covariance, known.typical
     recorded = known.recorded
-    ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
+    ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
     return {
         "sites": [list(site) for site in known.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
@@ -261,9 +283,8 @@ def model_from_document(
         InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
     with _refuse_damage(source):
-        if domain == "torques" or (domain is None and is_of_torques(document)):
-            return _torque_model(_torques_in(document), effects)
-        return _pose_model(_poses_in(document), effects)
+        read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"))
+        return _torque_model(read, effects) if isinstance(read, TorqueDocument) else _pose_model(read, effects)
 
 
 def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
@@ -275,8 +296,6 @@ def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
         inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
         if len(inertia.mass) != joints:
             raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
-    if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
-        raise ValueError("joint_limits are not the lower and the upper one of each joint")
     return DiagnosedArm(
         arm=model.arm,
         model=ArmModel(
@@ -392,7 +411,7 @@ def _uncertainty(
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
-    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in RANGES)]
+    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in _RANGES)]
     there, positions = [part for part in ranges if part is not None], np.asarray(entry.joint_position_rad, float)
     if any(part.shape != (joints, 2) for part in there) or positions.shape != (len(positions) or 1, joints):
         raise ValueError("its recorded range is not one of this arm")
@@ -550,13 +569,13 @@ def check_document(document: Any, path: str | Path) -> None:
     """Refuses what is no diagnosis or has no whole model, for a report; effects of a user's own are not needed.
 
     Raises:
-        InputError: not a diagnosis, or something in a model is missing or not possible.
+        InputError: as `model_from_document`.
     """
     with _refuse_damage(str(path)):
         if not is_of_torques(document):
-            _poses_in(document)
+            _read(document, "poses")
         if is_of_torques(document) or "torques" in document:
-            _torques_in(document)
+            _read(document, "torques")
 
 
 def is_of_torques(document: Any) -> bool:
@@ -576,35 +595,13 @@ class _NoDiagnosisError(InputError):
     """What is no diagnosis at all."""
 
 
-def _has_model(document: Any) -> bool:
-    return isinstance(document, dict) and document.get("schema") == SCHEMA and isinstance(document.get("model"), dict)
-
-
-def _poses_in(document: Any) -> PoseDocument:
-    if not _has_model(document):
-        raise _NoDiagnosisError(f"is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
-    if is_of_torques(document):
+def _read(document: Any, domain: Domain) -> PoseDocument | TorqueDocument:
+    """A document of a domain by its schema; of torques also that in one of poses."""
+    torques = domain == "torques"
+    part = find_torques(document) if torques else document
+    if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
+        what, wrote = ("of torques", " of one") if torques else (f"({SCHEMA} with a model)", "")
+        raise _NoDiagnosisError(f"is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
+    if is_of_torques(part) is not torques:
         raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
-    read = check(document, PoseDocument)
-    model = read.model
-    for name in ("T_sensor_base", "T_flange_tool"):
-        T = np.array(getattr(model, name), float)
-        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
-            raise InputError(f"model.{name} is no rigid transform")
-    prismatic = model.prismatic_joints
-    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
-        raise InputError("model.prismatic_joints are not joints of its chain in order")
-    # the last mass contains by how much the payload is lighter than declared
-    masses, known = [] if model.inertia is None else model.inertia.mass, model.uncertainty
-    lighter = known is not None and any(site[0] == "payload" for site in known.sites)
-    for i, mass in enumerate(masses[:-1] if lighter else masses):
-        if mass < 0:
-            raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
-    return read
-
-
-def _torques_in(document: Any) -> TorqueDocument:
-    torques = find_torques(document)
-    if not _has_model(torques):
-        raise _NoDiagnosisError("is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
-    return check(torques, TorqueDocument)
+    return check(part, TorqueDocument if torques else PoseDocument)

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from lite6jax.diagnosis.result import DomainDiagnosis
-from lite6jax.domains.torque.composition import read_driver
+from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate

@@ -81,14 +81,7 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
 def errors_of_folds(
     errors: Callable[..., HeldOut], given: tuple[Any, ...], folds: Sequence[Mask], anywhere: bool = True
 ) -> HeldOut:
-    """The errors on all rows.
-
-    Args:
-        errors: on the rows of a fold; a function of a module where other processes may call it.
-        given: to it besides the fold.
-        folds: which have each row once.
-        anywhere: whether other processes may take a part.
-    """
+    """The errors on all rows, of which folds have each once; arguments as of `work_on_folds`."""
     parts = work_on_folds(errors, given, folds, anywhere)
     order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
     return HeldOut._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
@@ -145,11 +138,11 @@ def verify(
     options: Options,
     refitted: Callable[[Sequence[Mask]], HeldOut],
 ) -> Verification:
-    """The findings of a selection, unless both a search and a fit without some rows reject them.
+    """The findings of a selection of all rows, unless both a search and a fit without some rows reject them.
 
     Args:
         selection: of all rows.
-        errors: on contiguous blocks, each searched without.
+        errors: on contiguous `folds`, each searched without.
         folds: these.
         kept: `(sample,)`, the rows that count.
         options: thresholds.
@@ -199,10 +192,9 @@ def _rows_of(folds: Sequence[Mask], kept: Mask) -> list[Mask]:
 def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> bool:
     """Whether effects of so many numbers raise the errors on rows that were not used.
 
-    Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
-    Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
-    the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
-    effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
+    The product of the ratios of position and orientation must not rise, as in the likelihood of Gaussian errors of
+    unknown variance. Effects that show in the orientation alone may raise the error of positions by what they cost in
+    precision: p numbers add p / (3 · rows) to the variance of a prediction, half of that to its standard deviation.
     """
     pairs = zip(errors.before_over_noise[:, kept], errors.after_over_noise[:, kept], strict=True)
     position, turned = (_ratio(before, after) for before, after in pairs)
@@ -213,11 +205,10 @@ def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> boo
 def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
     """Whether a model with effects describes the rows that it was fitted to, and no others.
 
-    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
-    ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
-    remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
-    without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
-    Errors differ in size from fold to fold, so it is the geometric mean of the ratios over folds that counts.
+    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger ratio
+    than without the effects. Effects that remove most of the error there (in the geometric mean over folds) are kept
+    all the same: a drift is not known beyond the rows that show it. Blocks without which nothing was found do not
+    count: they say that the other rows are few.
     """
     (before, _), (after, _) = errors.before_over_noise, errors.after_over_noise
     if (tried := kept & errors.with_effects).any():
@@ -247,13 +238,7 @@ def _ratio(before: Array, after: Array) -> float:
 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
-    """The errors on the rows of a fold, from a search of the others.
-
-    Args:
-        held: `(sample,)`, the rows.
-        case: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
-        decisions: between faults and physics, of all rows.
-    """
+    """The errors on the rows `(sample,)` of a fold, from a search of the others with the decisions of all rows."""
     found = explain(replace(case, training=~held, thorough=False), decisions)
     return errors_of_selection(found.selection, held)
 
@@ -262,11 +247,6 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
     """The errors on every row, predicted by the terms of all rows, whose numbers are fitted to the other blocks.
 
     Screening and clock are those of all rows; the point of linearisation and the frames are those of the other blocks.
-
-    Args:
-        selection: of all rows.
-        folds: those of `spread_folds`.
-        options: thresholds.
     """
     state, engine = selection.state, options.engine
 

@@ -179,7 +179,16 @@ class DiagnosedArm:
             payload=row("payload", payload, each),  # type: ignore[arg-type]
             sliding=Sliding(self.sliding),
         )
-        self._require(motion)
+        for effect in self.physics.effects:
+            if isinstance(effect, TimeOffset) or has_memory(effect):
+                raise InputError(
+                    f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
+                    f"predict(), or remove the effect by model.without({effect.label!r})"
+                )
+            for driver in effect.drivers:
+                argument = _ARGUMENTS.get(driver.quantity)
+                if argument and not driver.known(motion, None):
+                    raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
         poses = predict_poses(motion.chain, self.physics, self.model, self.values, motion, self.inertia)
         return poses.reshape(*each, 4, 4)
 
@@ -208,18 +217,6 @@ class DiagnosedArm:
             raise InputError(f"{recording.source}: {other_joints(recording.sliding, self.sliding, self.arm)}")
         motion = motion_of_recording(recording)
         return accelerated(motion) if self.accelerated else motion
-
-    def _require(self, motion: Motion) -> None:
-        for effect in self.physics.effects:
-            if isinstance(effect, TimeOffset) or has_memory(effect):
-                raise InputError(
-                    f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
-                    f"predict(), or remove the effect by model.without({effect.label!r})"
-                )
-            for driver in effect.drivers:
-                argument = _ARGUMENTS.get(driver.quantity)
-                if argument and not driver.known(motion, None):
-                    raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
 
 
 def has_memory(effect: Effect) -> bool:
@@ -341,14 +338,9 @@ class Derivatives:
     def unknown(self) -> Array:
         """`(6, sample)` m² and rad², the variance of nonparametric effects beyond the range of their drivers."""
         variance, of = np.zeros((6, self.motion.samples)), self._deflections
-        left = [
-            (
-                site_of(effect.where, effect.component),
-                effect.unknown_at(effect.values_at(of.host_motion, of.loads)),
-            )
-            for effect in self.model.physics.effects
-            if isinstance(effect, Unnamed)
-        ]
+        unnamed = [effect for effect in self.model.physics.effects if isinstance(effect, Unnamed)]
+        parts = [one.unknown_at(one.values_at(of.host_motion, of.loads)) for one in unnamed]
+        left = [(site_of(one.where, one.component), part) for one, part in zip(unnamed, parts, strict=True)]
         if any(part.any() for _, part in left):
             for rows, sites in self._sites():
                 for site, part in left:
