@@ -43,7 +43,6 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
-from lite6jax.domains.uncertainty import freed
 from lite6jax.effects.composition import Physics, missing
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import JointHarmonic
@@ -55,6 +54,7 @@ from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import orthonormal, outside, scaled_solve, unit_rows
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.terms import Terms
 from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
@@ -153,7 +153,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     def over_noise(self) -> dict[str, float | None]:
         """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
         problem, fit, kept = self.problem, self.fit, ~self.outliers
-        position, orientation = None, None
+        position = orientation = None
         if problem.declared_noise[0] is not None and kept.any():
             rows = min(problem.rows, 3)
             position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
@@ -236,14 +236,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def _covariances(self) -> list[Array]:
-        """Of the numbers of each effect of the model."""
-        known, ends = self.model.uncertainty, np.cumsum([freed(e).size for e in self.model.physics.effects])
-        more = []
-        for effect, end in list(zip(self.model.physics.effects, ends, strict=True))[len(self.findings) :]:
-            assert known is not None
-            own = len(known.sites) + end - effect.size + np.arange(effect.size)
-            more.append(known.covariance[np.ix_(own, own)])
-        return [finding.covariance for finding in self.findings] + more
+        """Of the numbers of each effect of the model, the last of which are no findings."""
+        known, more = self.model.uncertainty, Terms(self.model.physics.effects[len(self.findings) :])
+        assert known is not None
+        start = len(known.covariance) - more.size
+        C = known.covariance[start:, start:]
+        return [*(finding.covariance for finding in self.findings), *(C[part, part] for part in more.slices)]
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
@@ -307,10 +305,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             "quality": self.quality.to_dict(),
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
             "left_out": problem.recording.row[self.left_out].tolist(),
-            "nuisance": {
-                "numbers": len(problem.frames),
-                "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
-            },
+            "nuisance": {"numbers": len(problem.frames), "parts": list(dict.fromkeys(at[0] for at in problem.frames))},
             "model": pose_model_entry(self.model, self._covariances),
             **beside,
         }

@@ -179,9 +179,7 @@ class Case:
 def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     """The most likely explanation of a recording by data faults and physics.
 
-    Args:
-        case: what is to be explained.
-        decisions: between faults and physics, where they have been made; else faults are weighed here.
+    Faults and physics are weighed here where no decisions between them are given.
 
     Raises:
         InputError: as `screen` and `pose_problem`.

@@ -54,17 +54,11 @@ def fold_processes(count: int | None = None) -> Iterator[None]:
 def work_on_folds(
     function: Callable[..., Result], given: tuple[Any, ...], folds: Sequence[Fold], anywhere: bool = True
 ) -> list[Result]:
-    """The results `function(fold, *given)`, in the order of the folds.
+    """The results `function(fold, *given)`, in the order of the folds; the stages belong to part 1 + those completed.
 
-    Where other processes are at hand they take the first folds, and this one the last. Else as many threads as
-    `threads.available` says share compiled functions and what is known of all rows. The stages belong to part 1 + the
-    folds completed.
-
-    Args:
-        function: of a module where other processes may call it.
-        given: to it besides the fold.
-        folds: all.
-        anywhere: whether other processes may take a part.
+    Where other processes are at hand, and may work on a function (which is one of a module) `anywhere`, they take the
+    first folds, and this one the last. Else as many threads as `threads.available` says share compiled functions and
+    what is known of all rows.
     """
     processes = _at_hand.get() if anywhere else None
     with part(1, 1 + len(folds)) as going:

@@ -152,6 +152,19 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         }
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class EffectComparison:
+    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
+
+    file: str
+    effects: tuple[Agreement, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
+
+
 # ------------------------------------------------------------------ the diagnosis
 
 
@@ -182,7 +195,12 @@ def diagnose_torques(
     alone = partial(_diagnose_alone, effects=effects, options=options or Options(), progress=progress)
     if reference is None:
         return alone(recording, arm)
-    return _diagnose_against(recording, reference, arm or declared_arm_of(recording), alone)
+    arm = arm or declared_arm_of(recording)
+    by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
+    if by_rows is not None:  # both are of one motion: their difference is diagnosed
+        return replace(alone(by_rows.recording, arm), against=by_rows)
+    found, other = alone(recording, arm), alone(reference, arm)
+    return replace(found, against=EffectComparison(Path(reference.source).name, compare_effects(found, other)))
 
 
 def _diagnose_alone(
@@ -253,30 +271,3 @@ def errors_without(
         return errors_of_selection(search(there, options.engine, training, thorough=False, among=among), held)
     again = fitted_again(there, there, state, training, options.engine)
     return errors_of_selection(Selection(there, there, again), held)
-
-
-# ------------------------------------------------------------------ relative to a reference
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class EffectComparison:
-    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
-
-    file: str
-    effects: tuple[Agreement, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
-
-
-def _diagnose_against(
-    recording: Recording, reference: Recording, arm: Arm, alone: Callable[[Recording, Arm], TorqueDiagnosis]
-) -> TorqueDiagnosis:
-    """The difference of two recordings of one motion, diagnosed; else each alone, and what either shows compared."""
-    by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
-    if by_rows is not None:
-        return replace(alone(by_rows.recording, arm), against=by_rows)
-    found, other = alone(recording, arm), alone(reference, arm)
-    return replace(found, against=EffectComparison(Path(reference.source).name, compare_effects(found, other)))

@@ -71,8 +71,7 @@ def uncertainty_of_poses(
         prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
         precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, known[beside]])
         C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
-    blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
-    estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
+    estimated = _variance(J, C)
     left, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
     some = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
     typical = np.sqrt([np.median(rows.mean(0)) for rows in np.split(estimated[:, some], 2)] + left**2)
@@ -126,8 +125,7 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     if terms.size:
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
     C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, prior]))
-    moved = columns * problem.sigma
-    estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
+    estimated = _variance(columns * problem.sigma, C)
     left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
     kept, at = np.flatnonzero(problem.valid), problem.data.filter.kept[problem.chosen]
     dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
@@ -179,11 +177,8 @@ def _left_of_torques(
 def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Array:
     """The covariance `(number, number)` of fitted numbers: of the weights of a fit, its noise model and its priors.
 
-    Args:
-        fit: all of it.
-        valid: `(sample,)`, samples that are not left out.
-        columns: `(number, row, sample)`, derivatives of each row over its noise.
-        precision: `(number,)`, one over the variance of the prior.
+    It is of the `valid` samples `(sample,)`, with the columns `(number, row, sample)`, derivatives of each row over its
+    noise; the precision `(number,)` is one over the variance of the prior.
     """
     if not len(columns):
         return np.zeros((0, 0))
@@ -197,21 +192,23 @@ def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Arra
     return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 
 
+def _variance(J: Array, covariance: Array) -> Array:
+    """`(row, sample)`, of what has derivatives `(number, row, sample)` by numbers of a covariance."""
+    blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
+    return np.concatenate([np.sum(np.tensordot(covariance, block, 1) * block, 0) for block in blocks], 1)
+
+
 def _relative_error(numbers: float) -> float:
     """The standard error of a variance, over the variance, from so many independent numbers."""
     return float(np.sqrt(2 / max(numbers, 1.0)))
 
 
 def _excess(variance: Array, noise: float, numbers: float) -> float:
-    """The standard deviation left beside the noise, so that 95 % of rows are within what they ask for.
+    """The standard deviation left beside the noise, so that 95 % of rows are within the variance `(row,)` they ask for.
 
-    What the rows ask for is uncertain, and an excess is not negative: its mean given both (of a truncated normal
-    distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate Distributions, 1994, 13.10).
-
-    Args:
-        variance: `(row,)`, that each row asks for.
-        noise: one standard deviation.
-        numbers: that the rows are worth, if they were independent.
+    What the rows ask for is as uncertain as of so many independent `numbers`, and an excess is not negative: its mean
+    given both (of a truncated normal distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate
+    Distributions, 1994, 13.10).
     """
     if not variance.size:
         return 0.0

@@ -27,12 +27,8 @@ _BETWEEN = 2
 def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
     """The problem at the inertial numbers that fit best beside the effects that every arm has.
 
-    Without these they would be those of an arm whose weight does what friction does, and so would its loads be.
-
-    Args:
-        problem: at the declared numbers.
-        options: thresholds.
-        training: `(sample,)` bool; all that are valid where not given.
+    Without these they would be those of an arm whose weight does what friction does, and so would its loads be. The
+    `training` `(sample,)` bool is all that is valid where not given.
     """
     if not len(problem.directions):
         return problem
@@ -46,10 +42,6 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions) -> TorqueP
     Widths are compared by their marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992) in
     the noise model of what the widest leaves. Of those that the data do not distinguish from the most likely one it is
     the widest: a prior that is too narrow leaves torques of the links, which then look like ripple or springs.
-
-    Args:
-        problem: with the prior as declared.
-        options: thresholds.
     """
     if not len(problem.directions) or problem.data.recording.settings.inertial != "unknown":
         return problem

@@ -22,7 +22,17 @@ from lite6jax.domains.uncertainty import (
     widened,
 )
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.dynamic import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect, TorqueLag, UnnamedTorque
+from lite6jax.effects.dynamic import (
+    Delaying,
+    Dynamics,
+    JointTorque,
+    Scaling,
+    TorqueEffect,
+    TorqueLag,
+    UnnamedTorque,
+    direction,
+)
+from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -143,6 +153,16 @@ def slopes(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
         up, down = (effect.torque(values + sign * step, dynamics) for sign in (1, -1))
         found.append((up - down) / (2 * step[k]))
     return np.stack(found)
+
+
+def motion_of_joint(j: int, velocity: Array, slides: Flags) -> Motion:
+    """The motion through zero in which joint j alone, from 0, moves, by velocities `(sample,)` rad/s, or m/s.
+
+    `slides` `(joint,)` is true for prismatic joints.
+    """
+    moving = np.where(np.arange(len(slides))[:, None] == j, velocity, 0.0)
+    still = motion_of(np.zeros(moving.shape).T, sliding=tuple(np.flatnonzero(slides).tolist()))
+    return still._replace(joint_velocity=moving, direction=direction(moving, slides))  # type: ignore[arg-type]
 
 
 def read_driver(driver: Driver, dynamics: Dynamics) -> Array | None:
