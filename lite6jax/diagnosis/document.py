@@ -25,7 +25,7 @@ from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
-from lite6jax.effects.catalogue import TORQUE_EFFECTS, kinds_of
+from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
@@ -283,67 +283,58 @@ def model_from_document(
         InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
     with _refuse_damage(source):
-        read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"))
-        return _torque_model(read, effects) if isinstance(read, TorqueDocument) else _pose_model(read, effects)
+        return _model(_read(document, domain or ("torques" if is_of_torques(document) else "poses")), effects)
 
 
-def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
-    model, rms = read.model, [stage.get("heldout_position_rms_m") for stage in (read.before, read.after)]
+def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> DiagnosedArm | DiagnosedMotors:
+    model, against, torques = read.model, read.against, isinstance(read, TorqueDocument)
     joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
-    found, numbers = _effects(model.effects, kinds_of(effects), joints, sliding)
-    physics, masses, limits, inertia = Physics(found), model.inertia, model.joint_limits, None
-    if masses is not None:
-        inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
+    kinds = kinds_of(effects, TORQUE_EFFECTS if torques else POSE_EFFECTS)
+    found, numbers = _effects(model.effects, kinds, joints, sliding)
+    kinematics = np.asarray(model.kinematics, float)
+    shared: dict[str, Any] = {
+        "values": join(numbers),
+        "reference_temperature": model.reference_temperature_degC,
+        "reference": None if against is None or against.basis == "effects" else ReferenceOrigin(*astuple(against)),
+        "uncertainty": _uncertainty(model.uncertainty, found, joints, torques),
+    }
+    if isinstance(model, TorqueModel):
+        links = np.asarray(model.links, float)
+        own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
+        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in own.items()}
+        if len(links) != joints:
+            raise ValueError(f"it has {joints} joints, but links of the shape {links.shape}")
+        return DiagnosedMotors(
+            arm=Arm(model.arm, kinematics, sliding=sliding, **fields),
+            links=links,
+            payload_center=np.asarray(model.payload_center, float),
+            gravity=np.asarray(model.gravity, float),
+            terms=Terms(found),
+            **shared,
+        )
+    assert isinstance(read, PoseDocument)
+    before, after = (stage.get("heldout_position_rms_m") for stage in (read.before, read.after))
+    inertia = None
+    if model.inertia is not None:
+        inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(model.inertia).items()})
         if len(inertia.mass) != joints:
             raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
     return DiagnosedArm(
         arm=model.arm,
         model=ArmModel(
-            np.asarray(model.kinematics, float).ravel(),  # type: ignore[arg-type]
+            kinematics.ravel(),  # type: ignore[arg-type]
             np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
             np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
         ),
-        physics=physics,
-        values=physics.join(numbers),
+        physics=Physics(found),
         inertia=inertia,
-        joint_limits=None if limits is None else np.asarray(limits, float),
+        joint_limits=None if model.joint_limits is None else np.asarray(model.joint_limits, float),
         orientation=model.orientation,
-        reference_temperature=model.reference_temperature_degC,
         motion=model.motion,
         accelerated=model.accelerated,
-        heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
-        reference=None if read.against is None else ReferenceOrigin(*astuple(read.against)),
-        uncertainty=_uncertainty(model.uncertainty, found, joints),
+        heldout_rms=None if before is None or after is None else (before, after),
         sliding=sliding,
-    )
-
-
-def _torque_model(read: TorqueDocument, effects: Sequence[Effect]) -> DiagnosedMotors:
-    model, against = read.model, read.against
-    drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.drives.items()}
-    arm = Arm(
-        model.arm,
-        np.asarray(model.kinematics, float),
-        joint_limits=np.asarray(model.joint_limits, float),
-        T_joint_flange=np.asarray(model.T_joint_flange, float),
-        sliding=tuple(joint - 1 for joint in model.prismatic_joints),
-        **drives,
-    )
-    links = np.asarray(model.links, float)
-    if len(links) != arm.dof:
-        raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-    found, numbers = _effects(model.effects, kinds_of(effects, TORQUE_EFFECTS), arm.dof, arm.sliding)
-    terms, values = Terms(found), join(numbers)
-    return DiagnosedMotors(
-        arm=arm,
-        links=links,
-        payload_center=np.asarray(model.payload_center, float),
-        gravity=np.asarray(model.gravity, float),
-        terms=terms,
-        values=values,
-        reference_temperature=model.reference_temperature_degC,
-        reference=ReferenceOrigin(*astuple(against)) if against is not None and against.basis == "rows" else None,
-        uncertainty=_uncertainty(model.uncertainty, found, arm.dof, torques=True),
+        **shared,
     )
 
 
@@ -385,7 +376,7 @@ def _effects(
 
 
 def _uncertainty(
-    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool = False
+    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool
 ) -> Uncertainty | None:
     """The uncertainty of a model with effects; None of a document without it."""
     if known is None:
