@@ -22,7 +22,7 @@ from lite6jax.design.candidates import candidates
 from lite6jax.design.information import experiment
 from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.design.sensor import Sensor
-from lite6jax.diagnosis.document import Domain, pose_model_entry, require_domain
+from lite6jax.diagnosis.document import Domain, model_entry, require_domain
 from lite6jax.diagnosis.estimates import Agreement, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
@@ -306,7 +306,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
             "left_out": problem.recording.row[self.left_out].tolist(),
             "nuisance": {"numbers": len(problem.frames), "parts": list(dict.fromkeys(at[0] for at in problem.frames))},
-            "model": pose_model_entry(self.model, self._covariances),
+            "model": model_entry(self.model, self._covariances),
             **beside,
         }
 

@@ -23,7 +23,7 @@ from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.pose.predict import DiagnosedArm
-from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
 from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
 from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
@@ -199,63 +199,55 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
 # ------------------------------------------------------------------ models as values of JSON
 
 
-def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
-    """A model of poses as values that JSON can hold, with covariances of the numbers of each effect."""
-    limits, masses = model.joint_limits, model.inertia
+def model_entry(model: DiagnosedArm | DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
+    """A model as values that JSON can hold, with covariances of the numbers of each effect."""
+    parts: Sequence[tuple[Effect, slice]]
+    if isinstance(model, DiagnosedMotors):
+        arm, parts = model.arm, pairs(model.terms)
+        drives = {field: values.tolist() for field in DRIVE_FIELDS if (values := getattr(arm, field)) is not None}
+        own: dict[str, Any] = {
+            "arm": arm.name,
+            "kinematics": arm.kinematics.tolist(),
+            "T_joint_flange": arm.T_joint_flange.tolist(),
+            "links": model.links.tolist(),
+            **({"drives": drives} if drives else {}),
+            "payload_center": model.payload_center.tolist(),
+            "gravity": model.gravity.tolist(),
+            "joint_limits": arm.joint_limits.tolist(),
+        }
+    else:
+        limits, masses = model.joint_limits, model.inertia
+        parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
+        own = {
+            "arm": model.arm,
+            "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
+            "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
+            "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
+            "joint_limits": None if limits is None else np.asarray(limits).tolist(),
+            "orientation": model.orientation,
+            "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
+            "motion": model.motion,
+            "accelerated": model.accelerated,
+        }
     return {
-        "arm": model.arm,
-        "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
-        "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
-        "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
-        "joint_limits": None if limits is None else np.asarray(limits).tolist(),
-        "orientation": model.orientation,
-        "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
-        "motion": model.motion,
-        "accelerated": model.accelerated,
-        **_shared_entries(model, model.physics.effects, model.physics.slices, covariances),
-    }
-
-
-def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
-    """A model of torques as values that JSON can hold; arguments as of `pose_model_entry`."""
-    arm = model.arm
-    declared = {field: getattr(arm, field) for field in DRIVE_FIELDS}
-    drives = {field: values.tolist() for field, values in declared.items() if values is not None}
-    return {
-        "arm": arm.name,
-        "kinematics": arm.kinematics.tolist(),
-        "T_joint_flange": arm.T_joint_flange.tolist(),
-        "links": model.links.tolist(),
-        **({"drives": drives} if drives else {}),
-        "payload_center": model.payload_center.tolist(),
-        "gravity": model.gravity.tolist(),
-        "joint_limits": arm.joint_limits.tolist(),
-        **_shared_entries(model, model.terms.terms, model.terms.slices, covariances),
-    }
-
-
-def _shared_entries(
-    model: DiagnosedArm | DiagnosedMotors, effects: Sequence[Any], slices: Sequence[slice], covariances: Sequence[Array]
-) -> dict[str, Any]:
-    """What models of both domains have in one form."""
-    triples = zip(effects, slices, covariances, strict=True)
-    return {
+        **own,
         **({"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}),
         "reference_temperature_degC": model.reference_temperature,
-        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in triples],
+        "effects": [
+            effect_as_dict(effect, model.values[at], C) for (effect, at), C in zip(parts, covariances, strict=True)
+        ],
         "uncertainty": model.uncertainty and _uncertainty_entry(model.uncertainty),
     }
 
 
 def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
-    C, typical = known.covariance, known.typical
-    recorded = known.recorded
+    C, recorded = known.covariance, known.recorded
     ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
+    lists = {name: getattr(known, name) for name in ("left", "unseen", "noise", "typical")}
     return {
         "sites": [list(site) for site in known.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
-        **{name: np.asarray(getattr(known, name), float).tolist() for name in ("left", "unseen", "noise")},
-        "typical": None if typical is None else np.asarray(typical, float).tolist(),
+        **{name: None if part is None else np.asarray(part, float).tolist() for name, part in lists.items()},
         "recorded": {
             **{name: limits.tolist() for name, limits in ranges if limits is not None},
             "joint_position_rad": recorded.positions.tolist(),

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.document import Domain, torque_model_entry
+from lite6jax.diagnosis.document import Domain, model_entry
 from lite6jax.diagnosis.estimates import Agreement, compare_effects
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, verify
 from lite6jax.diagnosis.options import Options
@@ -148,7 +148,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         return {
             "filter": None if data.recording.motion == "static" else {**passed, "every": chosen.every},
             "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
-            "model": torque_model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
         }
 
 
