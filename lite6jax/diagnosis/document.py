@@ -113,14 +113,6 @@ class Model(Strict, kw_only=True):
     joint_limits: _Limits | None = None
     uncertainty: UncertaintyEntry | None = None
 
-    def __post_init__(self) -> None:
-        """Checks what one number alone does not show."""
-        joints, prismatic, limits = len(self.kinematics), self.prismatic_joints, self.joint_limits
-        if prismatic != tuple(sorted(set(prismatic))) or any(joint > joints for joint in prismatic):
-            raise ValueError("prismatic_joints are not joints of its chain in order")
-        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
-            raise ValueError("joint_limits are not the lower and the upper one of each joint")
-
 
 class PoseModel(Model, kw_only=True):
     """What predictions of poses need."""
@@ -133,8 +125,12 @@ class PoseModel(Model, kw_only=True):
     accelerated: bool = False
 
     def __post_init__(self) -> None:
-        """Checks frames and masses too."""
-        super().__post_init__()
+        """Checks what one number alone does not show; of torques an `Arm` does that."""
+        joints, prismatic, limits = len(self.kinematics), self.prismatic_joints, self.joint_limits
+        if prismatic != tuple(sorted(set(prismatic))) or any(joint > joints for joint in prismatic):
+            raise ValueError("prismatic_joints are not joints of its chain in order")
+        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
+            raise ValueError("joint_limits are not the lower and the upper one of each joint")
         for name in ("T_sensor_base", "T_flange_tool"):
             T = np.array(getattr(self, name), float)
             if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
