@@ -278,8 +278,14 @@ def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> Di
     model, against, torques = read.model, read.against, isinstance(read, TorqueDocument)
     joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
     kinds = kinds_of(effects, TORQUE_EFFECTS if torques else POSE_EFFECTS)
+    kinematics, arm = np.asarray(model.kinematics, float), None
+    if isinstance(model, TorqueModel):
+        own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
+        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in own.items()}
+        arm = Arm(model.arm, kinematics, sliding=sliding, **fields)
+        if len(model.links) != joints:
+            raise ValueError(f"it has {joints} joints, but links of the shape {np.shape(model.links)}")
     found, numbers = _effects(model.effects, kinds, joints, sliding)
-    kinematics = np.asarray(model.kinematics, float)
     shared: dict[str, Any] = {
         "values": join(numbers),
         "reference_temperature": model.reference_temperature_degC,
@@ -287,14 +293,10 @@ def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> Di
         "uncertainty": _uncertainty(model.uncertainty, found, joints, torques),
     }
     if isinstance(model, TorqueModel):
-        links = np.asarray(model.links, float)
-        own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
-        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in own.items()}
-        if len(links) != joints:
-            raise ValueError(f"it has {joints} joints, but links of the shape {links.shape}")
+        assert arm is not None
         return DiagnosedMotors(
-            arm=Arm(model.arm, kinematics, sliding=sliding, **fields),
-            links=links,
+            arm=arm,
+            links=np.asarray(model.links, float),
             payload_center=np.asarray(model.payload_center, float),
             gravity=np.asarray(model.gravity, float),
             terms=Terms(found),
