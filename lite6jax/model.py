@@ -138,21 +138,10 @@ def predict_frames_with(
         )
     motion = physics.alter(values, motion)
     if isinstance(statics, Inertia):
-        statics = physics.alter_inertia(values, statics)
-        joint = joint_motion(chain, motion.joint_position)
-        statics = (
-            loads(
-                chain,
-                model.geometry,
-                joint,
-                motion.payload,
-                statics,
-                motion.joint_velocity,
-                motion.joint_acceleration,
-            )
-            if physics.loaded
-            else None
-        )
+        inertia, joint = physics.alter_inertia(values, statics), joint_motion(chain, motion.joint_position)
+        moving = motion.joint_velocity, motion.joint_acceleration
+        loaded = physics.loaded
+        statics = loads(chain, model.geometry, joint, motion.payload, inertia, *moving) if loaded else None
     return predict_bent(chain, model, motion.joint_position, physics.deflect(values, motion, statics))
 
 

@@ -15,33 +15,35 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.calibration.problem import Geometry
+from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
-from lite6jax.diagnosis.discrimination import differ, separating_poses
-from lite6jax.diagnosis.document import Domain, pose_model_entry, require_domain
+from lite6jax.design.candidates import candidates
+from lite6jax.design.information import Experiment
+from lite6jax.design.poses import plan_discrimination, short_path
+from lite6jax.design.sensor import Sensor
+from lite6jax.diagnosis.document import Domain, model_entry, require_domain
 from lite6jax.diagnosis.estimates import Agreement, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
+    errors_of_folds,
+    errors_of_search,
     fold_count,
-    held_out_errors,
     held_out_folds,
-    judge_poses,
     refitted_errors,
     verify,
 )
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, SeparatingPoses
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
 from lite6jax.domains.pose.kinematics import unwhitened
-from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
+from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
-from lite6jax.domains.uncertainty import freed
-from lite6jax.effects.composition import Physics
+from lite6jax.effects.composition import Physics, missing
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
@@ -50,8 +52,9 @@ from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError, require_type
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.problem import Mask
-from lite6jax.estimation.projection import scaled_solve
+from lite6jax.estimation.projection import orthonormal, outside, scaled_solve, unit_rows
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.terms import Terms
 from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
@@ -150,7 +153,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     def over_noise(self) -> dict[str, float | None]:
         """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
         problem, fit, kept = self.problem, self.fit, ~self.outliers
-        position, orientation = None, None
+        position = orientation = None
         if problem.declared_noise[0] is not None and kept.any():
             rows = min(problem.rows, 3)
             position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
@@ -198,9 +201,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             inertia = with_mass_errors(inertia, errors.links, errors.payload)
         effects, values = self._modelled
         physics = Physics(effects)
-        against = None if self.against is None else self.against.to_dict()
         stages = (self._statistics(each, ~self.outliers) for each in (self.errors.before, self.errors.after))
-        heldout = [each["heldout_position_rms_m"] for each in stages]
+        before, after = (each["heldout_position_rms_m"] for each in stages)
         model = DiagnosedArm(
             model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
             values=physics.join(values),
@@ -212,8 +214,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             reference_temperature=problem.recording.settings.reference_temperature_degC,
             motion=problem.recording.motion,
             accelerated=problem.motion.joint_acceleration is not None,
-            heldout_rms=(heldout[0], heldout[1]),
-            reference=None if against is None else ReferenceOrigin(against["file"], against["basis"]),
+            heldout_rms=(before, after),
+            reference=self._reference,
             sliding=problem.arm.sliding,
         )
         known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
@@ -234,14 +236,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def _covariances(self) -> list[Array]:
-        """Of the numbers of each effect of the model."""
-        known, ends = self.model.uncertainty, np.cumsum([freed(e).size for e in self.model.physics.effects])
-        more = []
-        for effect, end in list(zip(self.model.physics.effects, ends, strict=True))[len(self.findings) :]:
-            assert known is not None
-            own = len(known.sites) + end - effect.size + np.arange(effect.size)
-            more.append(known.covariance[np.ix_(own, own)])
-        return [finding.covariance for finding in self.findings] + more
+        """Of the numbers of each effect of the model, the last of which are no findings."""
+        known, more = self.model.uncertainty, Terms(self.model.physics.effects[len(self.findings) :])
+        assert known is not None
+        start = len(known.covariance) - more.size
+        C = known.covariance[start:, start:]
+        return [*(finding.covariance for finding in self.findings), *(C[part, part] for part in more.slices)]
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.
@@ -294,7 +294,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             return "separable"
         if effect.periodic and labels[0] == labels[1]:
             return "undecided"  # another order of the same wave
-        return "undecided" if differ(self.selection, k, effect, self.options) else "equivalent"
+        return "undecided" if _differ(self.selection, k, effect, self.options) else "equivalent"
 
     def _own_parts(self) -> dict[str, Any]:
         problem = self.problem
@@ -305,11 +305,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             "quality": self.quality.to_dict(),
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
             "left_out": problem.recording.row[self.left_out].tolist(),
-            "nuisance": {
-                "numbers": len(problem.frames),
-                "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
-            },
-            "model": pose_model_entry(self.model, self._covariances),
+            "nuisance": {"numbers": len(problem.frames), "parts": list(dict.fromkeys(at[0] for at in problem.frames))},
+            "model": model_entry(self.model, self._covariances),
             **beside,
         }
 
@@ -354,14 +351,14 @@ def diagnose_poses(
             entered("estimating")
             selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
         folds = held_out_folds(found.problem, options)
-        errors = held_out_errors(replace(case, among=selection.considered), found.final_decisions, folds)
-        kept, of_all = ~_outliers(selection, options), selection
-        refitted = lambda spread: refitted_errors(of_all, spread, options)  # noqa: E731
-        verified = verify(of_all, errors, folds, kept, options, judge_poses, refitted)
+        searched = replace(case, among=selection.considered), found.final_decisions
+        errors, of_all = errors_of_folds(errors_of_search, searched, folds), selection
+        kept = ~_outliers(of_all, options)
+        verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
         selection = verified.selection
         with part(len(verified.folds) + 1, len(verified.folds) + 1):
             entered("planning")
-            separating = separating_poses(selection, geometry, factory, options)
+            separating = _separating_poses(selection, geometry, factory, options)
     problem = selection.problem
     assert isinstance(problem, PoseProblem)
     ruled_out: dict[str, DataFault] = {}
@@ -393,6 +390,67 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     least = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
     return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
+
+
+# ------------------------------------------------------------------ what to record next
+
+
+def _separating_poses(
+    selection: Selection, geometry: Geometry, factory: FactoryCalibration | None, options: Options
+) -> tuple[SeparatingPoses, ...]:
+    """Poses for each pair of effects that the recording does not distinguish, where poses at rest can.
+
+    Nonparametric effects are no rivals here: what they are elsewhere is not known. Neither are other orders of the same
+    wave: any position between those that were recorded separates them.
+    """
+    state, problem = selection.state, selection.problem
+    assert isinstance(problem, PoseProblem)
+    if problem.recording.touches is not None:  # which poses a socket or a plate can be touched at is not known
+        return ()
+    pairs = [
+        (k, alternative.term)
+        for k, tested in enumerate(state.tested)
+        for alternative in tested.alternatives
+        if alternative.gap < options.engine.close
+        and isinstance(alternative.term, Effect)
+        and not alternative.term.nonparametric
+        and not (alternative.term.periodic and alternative.term.label == tested.term.label)
+        and alternative.term not in state.fit.terms.terms
+        and _differ(selection, k, alternative.term, options)
+    ][: options.most_separated]
+    if not pairs:
+        return ()
+    rigid, (position, orientation) = recording_problem(problem.recording, problem.arm, geometry, factory), problem.noise
+    sensor = Sensor("position" if orientation is None else "pose", position, orientation)
+    here = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
+    drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
+    recorded, count, found = problem.recording.joint_position, options.separating_poses, []
+    for k, rival in pairs:
+        effect, values = state.tested[k].term, state.fit.values[state.fit.terms.slices[k]]
+        assert isinstance(effect, Effect)
+        pair = (effect, values), rival
+        try:
+            chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded)
+        except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
+            continue
+        q = chosen.joint_position
+        found.append(SeparatingPoses((effect.label, rival.label), q[short_path(q)]))
+    return tuple(found)
+
+
+def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bool:
+    """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
+    problem, fit = selection.problem, selection.state.fit
+    assert isinstance(problem, PoseProblem)
+    if missing(rival, problem.motion, problem.inertia is not None) is not None:
+        return True
+    part = fit.terms.slices[k]
+    columns = problem.columns(fit.terms.terms, fit.values)[part]
+    effect = np.tensordot(fit.values[part], columns, 1).reshape(1, -1)
+    beside = problem.columns([rival], beside=(fit.terms, fit.values))
+    span = np.concatenate([beside, problem.nuisance_columns(fit.terms, fit.values)]).reshape(-1, effect.size)
+    left = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
+    return bool(np.sum(left**2) > options.same_effect * np.sum(effect**2))
 
 
 # ------------------------------------------------------------------ of either domain, or of both

@@ -23,9 +23,9 @@ from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.pose.predict import DiagnosedArm
-from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
 from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
-from lite6jax.effects.catalogue import TORQUE_EFFECTS, kinds_of
+from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
@@ -124,6 +124,24 @@ class PoseModel(Model, kw_only=True):
     motion: Literal["static", "trajectory"]
     accelerated: bool = False
 
+    def __post_init__(self) -> None:
+        """Checks what one number alone does not show; of torques an `Arm` does that."""
+        joints, prismatic, limits = len(self.kinematics), self.prismatic_joints, self.joint_limits
+        if prismatic != tuple(sorted(set(prismatic))) or any(joint > joints for joint in prismatic):
+            raise ValueError("prismatic_joints are not joints of its chain in order")
+        if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
+            raise ValueError("joint_limits are not the lower and the upper one of each joint")
+        for name in ("T_sensor_base", "T_flange_tool"):
+            T = np.array(getattr(self, name), float)
+            if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
+                raise ValueError(f"{name} is no rigid transform")
+        # the last mass contains by how much the payload is lighter than declared
+        masses, known = [] if self.inertia is None else self.inertia.mass, self.uncertainty
+        lighter = known is not None and any(site[0] == "payload" for site in known.sites)
+        for i, mass in enumerate(masses[:-1] if lighter else masses):
+            if mass < 0:
+                raise ValueError(f"inertia.mass[{i}] is {mass:.6g}, which is negative")
+
 
 class TorqueModel(Model, kw_only=True):
     """What predictions of torques need; `drives` has the fields `DRIVE_FIELDS` of an arm."""
@@ -164,7 +182,7 @@ DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
 _ROUNDING = 1e-9
 """Of the largest covariance, by which rounding may make a variance of zero negative."""
-RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
+_RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
 """Of what was recorded; of poses the first alone."""
 
 
@@ -177,63 +195,55 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
 # ------------------------------------------------------------------ models as values of JSON
 
 
-def pose_model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
-    """A model of poses as values that JSON can hold, with covariances of the numbers of each effect."""
-    limits, masses = model.joint_limits, model.inertia
+def model_entry(model: DiagnosedArm | DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
+    """A model as values that JSON can hold, with covariances of the numbers of each effect."""
+    parts: Sequence[tuple[Effect, slice]]
+    if isinstance(model, DiagnosedMotors):
+        arm, parts = model.arm, pairs(model.terms)
+        drives = {field: values.tolist() for field in DRIVE_FIELDS if (values := getattr(arm, field)) is not None}
+        own: dict[str, Any] = {
+            "arm": arm.name,
+            "kinematics": arm.kinematics.tolist(),
+            "T_joint_flange": arm.T_joint_flange.tolist(),
+            "links": model.links.tolist(),
+            **({"drives": drives} if drives else {}),
+            "payload_center": model.payload_center.tolist(),
+            "gravity": model.gravity.tolist(),
+            "joint_limits": arm.joint_limits.tolist(),
+        }
+    else:
+        limits, masses = model.joint_limits, model.inertia
+        parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
+        own = {
+            "arm": model.arm,
+            "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
+            "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
+            "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
+            "joint_limits": None if limits is None else np.asarray(limits).tolist(),
+            "orientation": model.orientation,
+            "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
+            "motion": model.motion,
+            "accelerated": model.accelerated,
+        }
     return {
-        "arm": model.arm,
-        "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
-        "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
-        "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
-        "joint_limits": None if limits is None else np.asarray(limits).tolist(),
-        "orientation": model.orientation,
-        "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
-        "motion": model.motion,
-        "accelerated": model.accelerated,
-        **_shared_entries(model, model.physics.effects, model.physics.slices, covariances),
-    }
-
-
-def torque_model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
-    """A model of torques as values that JSON can hold; arguments as of `pose_model_entry`."""
-    arm = model.arm
-    declared = {field: getattr(arm, field) for field in DRIVE_FIELDS}
-    drives = {field: values.tolist() for field, values in declared.items() if values is not None}
-    return {
-        "arm": arm.name,
-        "kinematics": arm.kinematics.tolist(),
-        "T_joint_flange": arm.T_joint_flange.tolist(),
-        "links": model.links.tolist(),
-        **({"drives": drives} if drives else {}),
-        "payload_center": model.payload_center.tolist(),
-        "gravity": model.gravity.tolist(),
-        "joint_limits": arm.joint_limits.tolist(),
-        **_shared_entries(model, model.terms.terms, model.terms.slices, covariances),
-    }
-
-
-def _shared_entries(
-    model: DiagnosedArm | DiagnosedMotors, effects: Sequence[Any], slices: Sequence[slice], covariances: Sequence[Array]
-) -> dict[str, Any]:
-    """What models of both domains have in one form."""
-    triples = zip(effects, slices, covariances, strict=True)
-    return {
+        **own,
         **({"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}),
         "reference_temperature_degC": model.reference_temperature,
-        "effects": [effect_as_dict(effect, model.values[part], C) for effect, part, C in triples],
+        "effects": [
+            effect_as_dict(effect, model.values[at], C) for (effect, at), C in zip(parts, covariances, strict=True)
+        ],
         "uncertainty": model.uncertainty and _uncertainty_entry(model.uncertainty),
     }
 
 
 def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
-    C, typical = known.covariance, known.typical
-    recorded = known.recorded
-    ranges = zip(RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
+    C, recorded = known.covariance, known.recorded
+    ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
+    lists = {name: getattr(known, name) for name in ("left", "unseen", "noise", "typical")}
     return {
         "sites": [list(site) for site in known.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
-        **{name: np.asarray(getattr(known, name), float).tolist() for name in ("left", "unseen", "noise")},
-        "typical": None if typical is None else np.asarray(typical, float).tolist(),
+        **{name: None if part is None else np.asarray(part, float).tolist() for name, part in lists.items()},
         "recorded": {
             **{name: limits.tolist() for name, limits in ranges if limits is not None},
             "joint_position_rad": recorded.positions.tolist(),
@@ -261,70 +271,60 @@ def model_from_document(
         InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
     with _refuse_damage(source):
-        if domain == "torques" or (domain is None and is_of_torques(document)):
-            return _torque_model(_torques_in(document), effects)
-        return _pose_model(_poses_in(document), effects)
+        return _model(_read(document, domain or ("torques" if is_of_torques(document) else "poses")), effects)
 
 
-def _pose_model(read: PoseDocument, effects: Sequence[Effect]) -> DiagnosedArm:
-    model, rms = read.model, [stage.get("heldout_position_rms_m") for stage in (read.before, read.after)]
+def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> DiagnosedArm | DiagnosedMotors:
+    model, against, torques = read.model, read.against, isinstance(read, TorqueDocument)
     joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
-    found, numbers = _effects(model.effects, kinds_of(effects), joints, sliding)
-    physics, masses, limits, inertia = Physics(found), model.inertia, model.joint_limits, None
-    if masses is not None:
-        inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(masses).items()})
+    kinds = kinds_of(effects, TORQUE_EFFECTS if torques else POSE_EFFECTS)
+    kinematics, arm = np.asarray(model.kinematics, float), None
+    if isinstance(model, TorqueModel):
+        own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
+        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in own.items()}
+        arm = Arm(model.arm, kinematics, sliding=sliding, **fields)
+        if len(model.links) != joints:
+            raise ValueError(f"it has {joints} joints, but links of the shape {np.shape(model.links)}")
+    found, numbers = _effects(model.effects, kinds, joints, sliding)
+    shared: dict[str, Any] = {
+        "values": join(numbers),
+        "reference_temperature": model.reference_temperature_degC,
+        "reference": None if against is None or against.basis == "effects" else ReferenceOrigin(*astuple(against)),
+        "uncertainty": _uncertainty(model.uncertainty, found, joints, torques),
+    }
+    if isinstance(model, TorqueModel):
+        assert arm is not None
+        return DiagnosedMotors(
+            arm=arm,
+            links=np.asarray(model.links, float),
+            payload_center=np.asarray(model.payload_center, float),
+            gravity=np.asarray(model.gravity, float),
+            terms=Terms(found),
+            **shared,
+        )
+    assert isinstance(read, PoseDocument)
+    before, after = (stage.get("heldout_position_rms_m") for stage in (read.before, read.after))
+    inertia = None
+    if model.inertia is not None:
+        inertia = inertia_of(**{name: np.asarray(row, float) for name, row in asdict(model.inertia).items()})
         if len(inertia.mass) != joints:
             raise ValueError(f"it has {joints} joints, but {len(inertia.mass)} masses")
-    if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
-        raise ValueError("joint_limits are not the lower and the upper one of each joint")
     return DiagnosedArm(
         arm=model.arm,
         model=ArmModel(
-            np.asarray(model.kinematics, float).ravel(),  # type: ignore[arg-type]
+            kinematics.ravel(),  # type: ignore[arg-type]
             np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
             np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
         ),
-        physics=physics,
-        values=physics.join(numbers),
+        physics=Physics(found),
         inertia=inertia,
-        joint_limits=None if limits is None else np.asarray(limits, float),
+        joint_limits=None if model.joint_limits is None else np.asarray(model.joint_limits, float),
         orientation=model.orientation,
-        reference_temperature=model.reference_temperature_degC,
         motion=model.motion,
         accelerated=model.accelerated,
-        heldout_rms=None if rms[0] is None or rms[1] is None else (rms[0], rms[1]),
-        reference=None if read.against is None else ReferenceOrigin(*astuple(read.against)),
-        uncertainty=_uncertainty(model.uncertainty, found, joints),
+        heldout_rms=None if before is None or after is None else (before, after),
         sliding=sliding,
-    )
-
-
-def _torque_model(read: TorqueDocument, effects: Sequence[Effect]) -> DiagnosedMotors:
-    model, against = read.model, read.against
-    drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.drives.items()}
-    arm = Arm(
-        model.arm,
-        np.asarray(model.kinematics, float),
-        joint_limits=np.asarray(model.joint_limits, float),
-        T_joint_flange=np.asarray(model.T_joint_flange, float),
-        sliding=tuple(joint - 1 for joint in model.prismatic_joints),
-        **drives,
-    )
-    links = np.asarray(model.links, float)
-    if len(links) != arm.dof:
-        raise ValueError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-    found, numbers = _effects(model.effects, kinds_of(effects, TORQUE_EFFECTS), arm.dof, arm.sliding)
-    terms, values = Terms(found), join(numbers)
-    return DiagnosedMotors(
-        arm=arm,
-        links=links,
-        payload_center=np.asarray(model.payload_center, float),
-        gravity=np.asarray(model.gravity, float),
-        terms=terms,
-        values=values,
-        reference_temperature=model.reference_temperature_degC,
-        reference=ReferenceOrigin(*astuple(against)) if against is not None and against.basis == "rows" else None,
-        uncertainty=_uncertainty(model.uncertainty, found, arm.dof, torques=True),
+        **shared,
     )
 
 
@@ -366,7 +366,7 @@ def _effects(
 
 
 def _uncertainty(
-    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool = False
+    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool
 ) -> Uncertainty | None:
     """The uncertainty of a model with effects; None of a document without it."""
     if known is None:
@@ -392,7 +392,7 @@ def _uncertainty(
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
-    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in RANGES)]
+    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in _RANGES)]
     there, positions = [part for part in ranges if part is not None], np.asarray(entry.joint_position_rad, float)
     if any(part.shape != (joints, 2) for part in there) or positions.shape != (len(positions) or 1, joints):
         raise ValueError("its recorded range is not one of this arm")
@@ -550,13 +550,13 @@ def check_document(document: Any, path: str | Path) -> None:
     """Refuses what is no diagnosis or has no whole model, for a report; effects of a user's own are not needed.
 
     Raises:
-        InputError: not a diagnosis, or something in a model is missing or not possible.
+        InputError: as `model_from_document`.
     """
     with _refuse_damage(str(path)):
         if not is_of_torques(document):
-            _poses_in(document)
+            _read(document, "poses")
         if is_of_torques(document) or "torques" in document:
-            _torques_in(document)
+            _read(document, "torques")
 
 
 def is_of_torques(document: Any) -> bool:
@@ -576,35 +576,13 @@ class _NoDiagnosisError(InputError):
     """What is no diagnosis at all."""
 
 
-def _has_model(document: Any) -> bool:
-    return isinstance(document, dict) and document.get("schema") == SCHEMA and isinstance(document.get("model"), dict)
-
-
-def _poses_in(document: Any) -> PoseDocument:
-    if not _has_model(document):
-        raise _NoDiagnosisError(f"is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
-    if is_of_torques(document):
+def _read(document: Any, domain: Domain) -> PoseDocument | TorqueDocument:
+    """A document of a domain by its schema; of torques also that in one of poses."""
+    torques = domain == "torques"
+    part = find_torques(document) if torques else document
+    if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
+        what, wrote = ("of torques", " of one") if torques else (f"({SCHEMA} with a model)", "")
+        raise _NoDiagnosisError(f"is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
+    if is_of_torques(part) is not torques:
         raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
-    read = check(document, PoseDocument)
-    model = read.model
-    for name in ("T_sensor_base", "T_flange_tool"):
-        T = np.array(getattr(model, name), float)
-        if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
-            raise InputError(f"model.{name} is no rigid transform")
-    prismatic = model.prismatic_joints
-    if prismatic != tuple(sorted(set(prismatic))) or any(joint > len(model.kinematics) for joint in prismatic):
-        raise InputError("model.prismatic_joints are not joints of its chain in order")
-    # the last mass contains by how much the payload is lighter than declared
-    masses, known = [] if model.inertia is None else model.inertia.mass, model.uncertainty
-    lighter = known is not None and any(site[0] == "payload" for site in known.sites)
-    for i, mass in enumerate(masses[:-1] if lighter else masses):
-        if mass < 0:
-            raise InputError(f"model.inertia.mass[{i}] is {mass:.6g}, which is negative")
-    return read
-
-
-def _torques_in(document: Any) -> TorqueDocument:
-    torques = find_torques(document)
-    if not _has_model(torques):
-        raise _NoDiagnosisError("is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
-    return check(torques, TorqueDocument)
+    return check(part, TorqueDocument if torques else PoseDocument)

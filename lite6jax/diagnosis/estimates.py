@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from lite6jax.diagnosis.result import DomainDiagnosis
-from lite6jax.domains.torque.composition import read_driver
+from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
@@ -73,13 +73,9 @@ class Agreement:
 def compare_estimates(
     of: Mapping[str, str], estimates: Mapping[str, EffectEstimate | None], sign: float = 1.0, compared: int = 1
 ) -> Agreement:
-    """The comparison of two estimates, both being normal.
+    """The comparison of two normal estimates, the second of `sign` over the first, as of `Agreement`.
 
-    Args:
-        of: as of `Agreement`.
-        estimates: by side.
-        sign: of the second over the first.
-        compared: how many are compared, over which the p-value is family-wise.
+    The p-value is family-wise over as many as are `compared`.
     """
     one, other = estimates.values()
     if one is None or other is None:
@@ -196,8 +192,8 @@ def _curves(
     if own is not None and its is not None:
         low, high = its.min(1, keepdims=True), its.max(1, keepdims=True)
         common = np.all((own >= low) & (own <= high), 0)
-    functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
-    if functions is None or not functions.any():
+    functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T
+    if not functions.any():
         whole = np.eye(effect.size)
         here, there = (_fitted_curve(each, effect, whole) if each.has(effect) else None for each in (found, other))
         return here, there

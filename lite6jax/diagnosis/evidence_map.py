@@ -15,6 +15,7 @@ from lite6jax.diagnosis.partial_residuals import added_torque
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.torque.predict import motion_of_joint
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import (
     CoulombFriction,
@@ -27,11 +28,9 @@ from lite6jax.effects.dynamic import (
     TorqueEffect,
     UnnamedTorque,
     ViscousFriction,
-    direction,
 )
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic import JointHarmonic
-from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.evidence import Marginal, log_orders, of_process
 from lite6jax.estimation.least_squares import Fit
@@ -324,16 +323,11 @@ def _friction_at(found: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity
 def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
     """The dynamics in which only joint j, from 0, moves, its load and all temperatures at their medians."""
     shape = (len(dynamics.torque), len(velocity))
-    own = np.arange(shape[0])[:, None] == j
-    moving = np.where(own, velocity, 0.0)
-    rise = dynamics.motion.joint_temperature_rise
-    warm = None if rise is None else np.median(np.asarray(rise), axis=1, keepdims=True) * np.ones(shape)
-    overall = dynamics.motion.temperature_rise
-    motion = motion_of(np.zeros(shape).T, sliding=dynamics.motion.sliding.joints)._replace(
-        joint_velocity=moving,  # type: ignore[arg-type]
-        direction=direction(moving, dynamics.motion.sliding.mask(shape[0])),  # type: ignore[arg-type]
-        joint_temperature_rise=warm,  # type: ignore[arg-type]
-        temperature_rise=None if overall is None else np.full(shape[1], np.median(np.asarray(overall))),  # type: ignore[arg-type]
-    )
-    load = np.where(own, np.median(np.abs(dynamics.torque[j])), 0.0) * np.ones(shape)
-    return dynamics._replace(motion=motion, torque=load)
+    motion, typical = dynamics.motion, {}
+    for name in ("joint_temperature_rise", "temperature_rise"):
+        if (rise := getattr(motion, name)) is not None:
+            rise = np.median(np.asarray(rise), axis=-1, keepdims=True)
+            typical[name] = np.broadcast_to(rise, (*rise.shape[:-1], len(velocity)))
+    alone = motion_of_joint(j, velocity, motion.sliding.mask(shape[0]))._replace(**typical)
+    load = np.where(np.arange(shape[0])[:, None] == j, np.median(np.abs(dynamics.torque[j])), 0.0) * np.ones(shape)
+    return dynamics._replace(motion=alone, torque=load)

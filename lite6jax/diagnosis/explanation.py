@@ -64,14 +64,12 @@ class Explanation:
         screened: the recording with these faults corrected; of the training rows.
         selection: the physics found in what is left.
         price: log-likelihood that the corrections must gain, for the quantities that were estimated for them.
-        options: thresholds.
         decisions: between faults and physics.
     """
 
     screened: Screened
     selection: Selection
     price: float
-    options: Options
     decisions: Decisions
 
     @property
@@ -171,7 +169,7 @@ class Case:
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())
             price_ = price(screened, readings, problem.samples)
-        return Explanation(screened, selection, price_, self.options, decisions)
+        return Explanation(screened, selection, price_, decisions)
 
     def explanation(self, decisions: Decisions) -> Explanation:
         """With the faults corrected that these decisions name, and the physics found then."""
@@ -181,9 +179,7 @@ class Case:
 def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     """The most likely explanation of a recording by data faults and physics.
 
-    Args:
-        case: what is to be explained.
-        decisions: between faults and physics, where they have been made; else faults are weighed here.
+    Faults and physics are weighed here where no decisions between them are given.
 
     Raises:
         InputError: as `screen` and `pose_problem`.

@@ -13,14 +13,9 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
-from lite6jax.diagnosis.document import (
-    SCHEMA,
-    find_torques,
-    model_from_document,
-    parse_document,
-)
+from lite6jax.diagnosis.document import SCHEMA, find_torques, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
-from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic import (
     FIELDS,
@@ -35,7 +30,6 @@ from lite6jax.effects.dynamic import (
     TorqueEffect,
     UnnamedTorque,
     ViscousFriction,
-    direction,
 )
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
@@ -207,16 +201,10 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         fastest = float(np.abs(recorded[effect.joint - 1]).max())
     else:
         return {}, ""
-    speed = np.linspace(-fastest, fastest, _SPEEDS)
-    velocity = np.where(np.arange(model.dof)[:, None] == effect.joint - 1, speed, 0.0)
-    motion = motion_of(np.zeros((_SPEEDS, model.dof)), sliding=model.sliding)._replace(
-        joint_velocity=velocity,  # type: ignore[arg-type]
-        direction=direction(velocity, model.arm.slides),  # type: ignore[arg-type]
-    )
-    nothing = np.zeros((model.dof, _SPEEDS))
-    torque = effect.at_joint(
-        values, Dynamics(motion, nothing, model.links, model.payload_center, _none, _none, model.gravity)
-    )
+    speed, nothing = np.linspace(-fastest, fastest, _SPEEDS), np.zeros((model.dof, _SPEEDS))
+    motion = motion_of_joint(effect.joint - 1, speed, model.arm.slides)
+    alone = Dynamics(motion, nothing, model.links, model.payload_center, _none, _none, model.gravity)
+    torque = effect.at_joint(values, alone)
     columns = np.stack([speed, np.sign(speed)], 1)
     numbers, _ = nnls(columns, torque - torque.mean())
     left = float(np.std(torque - columns @ numbers))

@@ -54,69 +54,43 @@ def fold_processes(count: int | None = None) -> Iterator[None]:
 def work_on_folds(
     function: Callable[..., Result], given: tuple[Any, ...], folds: Sequence[Fold], anywhere: bool = True
 ) -> list[Result]:
-    """The results `function(fold, *given)`, in the order of the folds.
+    """The results `function(fold, *given)`, in the order of the folds; the stages belong to part 1 + those completed.
 
-    Where other processes are at hand they take the first folds, and this one the last. Else as many threads as
-    `threads.available` says share compiled functions and what is known of all rows. The stages belong to part 1 + the
-    folds completed.
-
-    Args:
-        function: of a module where other processes may call it.
-        given: to it besides the fold.
-        folds: all.
-        anywhere: whether other processes may take a part.
+    Where other processes are at hand, and may work on a function (which is one of a module) `anywhere`, they take the
+    first folds, and this one the last. Else as many threads as `threads.available` says share compiled functions and
+    what is known of all rows.
     """
     processes = _at_hand.get() if anywhere else None
     with part(1, 1 + len(folds)) as going:
-
-        def completed(count: int) -> None:
-            going.number = 1 + count
-
         if processes is None:
-            return _by_threads(function, given, folds, completed)
-        return _by_processes(processes, function, given, folds, completed)
-
-
-def _by_threads(
-    function: Callable[..., Result], given: tuple[Any, ...], folds: Sequence[Fold], completed: Callable[[int], None]
-) -> list[Result]:
-    pool = ThreadPoolExecutor(min(len(folds), threads.available()))
-    try:
-        # each in a copy of this context, which says who follows the progress
-        begun = [pool.submit(copy_context().run, function, fold, *given) for fold in folds]
-        for done, each in enumerate(as_completed(begun), 1):
-            each.result()
-            completed(done)
-        return [each.result() for each in begun]
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
-
-
-def _by_processes(
-    processes: Processes,
-    function: Callable[..., Result],
-    given: tuple[Any, ...],
-    folds: Sequence[Fold],
-    completed: Callable[[int], None],
-) -> list[Result]:
-    # now: while this process works, it adds to what is given
-    job, results = pickle.dumps((work_on_one, (function, *given))), dict[int, Any]()
-    begun = [processes.submit(job, [fold]) for fold in folds]  # the others take the first
-    try:
-        for k in reversed(range(len(folds))):
-            if begun[k].cancel():
-                results[k] = function(folds[k], *given)
-                completed(len(results))
-        for k in sorted(set(range(len(folds))) - set(results)):
+            pool = ThreadPoolExecutor(min(len(folds), threads.available()))
             try:
-                results[k] = begun[k].result()
-            except Exception:  # what it is shows where this process works on the fold again
-                results[k] = function(folds[k], *given)
-            completed(len(results))
-    finally:
-        for one in begun:
-            one.cancel()
-    return [results[k] for k in range(len(folds))]
+                # each in a copy of this context, which says who follows the progress
+                begun = [pool.submit(copy_context().run, function, fold, *given) for fold in folds]
+                for each in as_completed(begun):
+                    each.result()
+                    going.number += 1
+                return [each.result() for each in begun]
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
+        # now: while this process works, it adds to what is given
+        job, results = pickle.dumps((work_on_one, (function, *given))), dict[int, Any]()
+        begun = [processes.submit(job, [fold]) for fold in folds]
+        try:
+            for k in reversed(range(len(folds))):
+                if begun[k].cancel():
+                    results[k] = function(folds[k], *given)
+                    going.number += 1
+            for k in sorted(set(range(len(folds))) - set(results)):
+                try:
+                    results[k] = begun[k].result()
+                except Exception:  # what it is shows where this process works on the fold again
+                    results[k] = function(folds[k], *given)
+                going.number += 1
+        finally:
+            for one in begun:
+                one.cancel()
+        return [results[k] for k in range(len(folds))]
 
 
 def work_on_one(inputs: Sequence[Any], function: Callable[..., Any], *given: Any) -> Any:

@@ -23,6 +23,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding, HeldOut, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
@@ -80,33 +81,32 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
 def errors_of_folds(
     errors: Callable[..., HeldOut], given: tuple[Any, ...], folds: Sequence[Mask], anywhere: bool = True
 ) -> HeldOut:
-    """The errors on all rows.
-
-    Args:
-        errors: on the rows of a fold; a function of a module where other processes may call it.
-        given: to it besides the fold.
-        folds: which have each row once.
-        anywhere: whether other processes may take a part.
-    """
+    """The errors on all rows, of which folds have each once; arguments as of `work_on_folds`."""
     parts = work_on_folds(errors, given, folds, anywhere)
     order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
     return HeldOut._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
 
 
-def errors_of_selection(selection: Selection, held: Mask, sizes: Callable[[Any, Fit], tuple[Array, Array]]) -> HeldOut:
-    """The errors on the rows of a fold, by a model of the others.
+def errors_of_selection(selection: Selection, held: Mask) -> HeldOut:
+    """The errors on the rows `(sample,)` of a fold, by a model of the others.
 
     Only these are kept: the problems of a fold, whose columns take a gigabyte of a real arm, end with it.
-
-    Args:
-        selection: of the other rows.
-        held: `(sample,)`, the rows of the fold.
-        sizes: of the errors of a fit of a problem, `(group, sample)` each: in SI units, and over their noise.
     """
     state = selection.state
-    pairs = zip(sizes(selection.reference, state.baseline), sizes(selection.problem, state.fit), strict=True)
+    pairs = zip(_errors(selection.reference, state.baseline), _errors(selection.problem, state.fit), strict=True)
     errors = HeldOut(*(size for pair in pairs for size in pair), with_effects=np.full(held.size, bool(state.tested)))
     return HeldOut._make(of_all[..., held] for of_all in errors)
+
+
+def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:
+    """`(group, sample)` each: in SI units, and over their noise; zero of an orientation that was not measured."""
+    rows = problem.residual(fit.nuisance, fit.terms, fit.values)
+    if isinstance(problem, TorqueProblem):
+        return rows * problem.sigma, rows
+    assert isinstance(problem, PoseProblem)
+    each = (unwhitened(rows, problem.measured.whitener), rows)
+    lengths, over_noise = (np.stack([np.linalg.norm(part, axis=0) for part in (of[:3], of[3:])]) for of in each)
+    return lengths, over_noise
 
 
 # ------------------------------------------------------------------ which findings hold
@@ -117,9 +117,6 @@ class Judgement(NamedTuple):
 
     rejects: bool
     ratio: float
-
-
-Judge = Callable[[HeldOut, Selection, Mask, Sequence[Mask], Options], Judgement]
 
 
 class Verification(NamedTuple):
@@ -139,18 +136,16 @@ def verify(
     folds: Sequence[Mask],
     kept: Mask,
     options: Options,
-    judge: Judge,
     refitted: Callable[[Sequence[Mask]], HeldOut],
 ) -> Verification:
-    """The findings of a selection, unless both a search and a fit without some rows reject them.
+    """The findings of a selection of all rows, unless both a search and a fit without some rows reject them.
 
     Args:
         selection: of all rows.
-        errors: on contiguous blocks, each searched without.
+        errors: on contiguous `folds`, each searched without.
         folds: these.
         kept: `(sample,)`, the rows that count.
         options: thresholds.
-        judge: `judge_poses` or `judge_torques`.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
     """
     state, findings = selection.state, []
@@ -173,25 +168,33 @@ def verify(
     return Verification(selection, again, spread, found, None, SearchedAgain(len(folds), searched.ratio))
 
 
-# ------------------------------------------------------------------ errors of poses
+def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> Judgement:
+    """Of poses by whether effects raise the errors of rows that were not used, or describe none but those that were.
 
-
-def judge_poses(
-    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
-) -> Judgement:
-    """By whether effects raise the errors of rows that were not used, or describe none but those that were."""
+    Of torques by the geometric mean over folds of the errors with effects over those without. The variance of errors is
+    unknown and differs between folds, so each ratio is one of likelihoods, and no fold decides alone.
+    """
+    if isinstance(selection.problem, TorqueProblem):
+        before, after = errors.before_over_noise, errors.after_over_noise
+        logs = [np.log(max(_ratio(before[:, rows], after[:, rows]), 1e-150)) for rows in _rows_of(folds, kept)]
+        ratio = float(np.exp(np.mean(logs)))
+        return Judgement(ratio > options.heldout_rise, ratio)
     numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
     rejects = raises(errors, kept, numbers, options) or is_overfitted(errors, selection, kept, folds, options)
     return Judgement(rejects, _ratio(errors.before[0, kept], errors.after[0, kept]))
 
 
+def _rows_of(folds: Sequence[Mask], kept: Mask) -> list[Mask]:
+    """`(sample,)` each, the rows of folds that count; without folds that have none."""
+    return [rows for fold in folds if (rows := fold & kept).any()]
+
+
 def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> bool:
     """Whether effects of so many numbers raise the errors on rows that were not used.
 
-    Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
-    Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
-    the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
-    effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
+    The product of the ratios of position and orientation must not rise, as in the likelihood of Gaussian errors of
+    unknown variance. Effects that show in the orientation alone may raise the error of positions by what they cost in
+    precision: p numbers add p / (3 · rows) to the variance of a prediction, half of that to its standard deviation.
     """
     pairs = zip(errors.before_over_noise[:, kept], errors.after_over_noise[:, kept], strict=True)
     position, turned = (_ratio(before, after) for before, after in pairs)
@@ -202,26 +205,23 @@ def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> boo
 def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
     """Whether a model with effects describes the rows that it was fitted to, and no others.
 
-    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
-    ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
-    remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
-    without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
-    Errors differ in size from fold to fold, so it is the geometric mean of the ratios over folds that counts.
+    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger ratio
+    than without the effects. Effects that remove most of the error there (in the geometric mean over folds) are kept
+    all the same: a drift is not known beyond the rows that show it. Blocks without which nothing was found do not
+    count: they say that the other rows are few.
     """
     (before, _), (after, _) = errors.before_over_noise, errors.after_over_noise
     if (tried := kept & errors.with_effects).any():
         kept = tried
-    held = [rows for fold in folds if (rows := fold & kept).any()]
-    if held:
+    if held := _rows_of(folds, kept):
         logs = [np.log(max(_ratio(before[rows], after[rows]), 1e-300)) for rows in held]
         if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
             return False
 
     def times_fitted(of_all: Array, problem: Problem, fit: Fit) -> float:
         """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
-        assert isinstance(problem, PoseProblem)
         share = fit.freedom / (problem.rows * fit.training.sum())
-        fitted = np.sum(_pose_errors(problem, fit)[1][0, kept] ** 2) / share
+        fitted = np.sum(_errors(problem, fit)[1][0, kept] ** 2) / share
         return float(np.sqrt(np.sum(of_all[kept] ** 2) / max(fitted, 1e-300)))
 
     state = selection.state
@@ -229,32 +229,24 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
     return times_fitted(after, selection.problem, state.fit) > max(options.heldout_excess, bare)
 
 
-def held_out_errors(case: Case, decisions: Decisions, folds: Sequence[Mask]) -> HeldOut:
-    """The errors on every row, predicted from the other contiguous blocks.
+def _ratio(before: Array, after: Array) -> float:
+    """Of the root mean squares; 1 where there was no error."""
+    return float(np.linalg.norm(after) / np.linalg.norm(before)) if before.any() else 1.0
 
-    Args:
-        case: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
-        decisions: between faults and physics, of all rows.
-        folds: those of `held_out_folds`.
-    """
-    return errors_of_folds(errors_of_search, (case, decisions), folds)
+
+# ------------------------------------------------------------------ errors of poses
 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
-    """The errors on the rows of a fold, from a search of the others."""
+    """The errors on the rows `(sample,)` of a fold, from a search of the others with the decisions of all rows."""
     found = explain(replace(case, training=~held, thorough=False), decisions)
-    return errors_of_selection(found.selection, held, _pose_errors)
+    return errors_of_selection(found.selection, held)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
     """The errors on every row, predicted by the terms of all rows, whose numbers are fitted to the other blocks.
 
     Screening and clock are those of all rows; the point of linearisation and the frames are those of the other blocks.
-
-    Args:
-        selection: of all rows.
-        folds: those of `spread_folds`.
-        options: thresholds.
     """
     state, engine = selection.state, options.engine
 
@@ -264,23 +256,6 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
         if selection.problem.preset[0].terms:
             problem = relinearise(selection.problem, engine, training)
         again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
-        return errors_of_selection(at_estimate(again, engine), held, _pose_errors)
+        return errors_of_selection(at_estimate(again, engine), held)
 
     return errors_of_folds(predicted, (), folds, anywhere=False)
-
-
-def _pose_errors(problem: Any, fit: Fit) -> tuple[Array, Array]:
-    """`(2, sample)` each, of positions and orientations: in m and rad, and over their noise."""
-    assert isinstance(problem, PoseProblem)
-    rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    return _lengths(unwhitened(rows, problem.measured.whitener)), _lengths(rows)
-
-
-def _lengths(rows: Array) -> Array:
-    """`(2, sample)`, of the position and the orientation in `(row, sample)`; zero of what was not measured."""
-    return np.stack([np.linalg.norm(part, axis=0) for part in (rows[:3], rows[3:])])
-
-
-def _ratio(before: Array, after: Array) -> float:
-    """Of the root mean squares; 1 where there was no error."""
-    return float(np.linalg.norm(after) / np.linalg.norm(before)) if before.any() else 1.0

@@ -121,10 +121,9 @@ def _curve(
     found: DomainDiagnosis[Any], k: int, over: Any, quantity: Driver | None, x: Array, of: _Samples, **more: Any
 ):
     """The curve through what is fitted at the samples, or at the points that are given with `at`."""
-    covariance = found.findings[k].covariance
     at, moved, slope = more.pop("points", (x, of.moved, of.slope))
     order = np.argsort(at, kind="stable")
-    std = _deviation(slope, covariance)[order]
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, found.findings[k].covariance, slope), 0.0))[order]
     shown = x[of.good], (of.moved + of.left)[of.good]
     return FindingCurve(k, over, quantity, of.site, of.unit, *shown, at[order], moved[order], std, **more)
 
@@ -282,8 +281,3 @@ def _slopes(shown: Callable[[Array], Array], effect: Effect, values: Array) -> A
     """Derivatives `(number, sample)` of what is shown by numbers, by central differences of 1e-4 of their size."""
     steps = 1e-4 * np.array([number.typical for number in effect.coordinates])
     return np.stack([(shown(values + s) - shown(values - s)) / (2 * s.sum()) for s in np.diag(steps)])
-
-
-def _deviation(slope: Array, covariance: Array) -> Array:
-    """One standard deviation `(sample,)` of what has derivatives `(number, sample)` by numbers of a covariance."""
-    return np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, covariance, slope), 0.0))

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.document import SCHEMA, Domain, Verdict, effect_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.uncertainty import ReferenceOrigin
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.concentration import Concentration
@@ -139,6 +139,16 @@ class SearchedAgain:
 
     blocks: int
     ratio: float
+
+
+class SeparatingPoses(NamedTuple):
+    """Poses `(pose, joint)` rad that separate two effects, given by their labels, in an order of short moves.
+
+    They are inside the arm's limits, and not checked for collisions.
+    """
+
+    effects: tuple[str, str]
+    joint_position: Array
 
 
 class Against(Protocol):
@@ -275,6 +285,12 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         return False
 
     @property
+    def _reference(self) -> ReferenceOrigin | None:
+        """The reference that the findings are the difference from."""
+        said = None if self.against is None else self.against.to_dict()
+        return None if said is None or said["basis"] == "effects" else ReferenceOrigin(said["file"], said["basis"])
+
+    @property
     @abstractmethod
     def _leaves_noise(self) -> bool:
         """Whether what the model leaves is noise."""
@@ -292,9 +308,9 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding, by its name with its unit."""
 
-    @abstractmethod
     def _distinction(self, k: int, effect: Effect) -> str:
-        """The status of an alternative that explains nearly as much as a finding."""
+        """The status of an alternative that explains nearly as much as the k-th finding."""
+        return "undecided"
 
     @abstractmethod
     def _own_parts(self) -> dict[str, Any]:

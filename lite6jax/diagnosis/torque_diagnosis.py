@@ -15,22 +15,20 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.document import Domain, torque_model_entry
+from lite6jax.diagnosis.document import Domain, model_entry
 from lite6jax.diagnosis.estimates import Agreement, compare_effects
-from lite6jax.diagnosis.heldout import Judgement, errors_of_folds, errors_of_selection, fold_count, verify
+from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem, torque_problem
-from lite6jax.domains.torque.reference import RowComparison, compare_rows
+from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.domains.uncertainty import ReferenceOrigin
 from lite6jax.effects.catalogue import torque_catalogue
 from lite6jax.effects.dynamic import TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
@@ -38,7 +36,7 @@ from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import fitted_again
+from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
 
@@ -87,7 +85,6 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     def model(self) -> DiagnosedMotors:
         """The arm with the effects found, as `read_model` gives it from a file."""
         problem, fit = self.problem, self.fit
-        against = self.against
         return DiagnosedMotors(
             arm=problem.data.arm,
             links=problem.links_at(fit.nuisance),
@@ -97,7 +94,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
             values=fit.values,
             reference_temperature=problem.data.recording.settings.reference_temperature_degC,
             uncertainty=uncertainty_of_torques(problem, fit, self.after, self.folds),
-            reference=ReferenceOrigin(against.file, "rows") if isinstance(against, RowComparison) else None,
+            reference=self._reference,
         )
 
     @property
@@ -145,17 +142,27 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         assert isinstance(effect, UnnamedTorque)
         return {effect.own("peak_to_peak_Nm"): Estimate(float(np.ptp(self._added[k], axis=1).max()), 0.0)}
 
-    def _distinction(self, k: int, effect: Effect) -> str:
-        return "undecided"
-
     def _own_parts(self) -> dict[str, Any]:
         problem, data, chosen = self.problem, self.problem.data, self.problem.data.recorded
         passed = {"rate_Hz": chosen.rate, "cutoff_Hz": chosen.cutoff, "motion_cutoff_Hz": data.motion_cutoff}
         return {
             "filter": None if data.recording.motion == "static" else {**passed, "every": chosen.every},
             "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
-            "model": torque_model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
         }
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class EffectComparison:
+    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
+
+    file: str
+    effects: tuple[Agreement, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
 
 
 # ------------------------------------------------------------------ the diagnosis
@@ -188,7 +195,12 @@ def diagnose_torques(
     alone = partial(_diagnose_alone, effects=effects, options=options or Options(), progress=progress)
     if reference is None:
         return alone(recording, arm)
-    return _diagnose_against(recording, reference, arm or declared_arm_of(recording), alone)
+    arm = arm or declared_arm_of(recording)
+    by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
+    if by_rows is not None:  # both are of one motion: their difference is diagnosed
+        return replace(alone(by_rows.recording, arm), against=by_rows)
+    found, other = alone(recording, arm), alone(reference, arm)
+    return replace(found, against=EffectComparison(Path(reference.source).name, compare_effects(found, other)))
 
 
 def _diagnose_alone(
@@ -221,16 +233,12 @@ def _diagnose_alone(
         blocks = contiguous_blocks(used, count)
         folds = [block[np.maximum(np.cumsum(problem.valid) - 1, 0)] for block in blocks]
         whole = replace(whole, valid=problem.valid)
-        errors = errors_of_folds(errors_of_search, (whole, options, problem.sigma, selection.considered), folds)
-        state = selection.state
-
-        def fitted(there: TorqueProblem, training: Mask) -> Selection:
-            return Selection(there, there, fitted_again(there, there, state, training, options.engine))
+        errors = errors_of_folds(errors_without, (whole, options, selection.considered), folds)
 
         def refitted(spread: Sequence[Mask]) -> HeldOut:
-            return errors_of_folds(_errors_without, (whole, options, problem.sigma, fitted), spread, anywhere=False)
+            return errors_of_folds(errors_without, (whole, options, frozenset(), selection.state), spread, False)
 
-        verified = verify(selection, errors, folds, problem.valid, options, judge_torques, refitted)
+        verified = verify(selection, errors, folds, problem.valid, options, refitted)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
     return TorqueDiagnosis(
@@ -243,81 +251,23 @@ def _diagnose_alone(
     )
 
 
-def judge_torques(
-    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
-) -> Judgement:
-    """By errors with effects over those without: the mean of the logarithms over folds.
-
-    The variance of errors is unknown and differs between folds, so this is the ratio of likelihoods. No fold decides
-    alone, such as one where a curve meets what it was never fitted to.
-    """
-    ratios = []
-    for held in (fold & kept for fold in folds):
-        if held.any():
-            before, after = (
-                float(np.sum(each[:, held] ** 2)) for each in (errors.before_over_noise, errors.after_over_noise)
-            )
-            ratios.append(0.5 * np.log(max(after, 1e-300) / max(before, 1e-300)))
-    ratio = float(np.exp(np.mean(ratios)))
-    return Judgement(ratio > options.heldout_rise, ratio)
-
-
-def errors_of_search(held: Mask, problem: TorqueProblem, options: Options, sigma: Array, among: Considered) -> HeldOut:
-    """The errors on the samples of a fold `(sample,)`, with the model that a search of the others selects.
-
-    The problem is not linearised; processes are chosen among `among`.
-    """
-
-    def searched(there: TorqueProblem, training: Mask) -> Selection:
-        return search(there, options.engine, training, thorough=False, among=among)
-
-    return _errors_without(held, problem, options, sigma, searched)
-
-
-def _errors_without(
-    held: Mask,
-    problem: TorqueProblem,
-    options: Options,
-    sigma: Array,
-    model: Callable[[TorqueProblem, Mask], Selection],
+def errors_without(
+    held: Mask, problem: TorqueProblem, options: Options, among: Considered, state: State | None = None
 ) -> HeldOut:
-    """The errors on the samples of a fold, by a model of the other samples, at which the problem is linearised.
+    """The errors on the samples of a fold `(sample,)`, by a model of the others, at which the problem is linearised.
 
-    The filter spreads a sample over its neighbours: those beside a held-out block are not used either. `sigma`
-    `(joint, sample)` is the noise that errors are compared with.
+    The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
+
+    Args:
+        held: the fold.
+        problem: not linearised.
+        options: thresholds.
+        among: the processes that a search of the others chooses among.
+        state: whose terms are fitted to the others; searched where not given.
     """
-    near = np.convolve(held, np.ones(3), "same") > 0
-    training = ~near & problem.valid
-
-    def sizes(problem: Any, fit: Fit) -> tuple[Array, Array]:
-        errors = problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma
-        return errors, errors / sigma
-
-    return errors_of_selection(model(linearised(problem, options.engine, training), training), held, sizes)
-
-
-# ------------------------------------------------------------------ relative to a reference
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class EffectComparison:
-    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
-
-    file: str
-    effects: tuple[Agreement, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
-
-
-def _diagnose_against(
-    recording: Recording, reference: Recording, arm: Arm, alone: Callable[[Recording, Arm], TorqueDiagnosis]
-) -> TorqueDiagnosis:
-    """The difference of two recordings of one motion, diagnosed; else each alone, and what either shows compared."""
-    by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
-    if by_rows is not None:
-        return replace(alone(by_rows.recording, arm), against=by_rows)
-    found, other = alone(recording, arm), alone(reference, arm)
-    return replace(found, against=EffectComparison(Path(reference.source).name, compare_effects(found, other)))
+    training = ~(np.convolve(held, np.ones(3), "same") > 0) & problem.valid
+    there = linearised(problem, options.engine, training)
+    if state is None:
+        return errors_of_selection(search(there, options.engine, training, thorough=False, among=among), held)
+    again = fitted_again(there, there, state, training, options.engine)
+    return errors_of_selection(Selection(there, there, again), held)

@@ -11,7 +11,7 @@ from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.pose.kinematics import FRAMES, whitened
 from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm
 from lite6jax.domains.pose.problem import ONCE_PER_TURN, PoseProblem
-from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, states_of, with_free_numbers
+from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, with_free_numbers
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.estimation.least_squares import Fit
@@ -71,14 +71,10 @@ def uncertainty_of_poses(
         prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
         precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, known[beside]])
         C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
-    blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
-    estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
+    estimated = _variance(J, C)
     left, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
-    typical = np.full(2, np.inf)
-    if kept.any():
-        typical = np.array([np.median(rows.mean(0)) for rows in np.split(estimated[:, kept], 2)])
-        typical = np.sqrt(typical + left**2)
     some = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
+    typical = np.sqrt([np.median(rows.mean(0)) for rows in np.split(estimated[:, some], 2)] + left**2)
     q = problem.recording.joint_position
     rows = some[spread_rows(len(some), _ROWS)]  # of those that a model keeps, from which the distance is measured
     measured = some[spread_rows(len(some), _MOST)]
@@ -88,7 +84,7 @@ def uncertainty_of_poses(
         spacing=_spacing(q, measured, rows, folds),
         drivers=_ranges(change.driver_values(), some),
     )
-    usual = typical if np.isfinite(typical).all() and typical.min() > 0 else None
+    usual = typical if kept.any() and np.isfinite(typical).all() and typical.min() > 0 else None
     return Uncertainty(sites, C, left, unseen, noise, recorded, usual)
 
 
@@ -98,6 +94,7 @@ def _left_of_poses(
     """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction.
 
     The noise is the declared one, or less where the residuals are less: whatever they are more is left of the model.
+    Numbers that are estimated without one of n blocks vary by n / (n - 1) more.
     """
     count = max(int(kept.sum()), 1)
     scales = fit.scale[problem.groups[[0, -1]]]
@@ -105,7 +102,7 @@ def _left_of_poses(
     noise = np.where(declared, np.minimum(scales, 1.0), scales) * [problem.noise[0], problem.noise[1] or 0.0]
     rows = min(problem.rows, 3)
     squares = after[kept] ** 2 / _SQUARES[rows]
-    position = _excess(squares - _fewer(folds) * estimated[:3, kept].mean(0), noise[0], rows * count)
+    position = _excess(squares - folds / (folds - 1) * estimated[:3, kept].mean(0), noise[0], rows * count)
     orientation = 0.0
     if problem.rows == 6 and problem.noise[1]:
         lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
@@ -128,12 +125,11 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
     if terms.size:
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
     C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, prior]))
-    moved = columns * problem.sigma
-    estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
+    estimated = _variance(columns * problem.sigma, C)
     left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
     kept, at = np.flatnonzero(problem.valid), problem.data.filter.kept[problem.chosen]
     dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
-    states = states_of(dynamics)[..., at]
+    states = problem.data.bodies.moved[..., at]
     ranges = np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1)
     rows = kept[spread_rows(len(kept), _ROWS)]
     values_of = {phrase: each[at] for phrase, each in driver_values(fit.terms, dynamics).items()}
@@ -170,7 +166,7 @@ def _left_of_torques(
     moving = problem.sigma[:, kept] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
     for j in range(problem.rows):
         worth = moving[j].sum() / fit.noise.models[j].time
-        left[j] = _excess((squares[j] - _fewer(folds) * estimated[j, kept])[moving[j]], float(noise[j]), worth)
+        left[j] = _excess((squares[j] - folds / (folds - 1) * estimated[j, kept])[moving[j]], float(noise[j]), worth)
         unseen[j] = np.sqrt(_relative_error(worth) * (noise[j] ** 2 + left[j] ** 2))
     return left, unseen, noise
 
@@ -181,11 +177,8 @@ def _left_of_torques(
 def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Array:
     """The covariance `(number, number)` of fitted numbers: of the weights of a fit, its noise model and its priors.
 
-    Args:
-        fit: all of it.
-        valid: `(sample,)`, samples that are not left out.
-        columns: `(number, row, sample)`, derivatives of each row over its noise.
-        precision: `(number,)`, one over the variance of the prior.
+    It is of the `valid` samples `(sample,)`, with the columns `(number, row, sample)`, derivatives of each row over its
+    noise; the precision `(number,)` is one over the variance of the prior.
     """
     if not len(columns):
         return np.zeros((0, 0))
@@ -199,9 +192,10 @@ def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Arra
     return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 
 
-def _fewer(folds: int) -> float:
-    """By how much more variable numbers are that are estimated without one of so many blocks."""
-    return folds / (folds - 1)
+def _variance(J: Array, covariance: Array) -> Array:
+    """`(row, sample)`, of what has derivatives `(number, row, sample)` by numbers of a covariance."""
+    blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
+    return np.concatenate([np.sum(np.tensordot(covariance, block, 1) * block, 0) for block in blocks], 1)
 
 
 def _relative_error(numbers: float) -> float:
@@ -210,15 +204,11 @@ def _relative_error(numbers: float) -> float:
 
 
 def _excess(variance: Array, noise: float, numbers: float) -> float:
-    """The standard deviation left beside the noise, so that 95 % of rows are within what they ask for.
+    """The standard deviation left beside the noise, so that 95 % of rows are within the variance `(row,)` they ask for.
 
-    What the rows ask for is uncertain, and an excess is not negative: its mean given both (of a truncated normal
-    distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate Distributions, 1994, 13.10).
-
-    Args:
-        variance: `(row,)`, that each row asks for.
-        noise: one standard deviation.
-        numbers: that the rows are worth, if they were independent.
+    What the rows ask for is as uncertain as of so many independent `numbers`, and an excess is not negative: its mean
+    given both (of a truncated normal distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate
+    Distributions, 1994, 13.10).
     """
     if not variance.size:
         return 0.0
@@ -229,10 +219,7 @@ def _excess(variance: Array, noise: float, numbers: float) -> float:
 
 
 def _spacing(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
-    """The distance from a row to the nearest kept one of other blocks that 95 % of rows do not exceed, rad.
-
-    `q` is `(sample, joint)` rad; rows and those kept are indices.
-    """
+    """The distance in `q` `(sample, joint)` rad to the nearest kept row of other blocks that 95 % of rows keep, rad."""
     distances = []
     for fold in folds:
         held, others = rows[fold[rows]], kept[~fold[kept]]

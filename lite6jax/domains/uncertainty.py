@@ -102,21 +102,16 @@ class Uncertainty:
     typical: Sequence[float] | Array | None = None
 
     def keeping(self, effects: Sequence[Effect], kept: Sequence[bool]) -> "Uncertainty":
-        """That of the model with some of its effects; the others' numbers stay as uncertain as they are.
-
-        Args:
-            effects: that the covariance is of.
-            kept: for each of them, whether it stays.
-        """
+        """That of the model with those of its effects that are kept; their numbers stay as uncertain as they are."""
         numbers = [True] * len(self.sites) + np.repeat(kept, [freed(effect).size for effect in effects]).tolist()
         return replace(self, covariance=self.covariance[np.ix_(numbers, numbers)])
 
     def without_base(self) -> "Uncertainty":
         """That of poses in the frame of the arm's own base, in which this frame's place does not matter."""
-        kept = [name != "base" for name, _, _ in self.sites]
-        numbers = kept + [True] * (len(self.covariance) - len(kept))
-        sites = tuple(site for site, stays in zip(self.sites, kept, strict=True) if stays)
-        return replace(self, sites=sites, covariance=self.covariance[np.ix_(numbers, numbers)])
+        sites = [site[0] != "base" for site in self.sites]
+        numbers = sites + [True] * (len(self.covariance) - len(sites))
+        kept = tuple(site for site in self.sites if site[0] != "base")
+        return replace(self, sites=kept, covariance=self.covariance[np.ix_(numbers, numbers)])
 
 
 def freed(effect: Effect) -> Effect:
@@ -140,14 +135,7 @@ def distance_to(positions: Array, joint_position: Array) -> Array:
 
 
 def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: ArrayLike = 1e-6) -> Array:
-    """By how much values are beyond a range, over its length; over the size of its values where it has none.
-
-    Args:
-        values: in the unit of the range.
-        lower: of the range.
-        upper: of the range.
-        least: the shortest length.
-    """
+    """By how much values are beyond a range, over its length, `least` at least; over its ends where it has none."""
     lower, upper = np.asarray(lower), np.asarray(upper)
     length = np.maximum(np.maximum(upper - lower, 0.1 * np.maximum(np.abs(lower), np.abs(upper))), least)
     return np.maximum(np.maximum(lower - values, values - upper), 0.0) / length

@@ -187,7 +187,7 @@ def judged(found, monkeypatch):
         sizes = (before, after, before / noise, after / noise)
         errors = HeldOut(*(np.stack([size * FORTY, 0 * FORTY]) for size in sizes), some)
         monkeypatch.setattr("lite6jax.diagnosis.diagnose.explain", lambda *given, **options: explanation)
-        monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: errors)
+        monkeypatch.setattr("lite6jax.diagnosis.diagnose.errors_of_folds", lambda *given: errors)
         if refitted:
             monkeypatch.setattr("lite6jax.diagnosis.diagnose.refitted_errors", lambda *given: errors)
         return diagnose_poses(recording)

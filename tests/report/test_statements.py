@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.discrimination import SeparatingPoses
+from lite6jax.diagnosis.result import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect

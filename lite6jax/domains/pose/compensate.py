@@ -172,12 +172,14 @@ def compensate(
     correction = None if targets.start is None else q - targets.start
     reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
     for k, row in enumerate(np.flatnonzero(complete)):
+        reasons[row] = None
         if reverses[k]:
             reasons[row] = Reason("reverses")
-        elif hit[k]:
-            reasons[row] = None if correction is None else _far(correction[row])
-        else:
+        elif not hit[k]:
             reasons[row] = _missed(solved, k, search.limits)
+        elif correction is not None and np.abs(correction[row]).max() > _FAR:
+            joint = int(np.argmax(np.abs(correction[row])))
+            reasons[row] = Reason("far_from_start", (joint + 1,), (float(correction[row, joint]),))
     std, turned_std, outside = predict_deviations(model, search.motion(solved.joint_position.T))
     return Compensation(
         recording=recording.made_anew(joint_position=q, position=None, quaternion=None),
@@ -223,14 +225,6 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     without = [effect.site in sites or (frame == "base" and isinstance(effect, BaseDrift)) for effect in effects]
     omitted = tuple(effect.label for effect, left_out in zip(effects, without, strict=True) if left_out)
     return model.keeping([not left_out for left_out in without]), omitted
-
-
-def _far(moved: Array) -> Reason | None:
-    """That a target is reached far from its start; None where it is not, or has no start."""
-    if not np.abs(moved).max() > _FAR:
-        return None
-    joint = int(np.argmax(np.abs(moved)))
-    return Reason("far_from_start", (joint + 1,), (float(moved[joint]),))
 
 
 def _missed(solved: Solved, k: int, limits: Array) -> Reason:
@@ -350,44 +344,38 @@ class _Search:
     def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> Solved:
         """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
         m, target = self.model, self._target(rows)
-        return inverse.solve(
-            m.physics, m.model, m.values, _at(motion, rows, q), m.inertia, target, self.limits, **options
-        )
+        at = jax.tree.map(lambda leaf: np.asarray(leaf)[..., rows], motion)._replace(joint_position=q.T)
+        return inverse.solve(m.physics, m.model, m.values, at, m.inertia, target, self.limits, **options)
 
     def branches(self, start: Array | None) -> Array:
         """`(row, joint)`: for each row a solution, or the nearest found; on the branch of `start`, or a short path."""
         count, dof = self.targets.samples, self.model.dof
-        everywhere = np.arange(count)
         given = np.zeros(count, bool) if start is None else np.asarray(np.isfinite(start).all(1))
         at = np.zeros((count, dof)) if start is None else np.where(given[:, None], start, 0.0)
-        motion = self.motion(at)
-        rows, found = everywhere[given], at[given]
-        first = self.solve(motion, rows, found) if given.any() else None
-        unsolved = ~given
-        if first is not None:
-            unsolved[rows] = ~_reached(first)
-        if not unsolved.any():
-            assert first is not None
-            return first.joint_position.T
-        where: list[NDArray] = [rows]
-        q = [found if first is None else first.joint_position.T]
-        cost = [np.zeros(0) if first is None else first.cost]
+        motion, unsolved = self.motion(at), np.ones(count, bool)
+        found: list[tuple[Rows, Array, Array]] = []
+
+        def solve(rows: Rows, q: Array) -> None:
+            solved = self.solve(motion, rows, q)
+            found.append((rows, solved.joint_position.T, solved.cost))
+            unsolved[rows[_reached(solved)]] = False
+
+        if given.any():
+            solve(np.flatnonzero(given), at[given])
         for k, starts in enumerate(_STARTS):
-            tried = np.repeat(everywhere[unsolved], starts)
+            if not unsolved.any():
+                break
+            tried = np.repeat(np.flatnonzero(unsolved), starts)
             rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
             best = np.full(count, np.inf)
             np.minimum.at(best, tried, missed)
             kept = (missed < _NEAR**2) | (missed == best[tried])
-            tried, rigid = _distinct(tried[kept], rigid[kept])
-            solved = self.solve(motion, tried, rigid)
-            where.append(tried)
-            q.append(solved.joint_position.T)
-            cost.append(solved.cost)
-            unsolved[tried[_reached(solved)]] = False
-            if not unsolved.any():
-                break
-        positions, costs = np.concatenate(q), np.concatenate(cost)
-        return _least_motion(np.concatenate(where), positions, costs, at, given, self._usual())
+            tried, rigid = tried[kept], rigid[kept]
+            key = np.column_stack([tried, np.round(rigid / _SAME / 4).astype(int)])
+            _, distinct = np.unique(key, axis=0, return_index=True)
+            solve(tried[distinct], rigid[distinct])
+        rows, positions, costs = (np.concatenate(each) for each in zip(*found, strict=True))
+        return _least_motion(rows, positions, costs, at, given, self._usual())
 
     def settle(self, q: Array) -> tuple[Solved, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
@@ -471,18 +459,6 @@ class _Search:
         """`(joint, 2)`, the limits within half a turn of zero; of prismatic joints all of them."""
         slides = np.isin(np.arange(self.model.dof), self.model.sliding)[:, None]
         return np.where(slides, self.limits, np.clip(self.limits, -np.pi, np.pi))
-
-
-def _at(motion: Motion, rows: Rows, q: Array) -> Motion:
-    """Samples of a motion at other joint positions `(row, joint)`."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[..., rows], motion)._replace(joint_position=q.T)
-
-
-def _distinct(rows: Rows, q: Array) -> tuple[Rows, Array]:
-    """One of those that are the same joint positions for the same row."""
-    key = np.column_stack([rows, np.round(q / _SAME / 4).astype(int)])
-    _, first = np.unique(key, axis=0, return_index=True)
-    return rows[first], q[first]
 
 
 def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags, usual: Array) -> Array:

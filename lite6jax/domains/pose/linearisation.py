@@ -45,10 +45,7 @@ def linearised(
 ) -> tuple[PoseProblem, PoseProblem]:
     """The problem at its clock offset, linearised at the geometry that fits best there, and the same without an offset.
 
-    Args:
-        problem: not linearised yet.
-        options: thresholds.
-        training: `(sample,)` bool, the rows to use; all where not given.
+    `training` `(sample,)` bool are the rows to use; all where not given.
     """
     offset = clock_offset(problem, training)
     reference = relinearise(problem, options, training)
@@ -60,14 +57,10 @@ def linearised(
 def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     """The time from a pose's stamp to the instant at which it shows the arm, s, where that is several samples; else 0.
 
-    Args:
-        problem: with frames near the true ones.
-        training: `(sample,)` bool, the rows to use; all where not given. Held-out rows divide a run.
+    The frames of the problem are near the true ones. Rows that are not for training divide a run.
     """
-    recording = problem.recording
-    if recording.motion != "trajectory" or recording.time is None or problem.samples < _FEWEST:
-        return 0.0
-    if not isinstance(problem.measured, Measured):
+    recording, moving = problem.recording, problem.recording.motion == "trajectory"
+    if not moving or recording.time is None or problem.samples < _FEWEST or not isinstance(problem.measured, Measured):
         return 0.0
     measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T
     used = np.ones(problem.samples, bool) if training is None else training
@@ -126,14 +119,7 @@ def search_load_model(
     It starts with the load model under which the best single effect is more likely. Where the terms found are more
     likely under the other, the search is repeated with that, as other terms may be still more likely there. If the
     terms found then are not, and the two load models are not distinguished, the first ones are refitted.
-
-    Args:
-        problem: linearised.
-        reference: the same without preset terms.
-        options: thresholds.
-        training: `(sample,)` bool; all where not given.
-        thorough: as in `search`.
-        among: as in `search`.
+    Arguments are as of `search`.
     """
     problem, reference = _first(problem, reference, options, training)
     selection = search(problem, options, training, reference, thorough, among)

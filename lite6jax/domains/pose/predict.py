@@ -179,7 +179,16 @@ class DiagnosedArm:
             payload=row("payload", payload, each),  # type: ignore[arg-type]
             sliding=Sliding(self.sliding),
         )
-        self._require(motion)
+        for effect in self.physics.effects:
+            if isinstance(effect, TimeOffset) or has_memory(effect):
+                raise InputError(
+                    f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
+                    f"predict(), or remove the effect by model.without({effect.label!r})"
+                )
+            for driver in effect.drivers:
+                argument = _ARGUMENTS.get(driver.quantity)
+                if argument and not driver.known(motion, None):
+                    raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
         poses = predict_poses(motion.chain, self.physics, self.model, self.values, motion, self.inertia)
         return poses.reshape(*each, 4, 4)
 
@@ -208,18 +217,6 @@ class DiagnosedArm:
             raise InputError(f"{recording.source}: {other_joints(recording.sliding, self.sliding, self.arm)}")
         motion = motion_of_recording(recording)
         return accelerated(motion) if self.accelerated else motion
-
-    def _require(self, motion: Motion) -> None:
-        for effect in self.physics.effects:
-            if isinstance(effect, TimeOffset) or has_memory(effect):
-                raise InputError(
-                    f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
-                    f"predict(), or remove the effect by model.without({effect.label!r})"
-                )
-            for driver in effect.drivers:
-                argument = _ARGUMENTS.get(driver.quantity)
-                if argument and not driver.known(motion, None):
-                    raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
 
 
 def has_memory(effect: Effect) -> bool:
@@ -320,39 +317,42 @@ class Derivatives:
     motion: Motion
     sites: tuple[Site, ...]
 
-    def blocks(self) -> Iterator[tuple[slice, Array]]:
-        """Rows after rows, and their derivatives `(number, 6, row)`.
+    def blocks(self) -> Iterator[tuple[slice, dict[Site, Array], Array]]:
+        """Rows after rows, derivatives of their poses by a unit deflection at each site, and by each number.
 
-        The six are positions in the sensor's axes (m) and rotations about the predicted tool's axes (rad).
+        Those are `(6, row)` and `(number, 6, row)`: of positions in the sensor's axes (m) and of rotations about the
+        predicted tool's axes (rad).
         """
-        units = self._units()
-        for rows, sites in self._sites():
+        units, sliding = self._units(), self.model.sliding
+        q = np.asarray(self._altered.joint_position)
+        for first in range(0, q.shape[1], _ROWS_AT_ONCE):
+            rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
+            tool = rigid_tool(self.model.model, q[:, rows], sliding)
+            shown = Measured(tool[:, :3, 3].T, np.moveaxis(tool[:, :3, :3], 0, -1), np.ones(2))
+            sites = site_columns(self.model.model, q[:, rows], shown, sliding)
             frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
             parts = [np.zeros((0, 6, rows.stop - rows.start)), *frames]
             for unit in units:
                 part = Deflection(*(None if field is None else np.asarray(field)[..., rows] for field in unit))  # type: ignore[arg-type]
                 parts.append(columns_of(part, sites))
-            yield rows, np.concatenate(parts)
+            yield rows, sites, np.concatenate(parts)
 
     def all(self) -> Array:
         """`(number, 6, sample)` of all rows."""
-        return np.concatenate([block for _, block in self.blocks()], 2)
+        return np.concatenate([block for _, _, block in self.blocks()], 2)
 
-    def unknown(self) -> Array:
-        """`(6, sample)` m² and rad², the variance of nonparametric effects beyond the range of their drivers."""
-        variance, of = np.zeros((6, self.motion.samples)), self._deflections
-        left = [
-            (
-                site_of(effect.where, effect.component),
-                effect.unknown_at(effect.values_at(of.host_motion, of.loads)),
-            )
-            for effect in self.model.physics.effects
-            if isinstance(effect, Unnamed)
-        ]
-        if any(part.any() for _, part in left):
-            for rows, sites in self._sites():
-                for site, part in left:
-                    variance[:, rows] += sites[site] ** 2 * part[rows]
+    def variance(self, covariance: Array) -> Array:
+        """`(6, sample)` m² and rad², of predicted poses, by the covariance `(number, number)` of the model's numbers.
+
+        With that of nonparametric effects beyond the range of their drivers.
+        """
+        directions, variance = independent_directions(covariance), np.zeros((6, self.motion.samples))
+        unnamed, of = [one for one in self.model.physics.effects if isinstance(one, Unnamed)], self._deflections
+        unknown = [one.unknown_at(one.values_at(of.host_motion, of.loads)) for one in unnamed]
+        for rows, sites, J in self.blocks():
+            variance[:, rows] = np.sum(np.tensordot(directions, J, 1) ** 2, 0)
+            for effect, part in zip(unnamed, unknown, strict=True):
+                variance[:, rows] += sites[site_of(effect.where, effect.component)] ** 2 * part[rows]
         return variance
 
     def driver_values(self) -> dict[str, Array]:
@@ -364,15 +364,6 @@ class Derivatives:
             for phrase, driver in drivers.items()
             if driver.known(self._seen, on_arm)
         }
-
-    def _sites(self) -> Iterator[tuple[slice, dict[Site, Array]]]:
-        """Rows after rows, and how their poses `(6, row)` change with a unit deflection at each site."""
-        q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
-        for first in range(0, q.shape[1], _ROWS_AT_ONCE):
-            rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
-            tool = rigid_tool(self.model.model, q[:, rows], sliding)
-            shown = Measured(tool[:, :3, 3].T, np.moveaxis(tool[:, :3, :3], 0, -1), np.ones(2))
-            yield rows, site_columns(self.model.model, q[:, rows], shown, sliding)
 
     def _units(self) -> list[Deflection]:
         """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
@@ -419,7 +410,7 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
     change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
     beyond = recorded.beyond(change.driver_values())
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
-    estimated = estimated_variance(change, known.covariance) + change.unknown()
+    estimated = change.variance(known.covariance)
     variance, outside = widened(estimated, known, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions)
     outside |= (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
     if known.typical is not None:
@@ -428,14 +419,6 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
             outside |= np.sqrt(variance[rows].mean(0)) > SPARSE * usual
     std = np.sqrt(variance)
     return std[:3].T, std[3:].T if model.orientation else None, outside
-
-
-def estimated_variance(change: Derivatives, covariance: Array) -> Array:
-    """`(6, sample)` m² and rad², of predicted poses, by the covariance `(number, number)` of a model's numbers."""
-    directions, variance = independent_directions(covariance), np.zeros((6, change.motion.samples))
-    for rows, J in change.blocks():
-        variance[:, rows] = np.sum(np.tensordot(directions, J, 1) ** 2, 0)
-    return variance
 
 
 _beyond = jax.jit(Physics.beyond, static_argnums=0)

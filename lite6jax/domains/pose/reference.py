@@ -240,8 +240,7 @@ def compare(
     base = chains[0] if known else common.chain
     corrected = _corrected(recording, reference, arm, common, base.kinematics)
     if not exactly:
-        corrected = _with_common_declarations(corrected, common.fitted, reference.settings)
-        corrected = _relative_temperature(corrected, reference)
+        corrected = _relative_to(reference, corrected, common.fitted)
     factory = None
     if shared is not None:
         factory = FactoryCalibration(shared.chain.kinematics, arm, arm.T_joint_flange, reference.source)
@@ -336,32 +335,23 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
     return replace(recording, position=position, quaternion=quaternion, settings=replace(settings, **combined))
 
 
-def _with_common_declarations(
-    recording: Recording, fitted: tuple[bool, bool], reference: RecordingSettings
-) -> Recording:
-    """With frame and tool declared only where both recordings declare them: a fitted one is not in the difference."""
+def _relative_to(reference: Recording, recording: Recording, fitted: tuple[bool, bool]) -> Recording:
+    """With frame and tool declared only where both declare them, and temperatures relative to the reference's.
+
+    A fitted frame or tool is not in the difference, and an expansion of both acts by that of the temperatures.
+    """
     settings = recording.settings
-    if fitted[0] or reference.tool == "unknown":
+    if fitted[0] or reference.settings.tool == "unknown":
         settings = replace(settings, tool="unknown")
-    if fitted[1] or reference.pose_frame == "unknown":
+    if fitted[1] or reference.settings.pose_frame == "unknown":
         settings = replace(settings, pose_frame="unknown")
-    return replace(recording, settings=settings)
-
-
-def _relative_temperature(recording: Recording, reference: Recording) -> Recording:
-    """Temperatures relative to the reference's, as an expansion of both acts by the difference."""
-    other, own = _temperature(reference), _temperature(recording)
-    if other is None or own is None:
-        return recording
-    mean = float(other.mean())
-    rise = other - mean
-    joints, ambient = recording.joint_temperature, recording.ambient_temperature
-    return replace(
-        recording,
-        joint_temperature=None if joints is None else joints - rise[:, None],
-        ambient_temperature=None if ambient is None else ambient - rise,
-        settings=replace(recording.settings, reference_temperature_degC=mean),
-    )
+    other, joints, ambient = _temperature(reference), recording.joint_temperature, recording.ambient_temperature
+    if other is not None and _temperature(recording) is not None:
+        mean = float(other.mean())
+        settings = replace(settings, reference_temperature_degC=mean)
+        joints = None if joints is None else joints - (other - mean)[:, None]
+        ambient = None if ambient is None else ambient - (other - mean)
+    return replace(recording, joint_temperature=joints, ambient_temperature=ambient, settings=settings)
 
 
 def _temperature(recording: Recording) -> Array | None:
@@ -403,13 +393,9 @@ def _chains(recording: Recording, reference: Recording, arm: Arm) -> list[_Chain
         if (path := side.settings.factory_path(Path(side.source).parent)) is not None
     ]
 
-    def kind_of(table: str) -> str:
-        if table not in bundled_arms():
-            return "nominal_table"
-        return "ros_default_table" if table in VARIANTS else "published_table"
-
+    kind_of = {name: "ros_default_table" if name in VARIANTS else "published_table" for name in bundled_arms()}
     tables = [arm, *(one for one in tables_of_model(arm.name) if one.name != arm.name and one.dof == arm.dof)]
-    nominal = [_Chain(kind_of(table.name), table.name, table.kinematics) for table in tables]
+    nominal = [_Chain(kind_of.get(one.name, "nominal_table"), one.name, one.kinematics) for one in tables]
     own = 0 if recording.settings.factory_calibration is None else 1
     return [*calibrated[:own], *nominal, *calibrated[own:]]
 
@@ -505,8 +491,4 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 def _displacement(before: Array, after: Array) -> dict[str, Any]:
     """Of a frame, in the axes of where it was before."""
     T = np.linalg.inv(before) @ after
-    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": _angle(T)}
-
-
-def _angle(T: Array) -> float:
-    return float(np.linalg.norm(Rotation.from_matrix(T[:3, :3]).as_rotvec()))
+    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": float(Rotation.from_matrix(T[:3, :3]).magnitude())}

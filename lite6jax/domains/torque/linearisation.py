@@ -27,12 +27,8 @@ _BETWEEN = 2
 def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
     """The problem at the inertial numbers that fit best beside the effects that every arm has.
 
-    Without these they would be those of an arm whose weight does what friction does, and so would its loads be.
-
-    Args:
-        problem: at the declared numbers.
-        options: thresholds.
-        training: `(sample,)` bool; all that are valid where not given.
+    Without these they would be those of an arm whose weight does what friction does, and so would its loads be. The
+    `training` `(sample,)` bool is all that is valid where not given.
     """
     if not len(problem.directions):
         return problem
@@ -40,33 +36,28 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     return problem.relinearised(fit(problem, _everywhere(problem), options, training=training).nuisance)
 
 
-def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
+def with_likely_prior(problem: TorqueProblem, options: EngineOptions) -> TorqueProblem:
     """The problem with a likely width of the prior of inertial numbers, where these are unknown.
 
     Widths are compared by their marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992) in
     the noise model of what the widest leaves. Of those that the data do not distinguish from the most likely one it is
     the widest: a prior that is too narrow leaves torques of the links, which then look like ripple or springs.
-
-    Args:
-        problem: with the prior as declared.
-        options: thresholds.
-        training: `(sample,)` bool; all that are valid where not given.
     """
     if not len(problem.directions) or problem.data.recording.settings.inertial != "unknown":
         return problem
-    terms, training = _everywhere(problem), problem.valid if training is None else training
+    terms = _everywhere(problem)
 
     def of_width(width: float) -> TorqueProblem:
         return replace(problem, precision=problem.precision / width**2)
 
     widest = of_width(_WIDTHS[-1])
-    noise = remaining_noise_model(widest, fit(widest, terms, options, training=training), options)
-    found = fit(widest, terms, options, training=training, noise=noise)
+    noise = remaining_noise_model(widest, fit(widest, terms, options, training=problem.valid), options)
+    found = fit(widest, terms, options, training=problem.valid, noise=noise)
     time = max(longest_time(widest, found, options), 1.0)
 
     def judged(width: float) -> float:
         each = of_width(width)
-        return _evidence(each, fit(each, terms, options, training=training, noise=noise), time)
+        return _evidence(each, fit(each, terms, options, training=problem.valid, noise=noise), time)
 
     evidence = {width: judged(width) for width in _WIDTHS[:-1]} | {_WIDTHS[-1]: _evidence(widest, found, time)}
     least = max(evidence.values()) - options.close

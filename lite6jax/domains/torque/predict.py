@@ -1,4 +1,4 @@
-"""The torques of a diagnosed arm's motors in any motion, with standard deviations.
+"""What motors exert on an arm with effects, and the torques that sensors show in any motion with standard deviations.
 
 Those follow as of predicted poses, but are of what a sensor shows: its noise is part of them.
 """
@@ -10,20 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
-from lite6jax.domains.torque.composition import (
-    composed,
-    delayed,
-    exerted,
-    joints_of,
-    offsets_of,
-    pairs,
-    read_driver,
-    scales_of,
-    slope_of_delayed,
-    slopes,
-    unit_torques,
-)
-from lite6jax.domains.torque.filtering import evenly_timed
+from lite6jax.domains.torque.filtering import evenly_timed, interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
     ReferenceOrigin,
@@ -34,8 +21,18 @@ from lite6jax.domains.uncertainty import (
     independent_directions,
     widened,
 )
-from lite6jax.effects.drivers import joint_driver
-from lite6jax.effects.dynamic import Delaying, Dynamics, Scaling, UnnamedTorque
+from lite6jax.effects.drivers import Driver, joint_driver
+from lite6jax.effects.dynamic import (
+    Delaying,
+    Dynamics,
+    JointTorque,
+    Scaling,
+    TorqueEffect,
+    TorqueLag,
+    UnnamedTorque,
+    direction,
+)
+from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording
@@ -47,6 +44,134 @@ Runs = NDArray[np.integer]
 
 _LEAST = {"position": (0.02, "rad"), "velocity": (0.02, "rad/s"), "acceleration": (0.2, "rad/s²")}
 """Quantities whose ranges are kept for every joint: the range of a joint that rests, and its unit."""
+_LINE = 10
+"""Samples over which the slope is taken by which delayed torques go on beyond the ends of a run."""
+_STEP = 1e-4
+"""Of a number's typical size, by which it is changed for a derivative."""
+
+# ------------------------------------------------------------------ what motors exert and sensors show
+
+
+def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
+    """The effects that are the terms of a torque problem, each with the place of its numbers."""
+    found = []
+    for term, part in zip(terms.terms, terms.slices, strict=True):
+        assert isinstance(term, TorqueEffect)
+        found.append((term, part))
+    return found
+
+
+def exerted(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
+    total = dynamics.declared
+    for effect, part in pairs(terms):
+        if not isinstance(effect, Scaling | Delaying):
+            total = total + effect.torque(np.asarray(values[part], float), dynamics)
+    return total
+
+
+def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
+    total = exerted(terms, values, dynamics)
+    return scales_of(terms, values, len(total)) * total
+
+
+def scales_of(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint, 1)`, the measured torque over the true one."""
+    scale = np.ones((joints, 1))
+    for effect, part in pairs(terms):
+        if isinstance(effect, Scaling):
+            scale[effect.joint - 1] += values[part][0]
+    return scale
+
+
+def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint,)` s by which each joint's torques belong to a later motion than their stamps say."""
+    total = np.zeros(joints)
+    for effect, part in pairs(terms):
+        if isinstance(effect, Delaying):
+            total += effect.offset(float(values[part][0]), joints)
+    return total
+
+
+def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+    """Torques at another time than that of each sample, `(joint, sample)` Nm.
+
+    Beyond the ends of a run they go on along the line through some samples: a cubic would follow their noise.
+
+    Args:
+        torque: `(joint, sample)` Nm; those of runs that are too short to say stay as they are.
+        offsets: `(joint,)` s after the sample.
+        time: `(sample,)` s.
+        runs: `(sample,)`, the run of each sample.
+    """
+    value = np.array(torque)
+    for offset in set(offsets[offsets != 0].tolist()):
+        joints = np.flatnonzero(offsets == offset)
+        for rows, spline in interpolant(torque[joints], time, runs):
+            t, part = time[rows], torque[joints, rows]
+            at = np.clip(t + offset, t[0], t[-1])
+            beyond, found = t + offset - at, spline(at)
+            if beyond.any():
+                near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
+                along = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
+                found = np.where(beyond != 0, part[:, [far]] + along[:, None] * beyond, found)
+            value[joints, rows] = found
+    return value
+
+
+def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+    """The derivatives by time of what `delayed` gives, `(joint, sample)` Nm/s; zero of runs that are too short."""
+    slope = np.zeros(torque.shape)
+    for offset in set(offsets.tolist()):
+        joints = np.flatnonzero(offsets == offset)
+        for rows, spline in interpolant(torque[joints], time, runs):
+            t = time[rows]
+            slope[joints, rows] = spline(np.clip(t + offset, t[0], t[-1]), 1)
+    return slope
+
+
+def joints_of(effect: TorqueEffect) -> slice:
+    """The joints, of all, that an effect acts on: most effects act on one."""
+    return slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque | TorqueLag) else slice(None)
+
+
+def unit_torques(effect: TorqueEffect, dynamics: Dynamics) -> Array:
+    """Torques `(number, joint, sample)` by each number of a linear effect, of `joints_of` it."""
+    if isinstance(effect, UnnamedTorque):
+        return effect.functions_of(dynamics)[:, None]
+    if isinstance(effect, JointTorque):
+        return np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)])[:, None]
+    return np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)])
+
+
+def slopes(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
+    """`(number, joint, sample)` Nm by each number of an effect that is not linear, by central differences."""
+    found = []
+    for k, number in enumerate(effect.coordinates):
+        step = np.eye(effect.size)[k] * _STEP * number.typical
+        up, down = (effect.torque(values + sign * step, dynamics) for sign in (1, -1))
+        found.append((up - down) / (2 * step[k]))
+    return np.stack(found)
+
+
+def motion_of_joint(j: int, velocity: Array, slides: Flags) -> Motion:
+    """The motion through zero in which joint j alone, from 0, moves, by velocities `(sample,)` rad/s, or m/s.
+
+    `slides` `(joint,)` is true for prismatic joints.
+    """
+    moving = np.where(np.arange(len(slides))[:, None] == j, velocity, 0.0)
+    still = motion_of(np.zeros(moving.shape).T, sliding=tuple(np.flatnonzero(slides).tolist()))
+    return still._replace(joint_velocity=moving, direction=direction(moving, slides))  # type: ignore[arg-type]
+
+
+def read_driver(driver: Driver, dynamics: Dynamics) -> Array | None:
+    """`(sample,)` in the driver's unit; None where the motion or the loads do not contain it."""
+    loads = dynamics.loads if driver.loaded else None
+    return np.asarray(driver.values(dynamics.motion, loads)) if driver.known(dynamics.motion, loads) else None
+
+
+# ------------------------------------------------------------------ the model of a diagnosis
 
 
 @final
@@ -77,7 +202,7 @@ class DiagnosedMotors:
     reference: ReferenceOrigin | None = None
 
     def __repr__(self) -> str:
-        effects = ", ".join(str(getattr(term, "label", term)) for term in self.terms.terms) or "no effects"
+        effects = ", ".join(effect.label for effect, _ in pairs(self.terms)) or "no effects"
         return f"model of the motors of a {self.arm.name} with {effects}"
 
     @property
@@ -130,11 +255,12 @@ class TorquePrediction(PublicResult):
 
         Those of prismatic joints are `tau3_N` and `tau3_std_N`.
         """
-        columns: dict[str, Array | NDArray[np.integer]] = {}
-        for name, values in (("tau{}", self.torque), ("tau{}_std", self.std)):
-            if values is not None:
-                for j, row in enumerate(values.T):
-                    columns[f"{name.format(j + 1)}_{joint_unit('Nm', j in self.sliding)}"] = row
+        parts = [("", self.torque)] if self.std is None else [("", self.torque), ("_std", self.std)]
+        columns: dict[str, Array | NDArray[np.integer]] = {
+            f"tau{j + 1}{std}_{joint_unit('Nm', j in self.sliding)}": row
+            for std, values in parts
+            for j, row in enumerate(values.T)
+        }
         return columns if self.outside is None else columns | {"outside": self.outside.astype(int)}
 
 
@@ -144,7 +270,12 @@ def predicted_torques(model: DiagnosedMotors, motion: Recording) -> TorquePredic
         raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
     # filters need even times
     even = motion if motion.motion == "static" else evenly_timed(motion).recording
-    bodies, runs = _along(model, even)
+    bodies, chosen, _ = bodies_of(even, model.arm)
+    runs = chosen.runs
+    for driver in (driver for effect, _ in pairs(model.terms) for driver in effect.drivers):
+        if not driver.loaded and not driver.known(bodies.motion, None):
+            raise InputError(f"{even.source}: has no {driver.phrase}; give {driver.remedy}")
+    bodies = replace(bodies, links=model.links, payload_center=model.payload_center, gravity=model.gravity)
     dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
     torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
     if model.uncertainty is None:
@@ -173,30 +304,10 @@ def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:
     return found
 
 
-def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, Runs]:
-    """The dynamics of the model's links along a motion, and the run of each sample."""
-    bodies, chosen, _ = bodies_of(recording, model.arm)
-    for effect in model.terms.terms:
-        for driver in getattr(effect, "drivers", ()):
-            if not driver.loaded and not driver.known(bodies.motion, None):
-                raise InputError(f"{recording.source}: has no {driver.phrase}; give {driver.remedy}")
-    moved = replace(bodies, links=model.links, payload_center=model.payload_center, gravity=model.gravity)
-    return moved, chosen.runs
-
-
 def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
-    """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say.
-
-    Args:
-        terms: effects.
-        values: `(terms.size,)`.
-        dynamics: of the arm without them.
-        time: `(sample,)` s.
-        runs: `(sample,)`, the run of each sample.
-    """
+    """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say: times and runs as of `delayed`."""
     torque = composed(terms, values, dynamics)
-    offsets = offsets_of(terms, values, len(torque))
-    return delayed(torque, offsets, time, runs)
+    return delayed(torque, offsets_of(terms, values, len(torque)), time, runs)
 
 
 def _bars(
@@ -261,18 +372,8 @@ def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
     """
     effects = (effect for effect, _ in pairs(terms) if not isinstance(effect, Delaying))
     drivers = {driver.phrase: driver for effect in effects for driver in effect.drivers}
-    found = {
-        phrase: read_driver(driver, dynamics)
-        for phrase, driver in drivers.items()
-        if driver.generalised not in (*_LEAST, "direction of motion")
-    }
-    return {phrase: values for phrase, values in found.items() if values is not None}
-
-
-def states_of(dynamics: Dynamics) -> Array:
-    """`(3, joint, sample)`: position, velocity and acceleration of each joint."""
-    m = dynamics.motion
-    return np.stack([np.asarray(part) for part in (m.joint_position, m.joint_velocity, m.joint_acceleration)])
+    kept = [one for one in drivers.values() if one.generalised not in (*_LEAST, "direction of motion")]
+    return {one.phrase: values for one in kept if (values := read_driver(one, dynamics)) is not None}
 
 
 def with_free_numbers(terms: Terms, values: Array) -> tuple[Terms, Array]:

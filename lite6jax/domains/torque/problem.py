@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
-from lite6jax.domains.torque.composition import (
+from lite6jax.domains.torque.predict import (
     delayed,
     joints_of,
     offsets_of,

@@ -18,11 +18,7 @@ from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import compensate
-from lite6jax.domains.pose.predict import (
-    SPARSE,
-    Derivatives,
-    estimated_variance,
-)
+from lite6jax.domains.pose.predict import SPARSE, Derivatives
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.domains.predict import predict, predicted
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, freed
@@ -167,7 +163,7 @@ def test_the_covariance_is_that_of_the_fit(arm, found, model):
     flat = J.reshape(len(J), -1)
     G = np.linalg.pinv(flat @ flat.T, rcond=1e-14, hermitian=True)
     wanted = np.einsum("ias,ij,jas->as", J, G, J) * np.repeat(np.square(NOISE), 3)[:, None]
-    ours = estimated_variance(change, known.covariance)
+    ours = change.variance(known.covariance)
     np.testing.assert_allclose(np.sqrt(ours / wanted), 1.0, atol=0.15)  # the scale of the noise is estimated
 
 

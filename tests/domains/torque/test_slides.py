@@ -21,7 +21,7 @@ from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.predict import predict
-from lite6jax.domains.torque.composition import composed
+from lite6jax.domains.torque.predict import composed
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.reference import compare_rows
 from lite6jax.domains.torque.rows import RigidBodies

@@ -10,7 +10,7 @@ from domains.torque.moved import CENTER, GRAVITY, hidden, motion_of, setup_of
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.domains.torque.composition import composed
+from lite6jax.domains.torque.predict import composed
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.effects.catalogue import TORQUE_EFFECTS, torque_catalogue
 from lite6jax.effects.dynamic import (
