@@ -415,17 +415,6 @@ def sweep_order(form: Form) -> np.ndarray:
     return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
 
 
-def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
-    """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
-    of_base, steps = _in_order(form, parameters)
-
-    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
-        frame, _ = form.step(frame, *at)
-        return frame, frame
-
-    return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
-
-
 def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
     """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
     if form.walking_order.max() == form.size:  # a parameter that is always zero
