@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, positive, symmetric
+from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, final_effect, positive, symmetric
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Process, require_process
 from lite6jax.effects.statics import Loads, point_mass
@@ -194,8 +194,7 @@ LINEAR = 1.0
 """The exponent of viscous friction in proportion to the speed."""
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class ViscousFriction(JointTorque):
     """τ += b·q̇·|q̇|ⁿ⁻¹, with q̇ in rad/s or m/s, so that b is the friction over the velocity at 1 rad/s or 1 m/s.
 
@@ -221,17 +220,13 @@ class ViscousFriction(JointTorque):
         Coordinate("exponent", "1", 0.1, lower=EXPONENT[0], upper=EXPONENT[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         n = max(values[1], 1e-9) if self.exponent is None else self.exponent
         speed = dynamics.velocity(self.joint)
         return values[0] * np.sign(speed) * np.abs(speed) ** n
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class CoulombFriction(JointTorque):
     """τ += c·tanh(q̇/v): c·sign(q̇) but near standstill, where friction of gears and belts turns within a speed v.
 
@@ -256,16 +251,12 @@ class CoulombFriction(JointTorque):
         Coordinate("transition_rad_per_s", "rad/s", 0.1, lower=TRANSITION[0], upper=TRANSITION[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.transition_rad_per_s is None else self.transition_rad_per_s
         return values[0] * dynamics.direction(self.joint, v)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class StribeckFriction(JointTorque):
     """τ += s·exp(−(q̇/v)²)·sign(q̇), beside Coulomb friction.
 
@@ -288,17 +279,13 @@ class StribeckFriction(JointTorque):
         Coordinate("velocity_rad_per_s", "rad/s", 0.01, lower=STRIBECK[0], upper=STRIBECK[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.velocity_rad_per_s is None else self.velocity_rad_per_s
         speed = dynamics.velocity(self.joint)
         return values[0] * np.exp(-((speed / v) ** 2)) * dynamics.direction(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LoadFriction(JointTorque):
     """τ += μ·|τ_rigid|·sign(q̇): friction of a gear in proportion to its load."""
 
@@ -311,8 +298,7 @@ class LoadFriction(JointTorque):
         return values[0] * np.abs(dynamics.torque[self.joint - 1]) * dynamics.direction(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class FrictionTemperature(JointTorque):
     """τ += k·(T − T₀)·q̇, T the temperature of this joint; k is negative where grease becomes thinner."""
 
@@ -326,8 +312,7 @@ class FrictionTemperature(JointTorque):
         return values[0] * rise * dynamics.velocity(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class CoupledFriction(OfJoint, TorqueEffect):
     """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that drives both.
 
@@ -367,8 +352,7 @@ class CoupledFriction(OfJoint, TorqueEffect):
 # ------------------------------------------------------------------ motors, gears and their sensors
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueOffset(JointTorque):
     """τ += o: the zero offset of a torque sensor or of a current."""
 
@@ -380,8 +364,7 @@ class TorqueOffset(JointTorque):
         return np.full(dynamics.motion.samples, values[0])
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueScale(Scaling):
     """The measured torque is 1 + s times the true one, friction included: a wrong torque constant or gear ratio."""
 
@@ -395,8 +378,7 @@ class TorqueScale(Scaling):
         return values[0] * dynamics.torque[self.joint - 1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class RotorInertia(JointTorque):
     """τ += I·q̈, of the rotor, reflected to the joint; of a prismatic joint I is a mass."""
 
@@ -410,8 +392,7 @@ class RotorInertia(JointTorque):
         return values[0] * np.asarray(dynamics.motion.joint_acceleration)[self.joint - 1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointSpring(JointTorque):
     """τ += k·(q − q₀): a cable, a hose, a balancer.
 
@@ -448,8 +429,7 @@ class JointSpring(JointTorque):
         return values[0] * dynamics.position(self.joint) + values[1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueRipple(Wave, JointTorque):
     """τ += A·sin(n·q + φ): cogging, gear mesh; of a prismatic joint F += A·sin(2π·q/p + φ): a screw's lead p.
 
@@ -466,9 +446,6 @@ class TorqueRipple(Wave, JointTorque):
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     amplitude: ClassVar[Coordinate] = symmetric("_Nm", "Nm", 0.1, _TORQUE)
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     @property
     def period_m(self) -> float | None:  # as the parameter is called in files
         """The length after which the force of a prismatic joint repeats; None where no order is fixed, or in turns."""
@@ -478,8 +455,7 @@ class TorqueRipple(Wave, JointTorque):
         return np.asarray(self.of_position(values, dynamics.position(self.joint)))  # type: ignore[arg-type]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueTimeOffset(Delaying):
     """The torque stamped t belongs to the motion at t + offset."""
 
@@ -492,8 +468,7 @@ class TorqueTimeOffset(Delaying):
         return np.full(joints, value)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueLag(OfJoint, Delaying):
     """The torque of one joint stamped t belongs to the motion at t − lag: its drive filters or sends it."""
 
@@ -582,8 +557,7 @@ class OfLink(TorqueEffect, ABC):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkMass(OfLink):
     """A link's mass differs from the declared one; its centre of mass does not."""
 
@@ -596,8 +570,7 @@ class LinkMass(OfLink):
         return point_mass(float(values[0]), own[1:4] / own[0] if own[0] > 0 else np.zeros(3))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkCom(OfLink):
     """A link's centre of mass is displaced, in the axes of its frame; its mass is as declared."""
 
@@ -612,19 +585,15 @@ class LinkCom(OfLink):
         return first_moment(m * np.asarray(values, float), center)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadTorque(TorqueEffect):
     """The mass at the flange differs from the declared one, at the declared centre of mass."""
 
     name: ClassVar[str] = "payload_error"
     specificity: ClassVar[int] = 2
     at: ClassVar[str] = "payload"
+    quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, _MASS),)
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("acceleration", 1),)
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         change = np.zeros_like(dynamics.links)
@@ -632,8 +601,7 @@ class PayloadTorque(TorqueEffect):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadBody(TorqueEffect):
     """Another body at the flange: a mass, and its centre, in m from the declared payload's, in the last link's axes.
 
@@ -643,6 +611,7 @@ class PayloadBody(TorqueEffect):
     name: ClassVar[str] = "payload"
     specificity: ClassVar[int] = 3
     at: ClassVar[str] = "payload"
+    quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         symmetric("mass_kg", "kg", 0.1, _MASS, linear=False),
         *(symmetric(f"moment_{a}_kg_m", "kg m", 1e-2, _MASS * PAYLOAD_LENGTH, linear=False) for a in "xyz"),
@@ -651,10 +620,6 @@ class PayloadBody(TorqueEffect):
     @property
     def parameters(self) -> tuple[str, ...]:
         return "mass_kg", "x_m", "y_m", "z_m"
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("acceleration", 1),)
 
     @property
     def includes(self) -> tuple[Effect, ...]:
@@ -682,8 +647,7 @@ class PayloadBody(TorqueEffect):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class BaseTilt(TorqueEffect):
     """The base is tilted from what is declared, by small rotations about x and y: g ← R(tilt)ᵀ g."""
 
@@ -700,8 +664,7 @@ class BaseTilt(TorqueEffect):
 # ------------------------------------------------------------------ a process, and what the arm declares
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class UnnamedTorque(Process, JointTorque):
     """τ += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
 

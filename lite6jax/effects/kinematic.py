@@ -5,8 +5,7 @@ a value. Those of prismatic joints follow from a lever (`arms.arm.LEVER`).
 """
 
 from abc import ABC
-from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from lite6jax.effects.effect import (
     JointEffect,
     Loading,
     Wave,
+    final_effect,
     positive,
     symmetric,
 )
@@ -50,8 +50,7 @@ class _Proportional(JointEffect, ABC):
         return values[0] * self.drivers[0].values(motion, loads)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointOffset(JointEffect):
     """δq = c: the encoder's zero is elsewhere."""
 
@@ -64,8 +63,7 @@ class JointOffset(JointEffect):
         return library_of(values).broadcast_to(values[0], (motion.samples,))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointScale(_Proportional):
     """δq = s·q: the encoder's radian is another.
 
@@ -78,8 +76,7 @@ class JointScale(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("scale", "1", 1e-4, _RATIO),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointCompliance(_Proportional):
     """δq = c·τ: the gear gives way to the torque that gravity exerts on it.
 
@@ -92,8 +89,7 @@ class JointCompliance(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (positive("compliance_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointHarmonic(Wave, JointEffect):
     """δq = A·sin(n·q + φ): eccentric encoders and gears (n = 1, 2), gear teeth and wave generators (n up to 400).
 
@@ -111,9 +107,6 @@ class JointHarmonic(Wave, JointEffect):
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     amplitude: ClassVar[Coordinate] = symmetric("_rad", "rad", 1e-4, _WAVE)
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     @property
     def chosen(self) -> float | None:
         """The order, unless it is one of the two that are candidates of their own."""
@@ -123,8 +116,7 @@ class JointHarmonic(Wave, JointEffect):
         return self.of_position(values, self.drivers[0].values(motion, loads))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointLag(JointEffect):
     """δq = −lag·dq: the joint is behind what its encoder says."""
 
@@ -138,8 +130,7 @@ class JointLag(JointEffect):
         return -values[0] * self.drivers[0].values(motion, loads)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointCoupling(_Proportional):
     """δq = k·q_source: another joint's motion leaks into this one's, as through a shared gear or cable.
 
@@ -163,8 +154,7 @@ class JointCoupling(_Proportional):
         return (joint_driver("position", self.source_joint, self.of_slide),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointThermalOffset(_Proportional):
     """δq = k·(T − T₀): the encoder's zero moves with the joint's own temperature, or with that of the surroundings."""
 
@@ -175,8 +165,7 @@ class JointThermalOffset(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_rad_per_K", "rad/K", 1e-6, 1e-3),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointWarmUp(JointEffect):
     """δq = A·(1 − exp(−time/τ)): the joint warms up from time 0, and nobody records its temperature.
 
@@ -198,9 +187,6 @@ class JointWarmUp(JointEffect):
         Coordinate("time_constant_s", "s", 1e3, lower=WARM_UP[0], upper=WARM_UP[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
         xp, time = library_of(values, motion.time), self.drivers[0].values(motion, loads)
@@ -219,8 +205,7 @@ _FRICTION = positive("friction_torque_Nm", "Nm", 0.1, 1e3, linear=False)
 """No motor of such an arm would turn a joint with more."""
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointBacklash(JointEffect):
     """δq = ½·gap·sign(τ − f·direction): gravity presses the gear to a flank, unless friction f carries it to the other.
 
@@ -238,10 +223,8 @@ class JointBacklash(JointEffect):
     specificity: ClassVar[int] = 3
     fixed: ClassVar[str | None] = "friction_torque_Nm"
     searched: ClassVar[bool] = True
+    may_be_zero: ClassVar[bool] = True
     numbers: ClassVar[tuple[Coordinate, ...]] = (_GAP,)
-
-    def __post_init__(self) -> None:
-        self.require_fixed(zero=True)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -263,8 +246,7 @@ class JointBacklash(JointEffect):
         return 0.5 * values[0] * library_of(pressing).sign(pressing)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class _FreeBacklash(JointEffect):
     """A `JointBacklash` whose friction is fitted as well; never in a file, where friction is fixed."""
 
@@ -280,8 +262,7 @@ class _FreeBacklash(JointEffect):
         return 0.5 * values[0] * (jnp.sign(pressed) + ramp - lax.stop_gradient(ramp))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointWindup(JointEffect):
     """δq = c·p(τ): p is the play operator of half-width f on gravity's torque. Dry friction f holds the gear back.
 
@@ -300,14 +281,12 @@ class JointWindup(JointEffect):
     """It depends on the samples before."""
     fixed: ClassVar[str | None] = "friction_torque_Nm"
     searched: ClassVar[bool] = True
+    may_be_zero: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("gravity torque",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         positive("compliance_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE),
         _FRICTION,
     )
-
-    def __post_init__(self) -> None:
-        self.require_fixed(zero=True)
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         torque = self.drivers[0].values(motion, loads)
@@ -336,8 +315,7 @@ class _Tilting(Bending, ABC):
         return twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkCompliance(_Tilting):
     """A link's frame rotates about its x and y axes by a compliance times the moment of gravity about them.
 
@@ -359,8 +337,7 @@ class LinkCompliance(_Tilting):
         return Deflection(link=place_at_joint(motion.dof, self.link, self.tilt(values, motion, loads)))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkThermalExpansion(Bending):
     """The vector from a link's frame to the origin of the next joint grows by α times the temperature rise.
 
@@ -389,8 +366,7 @@ class LinkThermalExpansion(Bending):
         return Deflection(stretch=place_at_joint(motion.dof, self.link + 1, growth))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class FrameOffset(Bending):
     """A constant twist of a link's frame, after its joint's rotation and in its own axes, or of the base frame.
 
@@ -417,8 +393,7 @@ class FrameOffset(Bending):
         return Deflection(link=place_at_joint(motion.dof, self.link, displaced))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class AxisWobble(Bending):
     """A joint's frame tilts about its x and y, before the joint's rotation, by Fourier series in the joint's position.
 
@@ -458,8 +433,7 @@ class AxisWobble(Bending):
 # ------------------------------------------------------------------ base, tool and sensor
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class BaseCompliance(Bending):
     """The base tilts about its x and y axes by a compliance times the moment of links and payload about them.
 
@@ -518,8 +492,7 @@ class _Drifting(Bending, ABC):
         return twist(motion.samples, *(velocity * time for velocity in values))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class BaseDrift(_Drifting):
     """The base drifts relative to the sensor at a constant velocity, in the base's axes, from zero at time 0."""
 
@@ -532,8 +505,7 @@ class BaseDrift(_Drifting):
         return Deflection(base=self.drift(values, motion, loads))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class SensorDrift(_Drifting):
     """All that the sensor shows drifts at a constant velocity, in the sensor's axes, from zero at time 0.
 
@@ -552,8 +524,7 @@ class SensorDrift(_Drifting):
         return Deflection(sensor=self.drift(values, motion, loads))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class ToolOffset(Bending):
     """The measured point is displaced on the flange, along the flange's axes.
 
@@ -576,8 +547,7 @@ class ToolOffset(Bending):
         return Deflection(tool=twist(motion.samples, *values))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class ToolCompliance(_Tilting):
     """What is on the flange rotates about the flange's x and y by a compliance times the payload's moment about them.
 
@@ -599,8 +569,7 @@ class ToolCompliance(_Tilting):
         return Deflection(tool=self.tilt(values, motion, loads))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class MeasurementScale(Bending):
     """Positions measured by the sensor are scaled: p ← (1 + s)·p."""
 
@@ -616,20 +585,16 @@ class MeasurementScale(Bending):
 # ------------------------------------------------------------------ clock, payload and gravity
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TimeOffset(Altering):
     """The pose with the time stamp t is that of the arm (joints, velocities, loads) at t + offset."""
 
     name: ClassVar[str] = "time_offset"
     specificity: ClassVar[int] = 6
     at: ClassVar[str] = "clock"
+    quantities: ClassVar[tuple[str, ...]] = ("time", "velocity of joint 1")
     # more is another recording
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_s", "s", 1e-2, 60.0),)
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("time"), Driver("velocity", 1))
 
     def alter(self, values: Array, motion: Motion) -> Motion:
         return motions.shifted(motion, values[0])
@@ -638,8 +603,7 @@ class TimeOffset(Altering):
         return motions.beyond(motion, values[0])
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadError(Loading):
     """The payload differs from the declared mass; it is observable only through a compliance."""
 
@@ -653,12 +617,8 @@ class PayloadError(Loading):
     def alter(self, values: Array, motion: Motion) -> Motion:
         return motion._replace(payload=motion.payload + values[0])
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
-        return inertia
 
-
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadCom(Loading):
     """The payload's centre of mass is elsewhere than declared, along the flange's axes; seen through a compliance."""
 
@@ -672,8 +632,7 @@ class PayloadCom(Loading):
         return inertia._replace(payload_center=inertia.payload_center + values)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class GravityDirection(Loading):
     """Gravity as declared is turned by a small rotation about the base's x and y; seen through a compliance.
 

@@ -1,9 +1,8 @@
 """Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
 import re
-from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from lite6jax.deferred import Array, jnp
 from lite6jax.effects import kernels
 from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
 from lite6jax.effects.drivers import Driver, driver_of
-from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.effect import Bending, Coordinate, final_effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -145,8 +144,7 @@ class Process:
         return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class Unnamed(Process, Bending):
     """δ = Σ coefficient · φ(drivers): a Gaussian process of one driver or of two, at one component of a site.
 

@@ -160,6 +160,7 @@ def loads(
     rates = (still, still) if velocity is None or acceleration is None else (velocity, acceleration)
     links = point_mass(inertia.mass, inertia.center_of_mass)[..., None]
     carried = point_mass(payload, jnp.broadcast_to(inertia.payload_center, (len(payload), 3))).T
-    force, *moments = wrenches(kinematics.reshape(-1, 6), links, joint, *rates, inertia.gravity, form.sliding, carried)
-    found = Loads(*(-moment for moment in moments))
-    return found._replace(axial=-force[:, 2], sliding=Sliding(form.sliding)) if form.sliding else found
+    chain, gravity, sliding = kinematics.reshape(-1, 6), inertia.gravity, form.sliding
+    force, moment, base, flange = wrenches(chain, links, joint, *rates, gravity, sliding, carried)
+    found = Loads(-moment, -base, -flange)
+    return found._replace(axial=-force[:, 2], sliding=Sliding(sliding)) if sliding else found
