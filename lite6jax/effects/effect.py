@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import Deflection, library_of, place_at_joint
+from lite6jax.effects.deflection import Deflection, library_of, place_at_site
 from lite6jax.effects.drivers import Driver, driver_of, joint_driver, place_of
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads
@@ -283,6 +283,19 @@ class Bending(Effect, ABC):
         """The deflection by `values` `(coordinate,)` in a motion."""
 
 
+class FrameEffect(Bending, ABC):
+    """An effect that displaces the frame at its site."""
+
+    @abstractmethod
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        """`(6, sample)`, the frame's twist."""
+
+    @final
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        """The twist at its site."""
+        return place_at_site(motion.dof, self.site, self.displace(values, motion, loads))
+
+
 class Altering(Effect, ABC):
     """An effect by which the arm's motion is another than the one declared, before loads and deflections follow."""
 
@@ -346,7 +359,7 @@ class JointEffect(OfJoint, Bending, ABC):
     @final
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """What adds at its joint."""
-        return Deflection(joint=place_at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))
+        return place_at_site(motion.dof, self.site, self.angle(values, motion, loads))
 
 
 def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:

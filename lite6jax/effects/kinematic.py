@@ -19,6 +19,7 @@ from lite6jax.effects.effect import (
     Bending,
     Coordinate,
     Effect,
+    FrameEffect,
     JointEffect,
     Loading,
     Wave,
@@ -306,11 +307,10 @@ _FRAME = {"m": 0.1, "rad": 0.3}
 """Of a frame's displacement: more is another arm."""
 
 
-class _Tilting(Bending, ABC):
+class _Tilting(FrameEffect, ABC):
     """A frame that rotates about its x and y axes by a compliance times the moment about each."""
 
-    def tilt(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        """`(6, sample)`, the frame's twist."""
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         return twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
 
@@ -332,10 +332,6 @@ class LinkCompliance(_Tilting):
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE) for axis in "xy"
     )
-
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(link=place_at_joint(motion.dof, self.link, self.tilt(values, motion, loads)))
-
 
 @final_effect
 class LinkThermalExpansion(Bending):
@@ -367,7 +363,7 @@ class LinkThermalExpansion(Bending):
 
 
 @final_effect
-class FrameOffset(Bending):
+class FrameOffset(FrameEffect):
     """A constant twist of a link's frame, after its joint's rotation and in its own axes, or of the base frame.
 
     Attributes:
@@ -386,11 +382,8 @@ class FrameOffset(Bending):
     def site(self) -> str:
         return "base" if self.link is None else f"link{self.link}"
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        displaced = library_of(values).broadcast_to(values[:, None], (6, motion.samples))
-        if self.link is None:
-            return Deflection(base=displaced)
-        return Deflection(link=place_at_joint(motion.dof, self.link, displaced))
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return library_of(values).broadcast_to(values[:, None], (6, motion.samples))
 
 
 @final_effect
@@ -434,7 +427,7 @@ class AxisWobble(Bending):
 
 
 @final_effect
-class BaseCompliance(Bending):
+class BaseCompliance(FrameEffect):
     """The base tilts about its x and y axes by a compliance times the moment of links and payload about them.
 
     Attributes:
@@ -466,7 +459,7 @@ class BaseCompliance(Bending):
         # a mount that gives way sideways by a centimetre under 10 Nm
         return (*tilts, *(symmetric(f"shift_{of}_m_per_Nm", "m/Nm", 1e-6, 1e-3) for of in shifts))
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         rx, ry, x, y = values[0] * about_x, values[1] * about_y, None, None
         if self.cross:
@@ -474,20 +467,19 @@ class BaseCompliance(Bending):
         if self.shift:
             xx, xy, yx, yy = values[-4:]
             x, y = xx * about_x + xy * about_y, yx * about_x + yy * about_y
-        return Deflection(base=twist(motion.samples, x, y, rx=rx, ry=ry))
+        return twist(motion.samples, x, y, rx=rx, ry=ry)
 
 
 _VELOCITY = tuple(symmetric(f"v{axis}_m_per_s", "m/s", 1e-7, 1e-3) for axis in "xyz")
 """Of a drift: more is motion."""
 
 
-class _Drifting(Bending, ABC):
+class _Drifting(FrameEffect, ABC):
     """A frame that moves at a constant velocity, from zero at time 0."""
 
     quantities: ClassVar[tuple[str, ...]] = ("time",)
 
-    def drift(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        """`(6, sample)`, the frame's twist."""
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         time = self.drivers[0].values(motion, loads)
         return twist(motion.samples, *(velocity * time for velocity in values))
 
@@ -500,10 +492,6 @@ class BaseDrift(_Drifting):
     specificity: ClassVar[int] = 13
     at: ClassVar[str] = "base"
     numbers: ClassVar[tuple[Coordinate, ...]] = _VELOCITY
-
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(base=self.drift(values, motion, loads))
-
 
 @final_effect
 class SensorDrift(_Drifting):
@@ -520,12 +508,8 @@ class SensorDrift(_Drifting):
         *(symmetric(f"w{axis}_rad_per_s", "rad/s", 1e-7, 1e-3) for axis in "xyz"),
     )
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(sensor=self.drift(values, motion, loads))
-
-
 @final_effect
-class ToolOffset(Bending):
+class ToolOffset(FrameEffect):
     """The measured point is displaced on the flange, along the flange's axes.
 
     Attributes:
@@ -543,8 +527,8 @@ class ToolOffset(Bending):
         most = {"m": 1.0, "rad": 3.2}  # any rotation
         return tuple(symmetric(name, unit, 1e-3, most[unit]) for name, unit in _TWIST[: 6 if self.turned else 3])
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(tool=twist(motion.samples, *values))
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return twist(motion.samples, *values)
 
 
 @final_effect
@@ -564,10 +548,6 @@ class ToolCompliance(_Tilting):
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, 1e-2) for axis in "xy"
     )
-
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(tool=self.tilt(values, motion, loads))
-
 
 @final_effect
 class MeasurementScale(Bending):

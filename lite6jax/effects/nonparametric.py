@@ -1,7 +1,7 @@
 """Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
 import re
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects import kernels
-from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
+from lite6jax.effects.deflection import Deflection, library_of, place_at_site, twist
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.effect import Bending, Coordinate, final_effect
 from lite6jax.effects.motion import Motion
@@ -33,12 +33,6 @@ _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 def drivers_of(phrase: str) -> tuple[Driver, ...]:
     """One driver, or two that are joined by " and "."""
     return tuple(map(driver_of, phrase.split(" and ")))
-
-
-@cache
-def place_of(where: str) -> tuple[str, int]:
-    """The kind of a site, such as `link`, and the number of a joint or link; 0 of the others."""
-    return where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
 
 
 def require_process(
@@ -213,12 +207,8 @@ class Unnamed(Process, Bending):
 
     def _at_site(self, moved: Array, motion: Motion) -> Deflection:
         """What adds `(sample,)`, where this effect is."""
-        kind, number = place_of(self.where)
-        if kind == "joint":
-            return Deflection(joint=place_at_joint(motion.dof, number, moved))
         if self.component == SCALE:
             return Deflection(scale=library_of(moved).broadcast_to(moved, (motion.samples,)))
-        displaced = twist(motion.samples, **{self.component: moved})
-        if kind == "link":
-            return Deflection(link=place_at_joint(motion.dof, number, displaced))
-        return Deflection(**{kind: displaced})
+        if not self.where.startswith("joint"):
+            moved = twist(motion.samples, **{self.component: moved})
+        return place_at_site(motion.dof, self.where, moved)
