@@ -61,11 +61,6 @@ class Physics:
         return np.array([coordinate.typical for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
-    def prior(self) -> NDArray:
-        """`(size,)`, the prior standard deviation of each coordinate about zero; infinite without prior knowledge."""
-        return np.array([coordinate.spread for effect in self.effects for coordinate in effect.coordinates])
-
-    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """The part of `values` that belongs to each effect."""
         ends = np.cumsum([0] + [effect.size for effect in self.effects]).tolist()

@@ -333,6 +333,7 @@ class LinkCompliance(_Tilting):
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE) for axis in "xy"
     )
 
+
 @final_effect
 class LinkThermalExpansion(Bending):
     """The vector from a link's frame to the origin of the next joint grows by α times the temperature rise.
@@ -493,6 +494,7 @@ class BaseDrift(_Drifting):
     at: ClassVar[str] = "base"
     numbers: ClassVar[tuple[Coordinate, ...]] = _VELOCITY
 
+
 @final_effect
 class SensorDrift(_Drifting):
     """All that the sensor shows drifts at a constant velocity, in the sensor's axes, from zero at time 0.
@@ -507,6 +509,7 @@ class SensorDrift(_Drifting):
         *_VELOCITY,
         *(symmetric(f"w{axis}_rad_per_s", "rad/s", 1e-7, 1e-3) for axis in "xyz"),
     )
+
 
 @final_effect
 class ToolOffset(FrameEffect):
@@ -548,6 +551,7 @@ class ToolCompliance(_Tilting):
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, 1e-2) for axis in "xy"
     )
+
 
 @final_effect
 class MeasurementScale(Bending):

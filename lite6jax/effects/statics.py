@@ -10,7 +10,6 @@ from lite6jax.arms.dynamics import wrenches
 from lite6jax.arms.se3 import Turn
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import library_of
-from lite6jax.effects.motion import Sliding
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -44,23 +43,19 @@ class Loads(NamedTuple):
         base_moment: `(3, sample)` about the origin of the base frame, in its axes.
         payload_moment: `(3, sample)` of the payload alone about the flange's origin, in the flange's axes; None where
             not given.
-        axial: `(joint, sample)` N, the force along the axis of each joint; None where no joint is prismatic.
-        sliding: the prismatic joints.
+        effort: `(joint, sample)`, `torque` where a joint is prismatic; None where none is.
     """
 
     moment: Array
     base_moment: Array
     payload_moment: Array | None = None
-    axial: Array | None = None
-    sliding: Sliding = Sliding()
+    effort: Array | None = None
 
     @property
     def torque(self) -> Array:
         """`(joint, sample)` N·m about the +z axis of each joint, N along it of a prismatic one; the motor exerts the
         opposite."""
-        if self.axial is None:
-            return self.moment[:, 2]
-        return jnp.where(self.sliding.mask(len(self.axial))[:, None], self.axial, self.moment[:, 2])
+        return self.moment[:, 2] if self.effort is None else self.effort
 
 
 def point_mass(mass: Any, center: Any) -> Any:
@@ -162,5 +157,5 @@ def loads(
     carried = point_mass(payload, jnp.broadcast_to(inertia.payload_center, (len(payload), 3))).T
     chain, gravity, sliding = kinematics.reshape(-1, 6), inertia.gravity, form.sliding
     force, moment, base, flange = wrenches(chain, links, joint, *rates, gravity, sliding, carried)
-    found = Loads(-moment, -base, -flange)
-    return found._replace(axial=-force[:, 2], sliding=Sliding(sliding)) if sliding else found
+    slides = np.isin(np.arange(form.dof), sliding)[:, None]
+    return Loads(-moment, -base, -flange, -jnp.where(slides, force[:, 2], moment[:, 2]) if sliding else None)
