@@ -474,15 +474,10 @@ def _parameters_of(P: Numbers) -> Numbers:
     return np.concatenate([P[..., 3:, 3], P[..., :3, 3], frames.six_entries(tensor)], -1)
 
 
-def _symmetric_basis() -> Numbers:
-    basis = np.zeros((10, 4, 4))
-    for k, (i, j) in enumerate(zip(*np.triu_indices(4), strict=True)):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return basis
-
-
-_SYMMETRIC = _symmetric_basis()
+_I, _J = np.triu_indices(4)
+_SYMMETRIC = np.zeros((10, 4, 4))
 """(10, 4, 4) an orthonormal basis of the symmetric matrices."""
+_SYMMETRIC[range(10), _I, _J] = _SYMMETRIC[range(10), _J, _I] = np.where(_I == _J, 1.0, np.sqrt(0.5))
 
 
 def _coordinates(Q: Numbers) -> Numbers:

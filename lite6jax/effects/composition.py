@@ -24,8 +24,7 @@ from lite6jax.errors import InputError
 class Physics:
     """The effects of an arm beyond its rigid model. Hashable, so that it can be a static argument of `jax.jit`.
 
-    The coordinates of all effects are concatenated in `values` `(size,)`; at zero the arm is rigid. The class has more
-    than twelve members because nine of them are one-line properties of the same concatenation.
+    The coordinates of all effects are concatenated in `values` `(size,)`; at zero the arm is rigid.
 
     Attributes:
         effects: in any order, which changes nothing but the layout of `values`; an effect may occur more than once, as

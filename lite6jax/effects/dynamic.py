@@ -8,7 +8,6 @@ of mass outside its link is evidence for something else.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
@@ -18,7 +17,7 @@ from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, final_effect, positive, symmetric
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import Process, require_process
+from lite6jax.effects.nonparametric import Process
 from lite6jax.effects.statics import Loads, point_mass
 from lite6jax.errors import InputError
 
@@ -686,14 +685,10 @@ class UnnamedTorque(Process, JointTorque):
     spread: float | None = None
     rolloff: tuple[float, ...] = ()
 
-    def __post_init__(self) -> None:
-        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
-
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
+    @property
+    def coefficient(self) -> Coordinate:
         one = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
-        one = one.at_slide() if self.of_slide else one
-        return tuple(one._replace(name=f"coefficient{k + 1}{one.name}") for k in range(self.functions))
+        return one.at_slide() if self.of_slide else one
 
     @property
     def is_friction(self) -> bool:

@@ -1,7 +1,8 @@
 """Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
 import re
-from functools import cached_property, lru_cache
+from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from lite6jax.deferred import Array, jnp
 from lite6jax.effects import kernels
 from lite6jax.effects.deflection import Deflection, library_of, place_at_site, twist
 from lite6jax.effects.drivers import Driver, driver_of
-from lite6jax.effects.effect import Bending, Coordinate, final_effect
+from lite6jax.effects.effect import Bending, Coordinate, Effect, final_effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -35,27 +36,12 @@ def drivers_of(phrase: str) -> tuple[Driver, ...]:
     return tuple(map(driver_of, phrase.split(" and ")))
 
 
-def require_process(
-    label: str, driver: str, kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...]
-) -> None:
-    """Refuses what is no Gaussian process of these drivers.
-
-    Raises:
-        InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
-    """
-    count = len(drivers_of(driver))
-    if not kernels.is_kernel(kernel, count):
-        wanted = (
-            f"one of {', '.join(kernels.KERNELS)}" if count == 1 else "two that are joined by *, such as smooth*line"
-        )
-        raise InputError(f"{label}: kernel {kernel!r} is not possible with {count} drivers; give {wanted}")
-    if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
-        raise InputError(f"{label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each")
-    if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or kernel != "spectrum"):
-        raise InputError(f"{label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
+@lru_cache(maxsize=1024)
+def _coefficients(one: Coordinate, count: int) -> tuple[Coordinate, ...]:
+    return tuple(one._replace(name=f"coefficient{k + 1}{one.name}") for k in range(count))
 
 
-class Process:
+class Process(Effect, ABC):
     """What nonparametric effects have in common: a Gaussian process f = Σ coefficient · φ(drivers).
 
     Attributes:
@@ -67,6 +53,9 @@ class Process:
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
             spread² / (1 + (k / c)ˢ).
+
+    Raises:
+        InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
     """
 
     driver: str
@@ -81,30 +70,41 @@ class Process:
     nonparametric: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
 
+    def __post_init__(self) -> None:
+        count, bounds = len(self.drivers), self.bounds
+        if not kernels.is_kernel(self.kernel, count):
+            one, two = f"one of {', '.join(kernels.KERNELS)}", "two that are joined by *, such as smooth*line"
+            raise InputError(
+                f"{self.label}: kernel {self.kernel!r} is not possible with {count} drivers; give "
+                f"{one if count == 1 else two}"
+            )
+        if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
+            raise InputError(
+                f"{self.label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each"
+            )
+        rolloff = self.rolloff
+        if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel != "spectrum"):
+            raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
+
     @property
-    def size(self) -> int:
-        """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
-        return self.functions
+    @abstractmethod
+    def coefficient(self) -> Coordinate:
+        """Any of the coefficients, its name without a number."""
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
-        return self.coefficients
+        return _coefficients(self.coefficient, self.size)
 
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
-        """The coordinates, made once."""
-        raise NotImplementedError
+    @property
+    def size(self) -> int:
+        """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
+        return kernels.size_of(self.kernel, self.bounds)
 
     @property
     def bounds(self) -> tuple[float, ...]:
         """Lower and upper of the first driver's range, and of the second's."""
         return self.lower, self.upper, *self.further
-
-    @cached_property
-    def functions(self) -> int:
-        """How many coefficients it has."""
-        return kernels.size_of(self.kernel, self.bounds)
 
     @property
     def process(self) -> tuple[object, ...]:
@@ -170,7 +170,7 @@ class Unnamed(Process, Bending):
             wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
             wanted += f", or {SCALE}" if self.where == "sensor" else ""
             raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
-        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
+        super().__post_init__()
 
     @property
     def site(self) -> str:
@@ -182,13 +182,10 @@ class Unnamed(Process, Bending):
         """Of what it adds."""
         return _MEASURES.get(self.component, ("rad", ""))[0]
 
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
-        """The coordinates, made once."""
+    @property
+    def coefficient(self) -> Coordinate:
         unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
-        spread = np.inf if self.spread is None else float(self.spread)
-        names = (f"coefficient{k + 1}{end}" for k in range(self.functions))
-        return tuple(Coordinate(name, unit, 1e-4, spread, -_MOST, _MOST) for name in names)
+        return Coordinate(end, unit, 1e-4, np.inf if self.spread is None else float(self.spread), -_MOST, _MOST)
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""
