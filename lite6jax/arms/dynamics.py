@@ -77,19 +77,18 @@ _Carry = tuple[Array, _Vector, _Vector, _Motion]
 
 
 class _Step(NamedTuple):
-    """From the previous link's frame to this one's: a shift and a fixed rotation, then the joint's rotation about z.
+    """From the previous link's frame to this one's: a fixed shift and rotation, then the joint's rotation about z.
 
-    The shift contains that of a prismatic joint. Rates of rotation are zero of a prismatic joint, and of sliding of
-    another.
+    Where the chain has prismatic joints, p contains the shift along z, which changes at the rates of `slide`.
     """
 
     R: Array  # (3, 3)
-    p: Array  # (3, sample), or (3, 1) of a chain without prismatic joints
+    p: Array  # (3,), or (3, sample) with prismatic joints
     cos: Array  # (sample,)
     sin: Array
-    turning: tuple[Array, Array]  # (sample,) rad/s and rad/s²
-    sliding: tuple[Array, Array]  # m/s and m/s²
-    slides: Array  # (1,), whether the joint is prismatic
+    rate: Array
+    rate_change: Array
+    slide: tuple[Array, Array, Array] | None = None  # (), whether it is prismatic; (sample,) m/s and m/s²
 
     def into(self, v: _Vector) -> _Vector:
         """A vector of the previous frame, in the axes of this one."""
@@ -104,11 +103,15 @@ class _Step(NamedTuple):
 def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
     """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
     every step into each of its uses, compute it anew there, and compile for a minute."""
-    R, slides = se3.rotation_from_rpy(kinematics[:, 3:]), np.isin(np.arange(len(dq)), sliding)[:, None]
-    shift = 0.0 if joint.shift is None else R[:, :, 2, None] * joint.shift[:, None]
-    turning = jnp.where(slides, 0.0, dq), jnp.where(slides, 0.0, ddq)
-    shifting = jnp.where(slides, dq, 0.0), jnp.where(slides, ddq, 0.0)
-    return _Step(R, kinematics[:, :3, None] + shift, joint.cos, joint.sin, turning, shifting, jnp.asarray(slides))
+    R, p, (cos, sin, shift) = se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], joint
+    if shift is None:
+        return _Step(R, p, cos, sin, dq, ddq)
+    slides = np.isin(np.arange(len(dq)), sliding)
+    at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
+    (turning, sliding_rate), (change, sliding_change) = (
+        tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
+    )
+    return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
 
 def _product(M: Array, v: _Vector) -> _Vector:
@@ -136,10 +139,12 @@ def _next(motion: _Motion, step: _Step) -> _Motion:
     at_origin = _sum(motion.acceleration, _sum(_cross(motion.spin_rate, step.p), centripetal))
     x, y, z = step.into(motion.spin)
     ax, ay, az = step.into(motion.spin_rate)
-    (speed, change), (v, a) = step.turning, step.sliding
-    rate = (ax + y * speed, ay - x * speed, az + change)
-    acceleration = _sum(step.into(at_origin), (2 * y * v, -2 * x * v, a))  # Coriolis' and its own
-    return _Motion((x, y, z + speed), rate, acceleration)
+    rate = (ax + y * step.rate, ay - x * step.rate, az + step.rate_change)
+    acceleration = step.into(at_origin)
+    if step.slide is not None:  # Coriolis' and its own
+        _, v, a = step.slide
+        acceleration = _sum(acceleration, (2 * y * v, -2 * x * v, a))
+    return _Motion((x, y, z + step.rate), rate, acceleration)
 
 
 def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
@@ -202,8 +207,12 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
         shifted = step.into(_sum(velocity, _cross(axis, step.p)))
         own = (jnp.arange(joints) == number)[:, None]
         x, y, z = step.into(axis)
-        turned = (x, y, jnp.where(own & ~step.slides, 1.0, z))
-        shifted = (*shifted[:2], jnp.where(own & step.slides, 1.0, shifted[2]))
+        if step.slide is None:
+            turned = (x, y, jnp.where(own, 1.0, z))
+        else:
+            slides, _, _ = step.slide
+            turned = (x, y, jnp.where(own & ~slides, 1.0, z))
+            shifted = (*shifted[:2], jnp.where(own & slides, 1.0, shifted[2]))
         carry = (number + 1, turned, shifted, _next(motion, step))
         return carry, carry
 

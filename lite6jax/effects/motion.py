@@ -162,7 +162,7 @@ def motion_of(
         temperature_rise=stored(None if rise is None else rise.mean(1)),
         payload=jnp.asarray(given("payload", np.zeros(samples) if payload is None else payload, (samples,))),
         joint_temperature_rise=stored(rise),
-        measured_position=stored(given("measured_position", measured_position, (samples, 3))),
+        measured_position=stored(None if measured_position is None else np.asarray(measured_position, float)),
         sliding=Sliding(sliding),
     )
 

@@ -151,7 +151,7 @@ def loads(
             f"inertia: {inertia.mass.size} masses for an arm of {form.dof} joints; give one per joint, a tool's mass "
             "within the last"
         )
-    still = 0.0 * joint.cos  # not a constant, so that standstill is a motion at no speed to the last bit
+    still = jnp.zeros_like(joint.cos)
     rates = (still, still) if velocity is None or acceleration is None else (velocity, acceleration)
     links = point_mass(inertia.mass, inertia.center_of_mass)[..., None]
     carried = point_mass(payload, jnp.broadcast_to(inertia.payload_center, (len(payload), 3))).T
