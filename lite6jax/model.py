@@ -10,7 +10,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lite6jax.arms.chains import Bend, Form, fk, joint_motion, sweep
-from lite6jax.arms.se3 import Frame, base_frame, displace, rotation_exp, transform
+from lite6jax.arms.se3 import Frame, base_frame, displace, frame_transform, rotation_exp, transform
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.motion import Motion
@@ -198,5 +198,4 @@ def predict_poses(
     Rows for which `physics.beyond` is true are extrapolated and mean nothing.
     """
     _, tool = predict_frames_with(chain, physics, model, jnp.asarray(values, float), motion, statics)
-    R = jnp.stack([tool.x, tool.y, tool.z], 1)
-    return transform(jnp.moveaxis(R, -1, 0), tool.origin.T)
+    return frame_transform(tool)

@@ -25,10 +25,10 @@ from lite6jax.arms.se3 import (
     Z,
     base_frame,
     displace,
+    frame_transform,
     joint_turn,
     rotate,
     rotation_twist,
-    transform,
     translate,
     turn,
 )
@@ -101,12 +101,10 @@ class SixParameterForm:
         x, y, z, yaw, pitch, roll = values
         shifts = tuple(Twist(frame[axis], None) for axis in (X, Y, Z))
         frame = translate(translate(translate(frame, X, x), Y, y), Z, z)
-        about_z = rotation_twist(frame, Z)
-        frame = rotate(frame, Z, turn(yaw))
-        about_y = rotation_twist(frame, Y)
-        frame = rotate(frame, Y, turn(pitch))
-        about_x = rotation_twist(frame, X)
-        frame = rotate(rotate(frame, X, turn(roll)), Z, joint)
+        frame, about_z = _turn_frame(frame, Z, yaw)
+        frame, about_y = _turn_frame(frame, Y, pitch)
+        frame, about_x = _turn_frame(frame, X, roll)
+        frame = rotate(frame, Z, joint)
         if joint.shift is not None:
             frame = translate(frame, Z, joint.shift)
         return frame, (*shifts, about_z, about_y, about_x)
@@ -238,9 +236,8 @@ class HayatiForm:
                 twists.append(Twist(frame[axis], None))
                 frame = translate(frame, axis, by)
             else:
-                axis = ("roll", "pitch", "yaw").index(name)
-                twists.append(rotation_twist(frame, axis))
-                frame = rotate(frame, axis, turn(by))
+                frame, twist = _turn_frame(frame, ("roll", "pitch", "yaw").index(name), by)
+                twists.append(twist)
         x, y, z = (frame[(self.first_axis + i) % 3] for i in (1, 2, 3))
         return Frame(x, y, z, frame.origin), tuple(twists)
 
@@ -260,23 +257,18 @@ class HayatiForm:
             Z,
             Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin),
         )
-        along_x = Twist(frame.x, None)
+        along_x, along_y = Twist(frame.x, None), Twist(frame.y, None)
         if joint.shift is not None:
             _, d, a, b, alpha, beta = values
-            along_y = Twist(frame.y, None)
             frame = translate(translate(translate(frame, Z, d + joint.shift), X, a), Y, b)
-            about_x = rotation_twist(frame, X)
-            frame = rotate(frame, X, turn(alpha))
-            about_y = rotation_twist(frame, Y)
-            frame = rotate(frame, Y, turn(beta))
+        else:
+            _, second, a, alpha = values
+            d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
+            frame = translate(translate(frame, Z, d), X, a)
+        frame, about_x = _turn_frame(frame, X, alpha)
+        frame, about_y = _turn_frame(frame, Y, beta)
+        if joint.shift is not None:
             return frame, (about_z, Twist(along_z, None), along_x, along_y, about_x, about_y)
-        _, second, a, alpha = values
-        d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
-        frame = translate(translate(frame, Z, d), X, a)
-        about_x = rotation_twist(frame, X)
-        frame = rotate(frame, X, turn(alpha))
-        about_y = rotation_twist(frame, Y)
-        frame = rotate(frame, Y, turn(beta))
         d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, frame.y, 0.0))
         return frame, (about_z, d_or_beta, along_x, about_x)
 
@@ -314,6 +306,11 @@ LINK = ("theta_off", "d", "a", "b", "alpha", "beta")
 """The parameters of any link, in order of application."""
 DH_COLUMNS = [0, 1, 2, 4]
 """The columns of `LINK` that a DH table has: theta_off d a alpha."""
+
+
+def _turn_frame(frame: Frame, axis: int, angle: Array) -> tuple[Frame, Twist]:
+    """The frame turned about its own axis by rad, and the twist of that angle."""
+    return rotate(frame, axis, turn(angle)), rotation_twist(frame, axis)
 
 
 def _require_joints(joints: tuple[int, ...], what: str, first: int, last: int) -> None:
@@ -389,7 +386,10 @@ def sweep(
             "the frames of a Hayati chain are not those of its links, so it cannot bend; use the six-parameter "
             "chain, to which hayati_to_six_parameter converts it exactly"
         )
-    of_base, steps = _in_order(form, parameters)
+    if form.walking_order.max() == form.size:  # a parameter that is always zero
+        parameters = jnp.append(parameters, 0.0)
+    of_base, of_joints = jnp.split(parameters[form.walking_order], [form.base_size])
+    steps = of_joints.reshape(form.dof, -1)
     frame, twists = form.apply_base(start, of_base)
     of_frame = [] if emit is None else [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
 
@@ -415,25 +415,6 @@ def sweep_order(form: Form) -> np.ndarray:
     return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
 
 
-def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
-    """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
-    of_base, steps = _in_order(form, parameters)
-
-    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
-        frame, _ = form.step(frame, *at)
-        return frame, frame
-
-    return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
-
-
-def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
-    """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
-    if form.walking_order.max() == form.size:  # a parameter that is always zero
-        parameters = jnp.append(parameters, 0.0)
-    values = parameters[form.walking_order]
-    return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
-
-
 @partial(jit, static_argnums=0)
 def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
     """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
@@ -454,9 +435,7 @@ def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
         )
     joint = joint_motion(form, q.reshape(-1, form.dof).T)
     frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
-    R = jnp.stack([frame.x, frame.y, frame.z], 1)
-    T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
-    return T.reshape(*q.shape[:-1], 4, 4)
+    return frame_transform(frame).reshape(*q.shape[:-1], 4, 4)
 
 
 def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:

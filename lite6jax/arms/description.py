@@ -17,12 +17,14 @@ Array = NDArray[np.floating]
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
 _OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "convention", "flange", "source")
-_DRIVE: Mapping[str, str | Mapping[str, str]] = {
-    "friction": {"viscous_Nm_s_per_rad": "viscous_friction", "coulomb_Nm": "coulomb_friction"},
-    "rotor_inertia_kg_m2": "rotor_inertia",
-    "spring": {"stiffness_Nm_per_rad": "spring_stiffness", "rest_rad": "spring_rest"},
-}
-"""How a description names what an arm knows of a revolute joint's drive: keys, and the fields of `Arm`."""
+_DRIVES = (
+    ("friction", "viscous_Nm_s_per_rad", "viscous_friction"),
+    ("friction", "coulomb_Nm", "coulomb_friction"),
+    ("", "rotor_inertia_kg_m2", "rotor_inertia"),
+    ("spring", "stiffness_Nm_per_rad", "spring_stiffness"),
+    ("spring", "rest_rad", "spring_rest"),
+)
+"""Of a revolute joint's drive: the mapping within its entry, the key there, and the field of `Arm`."""
 
 # rad, four turns: a larger limit is an angle in degrees.
 LARGEST_LIMIT = 8 * np.pi
@@ -151,31 +153,23 @@ def _inertial(value: Any, where: str, joints: int) -> dict[str, Array]:
     return fields | ({"inertia": frames.tensor(tensors)} if tensors else {})
 
 
-def _drive_keys(slides: bool) -> dict[str, str | dict[str, str]]:
-    """`_DRIVE` with the units of a joint that is prismatic where it `slides`."""
-    return {
-        joint_unit(key, slides): of if isinstance(of, str) else {joint_unit(k, slides): f for k, f in of.items()}
-        for key, of in _DRIVE.items()
-    }
-
-
 def _dynamics(value: Any, where: str, joints: int, sliding: tuple[int, ...]) -> dict[str, Array]:
     """The joints' drives by the field of `Arm`: those that any joint has."""
     names = [f"joint{i + 1}" for i in range(joints)]
     table = entries.mapping(value, f"{where}: dynamics", (), names)
     fields: dict[str, Array] = {}
     for i, name in enumerate(names):
-        place, keys = f"{where}: dynamics: {name}", _drive_keys(i in sliding)
-        for key, given in entries.mapping(table.get(name, {}), place, (), tuple(keys)).items():
-            at, of = f"{place}: {key}", keys[key]
-            if isinstance(of, str):
-                numbers = {of: entries.number(given, at)}
-            else:
-                required, optional = (tuple(of), ()) if key == "spring" else ((), tuple(of))
-                given = entries.mapping(given, at, required, optional)
-                numbers = {of[k]: entries.number(number, f"{at}: {k}") for k, number in given.items()}
-            for field, number in numbers.items():
-                fields.setdefault(field, np.zeros(joints))[i] = number
+        keys = [(group, joint_unit(key, i in sliding), field) for group, key, field in _DRIVES]
+        tops, place = tuple(dict.fromkeys(group or key for group, key, _ in keys)), f"{where}: dynamics: {name}"
+        drive = entries.mapping(table.get(name, {}), place, (), tops)
+        for group in ("friction", "spring"):
+            own = tuple(key for within, key, _ in keys if within == group)
+            if group in drive:
+                entries.mapping(drive[group], f"{place}: {group}", *((own, ()) if group == "spring" else ((), own)))
+        for group, key, field in keys:
+            given, at = (drive.get(group, {}), f"{place}: {group}") if group else (drive, place)
+            if key in given:
+                fields.setdefault(field, np.zeros(joints))[i] = entries.number(given[key], f"{at}: {key}")
     return fields
 
 
@@ -246,15 +240,12 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 
 def _drive(arm: Arm, i: int) -> dict[str, Any]:
-    """What the arm knows of joint `i`, from 0, under the keys of `_drive_keys`."""
-    known = {}
-    for key, of in _drive_keys(bool(arm.slides[i])).items():
-        if isinstance(of, str):
-            values = getattr(arm, of)
-            known |= {} if values is None else {key: float(values[i])}
-        else:
-            within = {k: float(values[i]) for k, field in of.items() if (values := getattr(arm, field)) is not None}
-            known |= {key: within} if within else {}
+    """What the arm knows of joint `i`, from 0, as `_dynamics` reads it."""
+    known: dict[str, Any] = {}
+    for group, key, field in _DRIVES:
+        if (values := getattr(arm, field)) is not None:
+            within = known.setdefault(group, {}) if group else known
+            within[joint_unit(key, bool(arm.slides[i]))] = float(values[i])
     return known
 
 

@@ -17,17 +17,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.typing import ArrayLike
 from numpy import typing as npt
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames, se3
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.se3 import joint_turn
+from lite6jax.arms.se3 import Turn, joint_turn
+from lite6jax.deferred import Array, ArrayLike, jit, jnp, lax
 from lite6jax.errors import InputError
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -103,13 +100,13 @@ class _Step(NamedTuple):
         return _product(self.R, (self.cos * v[0] - self.sin * v[1], self.sin * v[0] + self.cos * v[1], v[2]))
 
 
-def _steps(kinematics: Array, q: Array, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
+def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
     """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
     every step into each of its uses, compute it anew there, and compile for a minute."""
-    R, p, (cos, sin, shift) = se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], joint_turn(q, sliding)
+    R, p, (cos, sin, shift) = se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], joint
     if shift is None:
         return _Step(R, p, cos, sin, dq, ddq)
-    slides = np.isin(np.arange(len(q)), sliding)
+    slides = np.isin(np.arange(len(dq)), sliding)
     at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
     (turning, sliding_rate), (change, sliding_change) = (
         tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
@@ -160,7 +157,7 @@ def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
     )
 
 
-@partial(jax.jit, static_argnames="sliding")
+@partial(jit, static_argnames="sliding")
 def regressor(
     kinematics: ArrayLike,
     q: ArrayLike,
@@ -188,7 +185,8 @@ def regressor(
     def fill(k: ArrayLike, filled: Array) -> Array:
         start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
         chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
-        columns = _columns(*_link_motions(_steps(kinematics, chunk[0], chunk[1], chunk[2], sliding), gravity))
+        steps = _steps(kinematics, joint_turn(chunk[0], sliding), chunk[1], chunk[2], sliding)
+        columns = _columns(*_link_motions(steps, gravity))
         for c, column in enumerate(columns):
             filled = lax.dynamic_update_slice(filled, column[:, :, None], (0, 0, c, start))
         return filled
@@ -241,7 +239,7 @@ def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
     return [mass, *first, *moments, *products]
 
 
-@partial(jax.jit, static_argnames="sliding")
+@partial(jit, static_argnames="sliding")
 def inverse_dynamics(
     kinematics: ArrayLike,
     parameters: ArrayLike,
@@ -268,28 +266,62 @@ def inverse_dynamics(
         `(joint, sample)` N·m, and N along +z of prismatic joints.
     """
     kinematics, q, dq, ddq, gravity = (jnp.asarray(value, float) for value in (kinematics, q, dq, ddq, gravity))
-    steps = _steps(kinematics, q, dq, ddq, sliding)
+    links = jnp.asarray(parameters, float)[..., None]
+    force, moment, _, _ = wrenches(kinematics, links, joint_turn(q, sliding), dq, ddq, gravity, sliding)
+    return jnp.where(np.isin(np.arange(len(q)), sliding)[:, None], force[:, 2], moment[:, 2])
+
+
+def wrenches(
+    kinematics: Array,
+    parameters: Array,
+    joint: Turn,
+    dq: Array,
+    ddq: Array,
+    gravity: Array,
+    sliding: tuple[int, ...] = (),
+    carried: Array | None = None,
+) -> tuple[Array, Array, Array, Array]:
+    """What holds links in their motion against gravity, for use inside a jitted function (recursive Newton–Euler).
+
+    Args:
+        kinematics: `(joint, 6)` m and rad, the six-parameter chain.
+        parameters: `(joint, 10, sample or 1)` `PARAMETERS` of each link.
+        joint: the joints' motions, each `(joint, sample)`.
+        dq: `(joint, sample)` rad/s; `ddq` rad/s² likewise.
+        gravity: `(3,)` m/s² in the base frame.
+        sliding: the prismatic joints, counted from 0.
+        carried: `(10, sample)` `PARAMETERS` of a body on the last link, beside it; None for nothing.
+
+    Returns:
+        forces in N and moments in N·m `(joint, 3, sample)` on each link and all that it carries, about the origin and
+        in the axes of its frame; their moment in the base frame, and that of `carried` in the last, `(3, sample)`.
+    """
+    steps = _steps(kinematics, joint, dq, ddq, sliding)
 
     def outwards(motion: _Motion, step: _Step) -> tuple[_Motion, _Motion]:
         motion = _next(motion, step)
         return motion, motion
 
-    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
-        (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
-        first, a = (hx, hy, hz), motion.acceleration
-        M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
-        force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
-        own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
-        moment = _sum(moment, _sum(own, _cross(first, a)))
+    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Any]:
+        step, motion, numbers = link
+        force, moment = (_sum(part, own) for part, own in zip(load, _body_wrench(motion, numbers), strict=True))
         before = step.out_of(force)
-        effort = moment[2] if step.slide is None else jnp.where(step.slide[0], force[2], moment[2])
-        return (before, _sum(step.out_of(moment), _cross(step.p, before))), effort
+        return (before, _sum(step.out_of(moment), _cross(step.p, before))), (jnp.stack(force), jnp.stack(moment))
 
-    resting = _resting(gravity, q.shape[1])
-    motions = lax.scan(outwards, resting, steps)[1]
-    links = (steps, motions, jnp.asarray(parameters, float))
-    return lax.scan(inwards, (resting.spin, resting.spin), links, reverse=True)[1]
+    last, motions = lax.scan(outwards, _resting(gravity, dq.shape[1]), steps)
+    own = _body_wrench(last, jnp.zeros((10, 1)) if carried is None else carried)
+    (_, at_base), (force, moment) = lax.scan(inwards, own, (steps, motions, parameters), reverse=True)
+    return force, moment, jnp.stack(at_base), jnp.stack(own[1])
+
+
+def _body_wrench(motion: _Motion, parameters: Array) -> tuple[_Vector, _Vector]:
+    """The force and the moment that move a body (10, sample or 1) as its frame moves."""
+    m, hx, hy, hz, xx, yy, zz, xy, xz, yz = parameters
+    a, w = motion.acceleration, motion.spin
+    x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
+    M = jnp.stack([jnp.stack(row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))])
+    own = _sum(_product(M, motion.spin_rate), _cross(w, _product(M, w)))
+    return (m * a[0] + x, m * a[1] + y, m * a[2] + z), _sum(own, _cross((hx, hy, hz), a))
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +353,7 @@ class BaseParameters:
 def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> BaseParameters:
     """The base parameters of a chain, by the regressor of random motion.
 
-    The columns that are independent of those before them, links from the base outwards, are found by orthogonalisation;
+    The columns that are independent of those before them, links from the base outwards, follow from a QR decomposition;
     every other column is a combination of them (M. Gautier, J. Robotic Systems 8(4), 1991). A chain measured rather
     than designed has more of them where its first axis is not quite along gravity.
 
@@ -340,26 +372,13 @@ def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: 
     W = np.moveaxis(W, 2, 0).reshape(-1, 10 * joints)
 
     order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
-    independent = np.sort(order[_independent(W[:, order])])
+    left = np.abs(np.diagonal(np.linalg.qr(W[:, order], "r")))  # of each column, by those before it
+    independent = np.sort(order[left > INDEPENDENT * np.linalg.norm(W, axis=0).max()])
     grouping = np.linalg.lstsq(W[:, independent], W, rcond=None)[0]
     grouping[np.abs(grouping) < 1e-9] = 0.0  # rounding, in kg m^±2 of an arm of metres
     grouping[:, independent] = np.eye(len(independent))
     basis, _ = np.linalg.qr(grouping.T)
     return BaseParameters(independent, grouping, basis)
-
-
-def _independent(W: Numbers) -> NDArray[np.integer]:
-    """The places of the columns that are no combination of those before them (Gram–Schmidt, twice)."""
-    found: list[int] = []
-    Q = np.zeros((len(W), 0))
-    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
-    for k, column in enumerate(W.T):
-        left = column - Q @ (Q.T @ column)
-        left -= Q @ (Q.T @ left)
-        if np.linalg.norm(left) > least:
-            found.append(k)
-            Q = np.column_stack([Q, left / np.linalg.norm(left)])
-    return np.array(found, int)
 
 
 _THIN = 1e-6
@@ -455,15 +474,10 @@ def _parameters_of(P: Numbers) -> Numbers:
     return np.concatenate([P[..., 3:, 3], P[..., :3, 3], frames.six_entries(tensor)], -1)
 
 
-def _symmetric_basis() -> Numbers:
-    basis = np.zeros((10, 4, 4))
-    for k, (i, j) in enumerate(zip(*np.triu_indices(4), strict=True)):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return basis
-
-
-_SYMMETRIC = _symmetric_basis()
+_I, _J = np.triu_indices(4)
+_SYMMETRIC = np.zeros((10, 4, 4))
 """(10, 4, 4) an orthonormal basis of the symmetric matrices."""
+_SYMMETRIC[range(10), _I, _J] = _SYMMETRIC[range(10), _J, _I] = np.where(_I == _J, 1.0, np.sqrt(0.5))
 
 
 def _coordinates(Q: Numbers) -> Numbers:

@@ -86,34 +86,24 @@ def row(value: Any, where: str, keys: Sequence[str], optional: Sequence[str] = (
     return [number(entry[key], f"{where}: {key}") for key in keys]
 
 
-def six_numbers(value: Any, where: str) -> list[float]:
-    """x y z roll pitch yaw, m and rad, of a mapping with exactly these keys.
+def six_numbers(value: Any, where: str, optional: Sequence[str] = (), limit: float = LENGTH_LIMIT) -> list[float]:
+    """x y z roll pitch yaw, m and rad, of a mapping with these keys, and perhaps those that are `optional`.
 
-    Refuses angles beyond a full turn (degrees?) and lengths of over 10 m (millimetres?).
+    Refuses angles beyond a full turn (degrees?) and lengths beyond `limit` m (millimetres?).
     """
-    six = _six(value, where)
-    _require_short(six, where)
-    return six
-
-
-def _six(value: Any, where: str, optional: Sequence[str] = ()) -> list[float]:
     six = row(value, where, SIX, optional)
-    for key, angle in zip(SIX[3:], six[3:], strict=True):
-        if abs(angle) > ANGLE_LIMIT:
+    for key, given in zip(SIX, six, strict=True):
+        if key in SIX[3:] and abs(given) > ANGLE_LIMIT:
             raise InputError(
-                f"{where}: {key} is {angle:g}, more than a full turn, so it seems to be in degrees;"
-                f" write radians ({math.radians(angle):.6g})"
+                f"{where}: {key} is {given:g}, more than a full turn, so it seems to be in degrees;"
+                f" write radians ({math.radians(given):.6g})"
+            )
+        if key in SIX[:3] and abs(given) > limit:
+            raise InputError(
+                f"{where}: {key} is {given:g}, longer than any arm's link, so it seems to be in millimetres;"
+                f" write metres ({given / 1000:.6g})"
             )
     return six
-
-
-def _require_short(six: Sequence[float], where: str) -> None:
-    for key, length in zip(SIX[:3], six[:3], strict=True):
-        if abs(length) > LENGTH_LIMIT:
-            raise InputError(
-                f"{where}: {key} is {length:g}, longer than any arm's link, so it seems to be in millimetres;"
-                f" write metres ({length / 1000:.6g})"
-            )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
@@ -162,15 +152,15 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
     for i, (joint, name) in enumerate(zip(joints, names, strict=True)):
         if joint not in keys:
             raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")
-        rows.append(_six(keys[joint], f"{where}: {name}", ("type",) if typed else ()))
+        rows.append(six_numbers(keys[joint], f"{where}: {name}", ("type",) if typed else (), math.inf))
         kind = keys[joint].get("type", TYPES[0])
         if kind not in TYPES:
             raise InputError(f"{where}: {name}: type is {str(kind)[:40]!r}; write {' or '.join(TYPES)}")
         sliding += [i] if kind == TYPES[1] else []
     table = np.array(rows)
     if np.abs(table[:, :3]).max() > LENGTH_LIMIT and not is_reachable(frames.transform_from_row(table)):
-        for row, name in zip(rows, names, strict=True):
-            _require_short(row, f"{where}: {name}")
+        for row, name in zip(rows, names, strict=True):  # says which is too long
+            six_numbers(dict(zip(SIX, row, strict=True)), f"{where}: {name}")
     return table, names, tuple(sliding)
 
 

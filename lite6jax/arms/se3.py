@@ -76,15 +76,17 @@ def rotation_log(R: ArrayLike) -> Array:
 def rotation_exp(rotation_vector: ArrayLike) -> Array:
     """Rotations `(..., 3, 3)` of rotation vectors `(..., 3)` (Rodrigues), smooth at zero."""
     w = jnp.asarray(rotation_vector)
-    n2 = jnp.sum(w * w, -1)[..., None, None]
-    small = n2 < _SERIES_BELOW**2
-    safe = jnp.where(small, 1.0, n2)
-    n = jnp.sqrt(safe)
-    sine = jnp.where(small, 1 - n2 / 6, jnp.sin(n) / n)
-    half = jnp.sin(n / 2) / n
-    versine = jnp.where(small, 0.5 - n2 / 24, 2 * half * half)
+    sine, versine = _rodrigues(jnp.sum(w * w, -1)[..., None, None])
     K = skew(w)
     return jnp.eye(3) + sine * K + versine * (K @ K)
+
+
+def _rodrigues(square: Array) -> tuple[Array, Array]:
+    """sin(n) / n and (1 - cos(n)) / n² by the square of the angle n, smooth at zero."""
+    small = square < _SERIES_BELOW**2
+    n = jnp.sqrt(jnp.where(small, 1.0, square))
+    half = jnp.sin(n / 2) / n
+    return jnp.where(small, 1 - square / 6, jnp.sin(n) / n), jnp.where(small, 0.5 - square / 24, 2 * half * half)
 
 
 def skew(w: ArrayLike) -> Array:
@@ -180,12 +182,7 @@ def displace(frame: Frame, twist: Array) -> Frame:
     """The frame shifted along its own axes by `twist[:3]` m, then rotated by the rotation vector `twist[3:]` rad."""
     shifted = translate(translate(translate(frame, X, twist[0]), Y, twist[1]), Z, twist[2])
     w = twist[3:]
-    angle2 = jnp.sum(w * w, 0)
-    small = angle2 < 1e-8  # where two terms of the series are exact to rounding
-    angle = jnp.sqrt(jnp.where(small, 1.0, angle2))
-    half = jnp.sin(angle / 2) / angle
-    sine = jnp.where(small, 1 - angle2 / 6, jnp.sin(angle) / angle)
-    versine = jnp.where(small, 0.5 - angle2 / 24, 2 * half * half)
+    sine, versine = _rodrigues(jnp.sum(w * w, 0))
     axes = []
     for i in range(3):  # column i of 1 + sine [w] + versine (w wᵀ − |w|²), Rodrigues' formula
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -206,6 +203,12 @@ def rotation_twist(frame: Frame, axis: int) -> Twist:
 def cross(a: Array, b: Array) -> Array:
     """The cross product over the first axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def frame_transform(frame: Frame) -> Array:
+    """The transforms `(sample, 4, 4)` of a frame."""
+    R = jnp.stack([frame.x, frame.y, frame.z], 1)
+    return transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
 
 
 def base_frame(T: Array, samples: int) -> Frame:

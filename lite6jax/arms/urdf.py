@@ -318,7 +318,9 @@ def write_into_urdf(
             _set_origin(elements[last.child], T)
         else:
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
-    if arm.mass is not None and arm.inertia is not None and not _same_bodies(arm, old):
+    bodies = [(getattr(arm, field), getattr(old, field)) for field in ("mass", "center_of_mass", "inertia")]
+    known = all(own is not None for own, _ in bodies)
+    if known and not all(was is not None and np.allclose(own, was, rtol=1e-12, atol=1e-15) for own, was in bodies):
         for i, joint in enumerate(tree.moving):
             fixed = {name for name, _ in rigid_links(joint.child, tree.joints)}
             beside = [
@@ -337,11 +339,6 @@ def write_into_urdf(
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
     _write(root, path, overwrite)
     return left_out
-
-
-def _same_bodies(arm: Arm, old: Arm) -> bool:
-    pairs = [(getattr(arm, field), getattr(old, field)) for field in ("mass", "center_of_mass", "inertia")]
-    return all(b is not None and np.allclose(a, b, rtol=1e-12, atol=1e-15) for a, b in pairs)
 
 
 def _write(robot: ET.Element, path: str | Path, overwrite: bool) -> Path:

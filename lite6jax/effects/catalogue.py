@@ -80,14 +80,11 @@ def untestable(effects: Iterable[Effect], motion: Motion, loads_known: bool) -> 
     return [Untestable(effect, driver) for effect, driver in lacking if driver is not None]
 
 
-def catalogue(
-    dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False, sliding: Sequence[int] = ()
-) -> tuple[Effect, ...]:
+def catalogue(dof: int, *, turned_tool: bool = False, sliding: Sequence[int] = ()) -> tuple[Effect, ...]:
     """Every named effect on poses of an arm at every site, without those of `shaped`.
 
     Args:
         dof: number of joints.
-        orders: of the harmonics of each joint, per turn; other orders, as of gears, follow from the spectrum.
         turned_tool: whether the tool's orientation is measured.
         sliding: the prismatic joints, counted from 0.
     """
@@ -96,7 +93,7 @@ def catalogue(
     of_any = (k.JointOffset, k.JointScale, k.JointCompliance, k.JointBacklash)
     return (
         *(kind(joint) for kind in (*of_any, k.JointLag, k.JointThermalOffset, k.AxisWobble) for joint in joints),
-        *(k.JointHarmonic(joint, order) for joint in joints for order in orders),
+        *(k.JointHarmonic(joint, order) for joint in joints for order in (1.0, 2.0)),  # others: from the spectrum
         *(k.JointCoupling(joint, source) for joint in joints for source in joints if source != joint),
         *(kind(joint, of_slide=True) for kind in of_any for joint in slides),
         *(k.LinkCompliance(link) for link in links),

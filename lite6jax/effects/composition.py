@@ -24,8 +24,7 @@ from lite6jax.errors import InputError
 class Physics:
     """The effects of an arm beyond its rigid model. Hashable, so that it can be a static argument of `jax.jit`.
 
-    The coordinates of all effects are concatenated in `values` `(size,)`; at zero the arm is rigid. The class has more
-    than twelve members because nine of them are one-line properties of the same concatenation.
+    The coordinates of all effects are concatenated in `values` `(size,)`; at zero the arm is rigid.
 
     Attributes:
         effects: in any order, which changes nothing but the layout of `values`; an effect may occur more than once, as
@@ -59,11 +58,6 @@ class Physics:
     def typical(self) -> NDArray:
         """`(size,)`, the typical magnitude of each coordinate in real arms."""
         return np.array([coordinate.typical for effect in self.effects for coordinate in effect.coordinates])
-
-    @cached_property
-    def prior(self) -> NDArray:
-        """`(size,)`, the prior standard deviation of each coordinate about zero; infinite without prior knowledge."""
-        return np.array([coordinate.spread for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:

@@ -1,5 +1,6 @@
 """Deflections of a rigid arm at each site. They add up, so that the order of effects does not matter."""
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,18 @@ def place_at_joint(dof: int, number: int, values: Array) -> Array:
     row = np.zeros((dof,) + (1,) * np.ndim(values))
     row[number - 1] = 1.0
     return row * values  # type: ignore[return-value]  # of NumPy values on the host: columns of a hundred candidates compile nothing
+
+
+@cache
+def place_of(site: str) -> tuple[str, int]:
+    """The kind of a site, such as `link`, and the number of a joint or link; 0 of the others."""
+    return site.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, site)))
+
+
+def place_at_site(dof: int, site: str, values: Array) -> Deflection:
+    """What acts at `jointN` `(sample,)` rad, or as a twist `(6, sample)` of `linkN`, `base`, `tool` or `sensor`."""
+    kind, number = place_of(site)
+    return Deflection(**{kind: place_at_joint(dof, number, values) if number else values})
 
 
 def library_of(*values: Array | None) -> Any:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, final
 
 from lite6jax.arms.arm import joint_unit
@@ -29,19 +29,15 @@ class _Source(NamedTuple):
     at_slide: str = ""
 
 
-def _joint_temperatures(motion: Motion) -> Array | None:
+def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
     """Of each joint; of the whole arm where only that is known."""
     if motion.joint_temperature_rise is None and motion.temperature_rise is not None:
         return jnp.broadcast_to(motion.temperature_rise, motion.joint_position.shape)
     return motion.joint_temperature_rise
 
 
-def _of_motion(read: Callable[[Motion], Array | None]) -> Callable[[Motion, Loads | None], Array | None]:
-    return lambda motion, _: read(motion)
-
-
-def _of_loads(read: Callable[[Loads], Array | None]) -> Callable[[Motion, Loads | None], Array | None]:
-    return lambda _, loads: None if loads is None else read(loads)
+def _tool_moment(axis: int, _: Motion, loads: Loads | None) -> Array | None:
+    return None if loads is None or loads.payload_moment is None else loads.payload_moment[axis]
 
 
 def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | None], Array | None]:
@@ -54,66 +50,61 @@ def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | 
     return values
 
 
+def _speed(motion: Motion, _: Loads | None) -> Array | None:
+    return None if motion.joint_velocity is None else abs(motion.joint_velocity)
+
+
+def _travel(motion: Motion, _: Loads | None) -> Array | None:
+    return None if motion.joint_velocity is None else since_reversal(motion)
+
+
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
+_DIRECTIONS = "the directions of motion; keep the rows in the order of recording"
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
 _ACCELERATIONS = "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …"
 _TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
+_WARMTH = "the temperature of each joint; record temp1_degC … or ambient_degC"
 _MEASURED = "the measured positions; record x_m, y_m, z_m"
 _FROM_SENSOR = "the measured positions, from the sensor's origin; record x_m, y_m, z_m"
 _SIGHT = "the measured positions, in the axes of a sensor whose z is upright; record x_m, y_m, z_m"
 
-_speed = _of_motion(lambda m: None if m.joint_velocity is None else abs(m.joint_velocity))
-_travel = _of_motion(lambda m: None if m.joint_velocity is None else since_reversal(m))
 _SOURCES = {
     "position": _Source(
-        _of_motion(lambda m: m.joint_position), "rad", "joint", "the joint positions; add q1_rad …",
-        at_slide="slide position",
+        lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …", at_slide="slide position"
     ),
-    "direction of motion": _Source(
-        _of_motion(lambda m: m.direction), "1", "joint",
-        "the directions of motion; keep the rows in the order of recording",
-    ),
-    "velocity": _Source(
-        _of_motion(lambda m: m.joint_velocity), "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"
-    ),
+    "direction of motion": _Source(lambda m, _: m.direction, "1", "joint", _DIRECTIONS),
+    "velocity": _Source(lambda m, _: m.joint_velocity, "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"),
     "speed": _Source(_speed, "rad/s", "joint", _VELOCITIES, at_slide="slide speed"),
     "travel since reversal": _Source(_travel, "rad", "joint", _TRAVELS, at_slide="slide travel since reversal"),
     "acceleration": _Source(
-        _of_motion(lambda m: m.joint_acceleration), "rad/s²", "joint", _ACCELERATIONS, at_slide="slide acceleration"
+        lambda m, _: m.joint_acceleration, "rad/s²", "joint", _ACCELERATIONS, at_slide="slide acceleration"
     ),
-    "gravity torque": _Source(_of_loads(lambda l: l.torque), "Nm", "joint", _MASSES, True, at_slide="gravity force"),
-    "gravity moment x": _Source(_of_loads(lambda l: l.moment[:, 0]), "Nm", "link", _MASSES, True),
-    "gravity moment y": _Source(_of_loads(lambda l: l.moment[:, 1]), "Nm", "link", _MASSES, True),
-    "base moment x": _Source(_of_loads(lambda l: l.base_moment[0]), "Nm", "", _MASSES, True),
-    "base moment y": _Source(_of_loads(lambda l: l.base_moment[1]), "Nm", "", _MASSES, True),
-    "tool moment x": _Source(
-        _of_loads(lambda l: None if l.payload_moment is None else l.payload_moment[0]), "Nm", "", _MASSES, True
+    "gravity torque": _Source(
+        lambda _, l: l.torque if l else None, "Nm", "joint", _MASSES, True, at_slide="gravity force"
     ),
-    "tool moment y": _Source(
-        _of_loads(lambda l: None if l.payload_moment is None else l.payload_moment[1]), "Nm", "", _MASSES, True
-    ),
+    "gravity moment x": _Source(lambda _, l: l.moment[:, 0] if l else None, "Nm", "link", _MASSES, True),
+    "gravity moment y": _Source(lambda _, l: l.moment[:, 1] if l else None, "Nm", "link", _MASSES, True),
+    "base moment x": _Source(lambda _, l: l.base_moment[0] if l else None, "Nm", "", _MASSES, True),
+    "base moment y": _Source(lambda _, l: l.base_moment[1] if l else None, "Nm", "", _MASSES, True),
+    "tool moment x": _Source(partial(_tool_moment, 0), "Nm", "", _MASSES, True),
+    "tool moment y": _Source(partial(_tool_moment, 1), "Nm", "", _MASSES, True),
     "temperature rise": _Source(
-        _of_motion(lambda m: m.temperature_rise), "K", "", "a temperature; record temp1_degC … or ambient_degC"
+        lambda m, _: m.temperature_rise, "K", "", "a temperature; record temp1_degC … or ambient_degC"
     ),
-    "temperature": _Source(
-        _of_motion(_joint_temperatures), "K", "joint",
-        "the temperature of each joint; record temp1_degC … or ambient_degC",
-    ),
-    "time": _Source(_of_motion(lambda m: m.time), "s", "", "the times of the samples; record time_s"),
-    "payload": _Source(_of_motion(lambda m: m.payload), "kg", "", "the payload; add payload_kg"),
+    "temperature": _Source(_joint_temperatures, "K", "joint", _WARMTH),
+    "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
+    "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
     "measured position x": _Source(_of_sight(lambda xp, seen: seen[0]), "m", "", _MEASURED),
     "measured position y": _Source(_of_sight(lambda xp, seen: seen[1]), "m", "", _MEASURED),
     "measured position z": _Source(_of_sight(lambda xp, seen: seen[2]), "m", "", _MEASURED),
     "measured position's distance": _Source(
         _of_sight(lambda xp, seen: xp.sqrt((seen**2).sum(0))), "m", "", _FROM_SENSOR
     ),
-    "measured position's azimuth": _Source(
-        _of_sight(lambda xp, seen: xp.arctan2(seen[1], seen[0])), "rad", "", _SIGHT
-    ),
+    "measured position's azimuth": _Source(_of_sight(lambda xp, seen: xp.arctan2(seen[1], seen[0])), "rad", "", _SIGHT),
     "measured position's elevation": _Source(
         _of_sight(lambda xp, seen: xp.arctan2(seen[2], xp.hypot(seen[0], seen[1]))), "rad", "", _SIGHT
     ),
-}  # fmt: skip
+}
 _OF_SLIDE = {quantity: source.at_slide for quantity, source in _SOURCES.items() if source.at_slide}
 _GENERALISED = {own: quantity for quantity, own in _OF_SLIDE.items()}
 _SOURCES |= {

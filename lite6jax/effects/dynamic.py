@@ -8,7 +8,6 @@ of mass outside its link is evidence for something else.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
@@ -16,10 +15,10 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, positive, symmetric
+from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, final_effect, positive, symmetric
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import Process, require_process
-from lite6jax.effects.statics import Loads
+from lite6jax.effects.nonparametric import Process
+from lite6jax.effects.statics import Loads, point_mass
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -126,13 +125,6 @@ def _log_cosh(x: Array) -> Array:
     return np.abs(x) + np.log1p(np.exp(-2 * np.abs(x)))
 
 
-def point_mass(mass: float, center: Array) -> Array:
-    """`(10,)` inertial numbers of a point mass in kg at a place in m."""
-    x, y, z = center
-    tensor = [y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z]
-    return mass * np.array([1.0, x, y, z, *tensor])
-
-
 class TorqueEffect(Effect, ABC):
     """An effect on the torques that motors exert."""
 
@@ -201,8 +193,7 @@ LINEAR = 1.0
 """The exponent of viscous friction in proportion to the speed."""
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class ViscousFriction(JointTorque):
     """τ += b·q̇·|q̇|ⁿ⁻¹, with q̇ in rad/s or m/s, so that b is the friction over the velocity at 1 rad/s or 1 m/s.
 
@@ -228,17 +219,13 @@ class ViscousFriction(JointTorque):
         Coordinate("exponent", "1", 0.1, lower=EXPONENT[0], upper=EXPONENT[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         n = max(values[1], 1e-9) if self.exponent is None else self.exponent
         speed = dynamics.velocity(self.joint)
         return values[0] * np.sign(speed) * np.abs(speed) ** n
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class CoulombFriction(JointTorque):
     """τ += c·tanh(q̇/v): c·sign(q̇) but near standstill, where friction of gears and belts turns within a speed v.
 
@@ -263,16 +250,12 @@ class CoulombFriction(JointTorque):
         Coordinate("transition_rad_per_s", "rad/s", 0.1, lower=TRANSITION[0], upper=TRANSITION[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.transition_rad_per_s is None else self.transition_rad_per_s
         return values[0] * dynamics.direction(self.joint, v)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class StribeckFriction(JointTorque):
     """τ += s·exp(−(q̇/v)²)·sign(q̇), beside Coulomb friction.
 
@@ -295,17 +278,13 @@ class StribeckFriction(JointTorque):
         Coordinate("velocity_rad_per_s", "rad/s", 0.01, lower=STRIBECK[0], upper=STRIBECK[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.velocity_rad_per_s is None else self.velocity_rad_per_s
         speed = dynamics.velocity(self.joint)
         return values[0] * np.exp(-((speed / v) ** 2)) * dynamics.direction(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LoadFriction(JointTorque):
     """τ += μ·|τ_rigid|·sign(q̇): friction of a gear in proportion to its load."""
 
@@ -318,8 +297,7 @@ class LoadFriction(JointTorque):
         return values[0] * np.abs(dynamics.torque[self.joint - 1]) * dynamics.direction(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class FrictionTemperature(JointTorque):
     """τ += k·(T − T₀)·q̇, T the temperature of this joint; k is negative where grease becomes thinner."""
 
@@ -333,8 +311,7 @@ class FrictionTemperature(JointTorque):
         return values[0] * rise * dynamics.velocity(self.joint)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class CoupledFriction(OfJoint, TorqueEffect):
     """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that drives both.
 
@@ -374,8 +351,7 @@ class CoupledFriction(OfJoint, TorqueEffect):
 # ------------------------------------------------------------------ motors, gears and their sensors
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueOffset(JointTorque):
     """τ += o: the zero offset of a torque sensor or of a current."""
 
@@ -387,8 +363,7 @@ class TorqueOffset(JointTorque):
         return np.full(dynamics.motion.samples, values[0])
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueScale(Scaling):
     """The measured torque is 1 + s times the true one, friction included: a wrong torque constant or gear ratio."""
 
@@ -402,8 +377,7 @@ class TorqueScale(Scaling):
         return values[0] * dynamics.torque[self.joint - 1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class RotorInertia(JointTorque):
     """τ += I·q̈, of the rotor, reflected to the joint; of a prismatic joint I is a mass."""
 
@@ -417,8 +391,7 @@ class RotorInertia(JointTorque):
         return values[0] * np.asarray(dynamics.motion.joint_acceleration)[self.joint - 1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointSpring(JointTorque):
     """τ += k·(q − q₀): a cable, a hose, a balancer.
 
@@ -455,8 +428,7 @@ class JointSpring(JointTorque):
         return values[0] * dynamics.position(self.joint) + values[1]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueRipple(Wave, JointTorque):
     """τ += A·sin(n·q + φ): cogging, gear mesh; of a prismatic joint F += A·sin(2π·q/p + φ): a screw's lead p.
 
@@ -473,9 +445,6 @@ class TorqueRipple(Wave, JointTorque):
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     amplitude: ClassVar[Coordinate] = symmetric("_Nm", "Nm", 0.1, _TORQUE)
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     @property
     def period_m(self) -> float | None:  # as the parameter is called in files
         """The length after which the force of a prismatic joint repeats; None where no order is fixed, or in turns."""
@@ -485,8 +454,7 @@ class TorqueRipple(Wave, JointTorque):
         return np.asarray(self.of_position(values, dynamics.position(self.joint)))  # type: ignore[arg-type]
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueTimeOffset(Delaying):
     """The torque stamped t belongs to the motion at t + offset."""
 
@@ -499,8 +467,7 @@ class TorqueTimeOffset(Delaying):
         return np.full(joints, value)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TorqueLag(OfJoint, Delaying):
     """The torque of one joint stamped t belongs to the motion at t − lag: its drive filters or sends it."""
 
@@ -589,8 +556,7 @@ class OfLink(TorqueEffect, ABC):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkMass(OfLink):
     """A link's mass differs from the declared one; its centre of mass does not."""
 
@@ -603,8 +569,7 @@ class LinkMass(OfLink):
         return point_mass(float(values[0]), own[1:4] / own[0] if own[0] > 0 else np.zeros(3))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkCom(OfLink):
     """A link's centre of mass is displaced, in the axes of its frame; its mass is as declared."""
 
@@ -619,19 +584,15 @@ class LinkCom(OfLink):
         return first_moment(m * np.asarray(values, float), center)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadTorque(TorqueEffect):
     """The mass at the flange differs from the declared one, at the declared centre of mass."""
 
     name: ClassVar[str] = "payload_error"
     specificity: ClassVar[int] = 2
     at: ClassVar[str] = "payload"
+    quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, _MASS),)
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("acceleration", 1),)
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         change = np.zeros_like(dynamics.links)
@@ -639,8 +600,7 @@ class PayloadTorque(TorqueEffect):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadBody(TorqueEffect):
     """Another body at the flange: a mass, and its centre, in m from the declared payload's, in the last link's axes.
 
@@ -650,6 +610,7 @@ class PayloadBody(TorqueEffect):
     name: ClassVar[str] = "payload"
     specificity: ClassVar[int] = 3
     at: ClassVar[str] = "payload"
+    quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         symmetric("mass_kg", "kg", 0.1, _MASS, linear=False),
         *(symmetric(f"moment_{a}_kg_m", "kg m", 1e-2, _MASS * PAYLOAD_LENGTH, linear=False) for a in "xyz"),
@@ -658,10 +619,6 @@ class PayloadBody(TorqueEffect):
     @property
     def parameters(self) -> tuple[str, ...]:
         return "mass_kg", "x_m", "y_m", "z_m"
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("acceleration", 1),)
 
     @property
     def includes(self) -> tuple[Effect, ...]:
@@ -689,8 +646,7 @@ class PayloadBody(TorqueEffect):
         return dynamics.of_inertia(change)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class BaseTilt(TorqueEffect):
     """The base is tilted from what is declared, by small rotations about x and y: g ← R(tilt)ᵀ g."""
 
@@ -707,8 +663,7 @@ class BaseTilt(TorqueEffect):
 # ------------------------------------------------------------------ a process, and what the arm declares
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class UnnamedTorque(Process, JointTorque):
     """τ += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
 
@@ -730,14 +685,10 @@ class UnnamedTorque(Process, JointTorque):
     spread: float | None = None
     rolloff: tuple[float, ...] = ()
 
-    def __post_init__(self) -> None:
-        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
-
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
+    @property
+    def coefficient(self) -> Coordinate:
         one = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
-        one = one.at_slide() if self.of_slide else one
-        return tuple(one._replace(name=f"coefficient{k + 1}{one.name}") for k in range(self.functions))
+        return one.at_slide() if self.of_slide else one
 
     @property
     def is_friction(self) -> bool:

@@ -3,18 +3,20 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import Deflection, library_of, place_at_joint
-from lite6jax.effects.drivers import Driver, joint_driver, place_of
+from lite6jax.effects.deflection import Deflection, library_of, place_at_site
+from lite6jax.effects.drivers import Driver, driver_of, joint_driver, place_of
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.errors import InputError
+
+Kind = TypeVar("Kind", bound=type)
 
 UNINFORMED_PHASE = np.pi / np.sqrt(3)
 """The standard deviation of an angle of which nothing is known."""
@@ -65,6 +67,12 @@ class Estimate(NamedTuple):
     std: float
 
 
+@dataclass_transform(frozen_default=True)
+def final_effect(kind: Kind) -> Kind:
+    """The class of an effect as a final and frozen dataclass."""
+    return final(dataclass(frozen=True)(kind))
+
+
 def slides(effect: "Effect") -> bool:
     """Whether an effect is one of a prismatic joint."""
     return bool(getattr(effect, "of_slide", False))
@@ -93,7 +101,7 @@ class Effect(ABC):
     at: ClassVar[str] = ""
     """Its site; `joint` or `link` where the field of that name says which."""
     quantities: ClassVar[tuple[str, ...]] = ()
-    """What it depends on, as of a revolute joint, at its own joint or link."""
+    """What it depends on, as of a revolute joint, at its own joint or link; `velocity of joint 1` names another."""
     numbers: ClassVar[tuple[Coordinate, ...]] = ()
     """Its coordinates, as of a revolute joint. One that is also a field is none where that field is given."""
     fixed: ClassVar[str | None] = None
@@ -102,6 +110,16 @@ class Effect(ABC):
     """The value of `fixed` in the simplest form of an effect, which is no number of it; None where there is none."""
     searched: ClassVar[bool] = False
     """Whether `fixed` is a number that a search chooses; None in the field makes it the last coordinate."""
+    may_be_zero: ClassVar[bool] = False
+    """Whether that number may be zero; else it is positive."""
+
+    def __post_init__(self) -> None:
+        """Refuses a number that is chosen and not possible."""
+        number = getattr(self, self.fixed or "") if self.searched else None
+        if number in (None, self.plain) or 0 < number < np.inf or (self.may_be_zero and number == 0):
+            return
+        wanted = "zero or a positive number" if self.may_be_zero else "a positive number"
+        raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {wanted}")
 
     @property
     def periodic(self) -> bool:
@@ -123,7 +141,10 @@ class Effect(ABC):
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
         own = getattr(self, self.at, 0)
-        return tuple(joint_driver(each, own if place_of(each) else 0, slides(self)) for each in self.quantities)
+        return tuple(
+            driver_of(each) if each[-1].isdecimal() else joint_driver(each, own if place_of(each) else 0, slides(self))
+            for each in self.quantities
+        )
 
     @final
     def own(self, name: str) -> str:
@@ -181,18 +202,6 @@ class Effect(ABC):
         assert self.fixed is not None
         last = self.released().coordinates[-1]
         return replace(self, **{self.fixed: min(max(number, last.lower), last.upper)})
-
-    @final
-    def require_fixed(self, zero: bool = False) -> None:
-        """Refuses a fixed number that is negative or not finite, or zero where that is not possible.
-
-        Raises:
-            InputError: as said.
-        """
-        number = getattr(self, self.fixed or "")
-        if number not in (None, self.plain) and not (0 < number < np.inf or (zero and number == 0)):
-            wanted = "zero or a positive number" if zero else "a positive number"
-            raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {wanted}")
 
     # ------------------------------------------------------------------ what people read
 
@@ -274,6 +283,19 @@ class Bending(Effect, ABC):
         """The deflection by `values` `(coordinate,)` in a motion."""
 
 
+class FrameEffect(Bending, ABC):
+    """An effect that displaces the frame at its site."""
+
+    @abstractmethod
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        """`(6, sample)`, the frame's twist."""
+
+    @final
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        """The twist at its site."""
+        return place_at_site(motion.dof, self.site, self.displace(values, motion, loads))
+
+
 class Altering(Effect, ABC):
     """An effect by which the arm's motion is another than the one declared, before loads and deflections follow."""
 
@@ -293,9 +315,9 @@ class Loading(Altering, ABC):
         """The motion as it is: most such effects are of masses or of gravity."""
         return motion
 
-    @abstractmethod
     def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
-        """The masses and gravity as they really were."""
+        """The masses and gravity as they really were; as declared where the motion alone is another."""
+        return inertia
 
     @final
     def beyond(self, values: Array, motion: Motion) -> Array:
@@ -337,7 +359,7 @@ class JointEffect(OfJoint, Bending, ABC):
     @final
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """What adds at its joint."""
-        return Deflection(joint=place_at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))
+        return place_at_site(motion.dof, self.site, self.angle(values, motion, loads))
 
 
 def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:

@@ -20,7 +20,7 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,8 @@ _PERIOD = 1.25
 """Ranges of the angle in the period of a spectrum's lowest order, at least: errors need not repeat after a turn."""
 _REACH = 8.0
 """Half ranges beyond its driver's range from which on a process of a scaled driver keeps its value."""
+_OUTER = round(_REACH * PIECES / 2)
+"""Intervals to each side of that range."""
 _WAVES = np.array([1.0, 2.0, 3.0])
 _PLAYS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Half-widths of play operators over half the range of their driver."""
@@ -127,7 +129,8 @@ def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
     return xp.maximum(whole - known, 0.0)  # type: ignore[return-value]
 
 
-def size_of(kernel: str, bounds: Sequence[float]) -> int:
+@lru_cache(maxsize=4096)
+def size_of(kernel: str, bounds: tuple[float, ...]) -> int:
     """How many features a kernel has."""
     if kernel == "play":
         return len(_PLAYS) + 2
@@ -154,8 +157,7 @@ def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> ND
 @cache
 def root(name: str, in_product: bool = False) -> NDArray:
     """`(spline, feature)`, by which the splines of a scaled driver become the features of a kernel."""
-    outer = _outer_pieces()
-    return _table(name, in_product)[outer : outer + PIECES + 3]
+    return _table(name, in_product)[_OUTER : _OUTER + PIECES + 3]
 
 
 @cache
@@ -165,21 +167,17 @@ def _table(name: str, in_product: bool) -> NDArray:
     The coefficients of the splines are the process at their centres. Features are the largest principal components of
     the process over an even grid of the range, and what they say of its values elsewhere.
     """
-    kernel, outer = SCALED[name], _outer_pieces()
-    centres = np.arange(-outer - 1, PIECES + outer + 2) * (2 / PIECES) - 1
+    kernel = SCALED[name]
+    centres = np.arange(-_OUTER - 1, PIECES + _OUTER + 2) * (2 / PIECES) - 1
     if name == "line":
         return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
-    inner = centres[outer : outer + PIECES + 3]
+    inner = centres[_OUTER : _OUTER + PIECES + 3]
     covariance = kernel.covariance(centres[:, None], inner, np.abs(centres[:, None] - inner)) + 1.0
     grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T  # type: ignore[arg-type]
-    eigenvalues, V = np.linalg.eigh(covariance[outer : outer + PIECES + 3])
+    eigenvalues, V = np.linalg.eigh(covariance[_OUTER : _OUTER + PIECES + 3])
     U, S, _ = np.linalg.svd(grid @ (V * np.sqrt(np.maximum(eigenvalues, 0.0))), full_matrices=False)
     rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
     return covariance @ grid.T @ U[:, :rank] / S[:rank]
-
-
-def _outer_pieces() -> int:
-    return round(_REACH * PIECES / 2)
 
 
 def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES) -> Array:
@@ -194,33 +192,25 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
-def wave_features(values: Array) -> Array:
-    """A constant, and sine and cosine of the first orders of an angle, each over its order, `(7, sample)`."""
-    xp = library_of(values)
-    turned = _WAVES[:, None] * values
-    return xp.concatenate(
-        [xp.ones_like(turned[:1]), xp.sin(turned) / _WAVES[:, None], xp.cos(turned) / _WAVES[:, None]]
-    )
-
-
 def _factors(names: Sequence[str], values: Array, bounds: Sequence[float]) -> list[Array]:
     """The features `(feature, sample)` of each factor at values `(driver, sample)`."""
     return [_factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names) > 1) for k, name in enumerate(names)]
 
 
 def _factor(name: str, values: Array, lower: float, upper: float, in_product: bool) -> Array:
-    if name == "wave":
-        return wave_features(values)
-    xp, scaled = library_of(values), 2 * (values - lower) / (upper - lower) - 1
+    xp = library_of(values)
+    if name == "wave":  # of an angle, each order over itself
+        turned, over = _WAVES[:, None] * values, _WAVES[:, None]
+        return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / over, xp.cos(turned) / over])
+    scaled = 2 * (values - lower) / (upper - lower) - 1
     if name == "line":
         return xp.stack([xp.ones_like(scaled), scaled])
-    table, outer = _table(name, in_product), _outer_pieces()
-    u = xp.clip((scaled + 1) * (PIECES / 2) + outer, 0.0, PIECES + 2.0 * outer)
-    first = xp.clip(xp.floor(u), 0, PIECES + 2 * outer - 1).astype(int)
+    u = xp.clip((scaled + 1) * (PIECES / 2) + _OUTER, 0.0, PIECES + 2.0 * _OUTER)
+    first = xp.clip(xp.floor(u), 0, PIECES + 2 * _OUTER - 1).astype(int)
     t = u - first
     # the four cubic B-splines that are not zero there
     weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
-    columns = xp.asarray(table.T / 6)
+    columns = xp.asarray(_table(name, in_product).T / 6)
     return sum(columns[:, first + k] * weight for k, weight in enumerate(weights))  # type: ignore[return-value]
 
 

@@ -5,8 +5,7 @@ a value. Those of prismatic joints follow from a lever (`arms.arm.LEVER`).
 """
 
 from abc import ABC
-from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,9 +19,11 @@ from lite6jax.effects.effect import (
     Bending,
     Coordinate,
     Effect,
+    FrameEffect,
     JointEffect,
     Loading,
     Wave,
+    final_effect,
     positive,
     symmetric,
 )
@@ -50,8 +51,7 @@ class _Proportional(JointEffect, ABC):
         return values[0] * self.drivers[0].values(motion, loads)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointOffset(JointEffect):
     """δq = c: the encoder's zero is elsewhere."""
 
@@ -64,8 +64,7 @@ class JointOffset(JointEffect):
         return library_of(values).broadcast_to(values[0], (motion.samples,))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointScale(_Proportional):
     """δq = s·q: the encoder's radian is another.
 
@@ -78,8 +77,7 @@ class JointScale(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("scale", "1", 1e-4, _RATIO),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointCompliance(_Proportional):
     """δq = c·τ: the gear gives way to the torque that gravity exerts on it.
 
@@ -92,8 +90,7 @@ class JointCompliance(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (positive("compliance_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointHarmonic(Wave, JointEffect):
     """δq = A·sin(n·q + φ): eccentric encoders and gears (n = 1, 2), gear teeth and wave generators (n up to 400).
 
@@ -111,9 +108,6 @@ class JointHarmonic(Wave, JointEffect):
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     amplitude: ClassVar[Coordinate] = symmetric("_rad", "rad", 1e-4, _WAVE)
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     @property
     def chosen(self) -> float | None:
         """The order, unless it is one of the two that are candidates of their own."""
@@ -123,8 +117,7 @@ class JointHarmonic(Wave, JointEffect):
         return self.of_position(values, self.drivers[0].values(motion, loads))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointLag(JointEffect):
     """δq = −lag·dq: the joint is behind what its encoder says."""
 
@@ -138,8 +131,7 @@ class JointLag(JointEffect):
         return -values[0] * self.drivers[0].values(motion, loads)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointCoupling(_Proportional):
     """δq = k·q_source: another joint's motion leaks into this one's, as through a shared gear or cable.
 
@@ -163,8 +155,7 @@ class JointCoupling(_Proportional):
         return (joint_driver("position", self.source_joint, self.of_slide),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointThermalOffset(_Proportional):
     """δq = k·(T − T₀): the encoder's zero moves with the joint's own temperature, or with that of the surroundings."""
 
@@ -175,8 +166,7 @@ class JointThermalOffset(_Proportional):
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_rad_per_K", "rad/K", 1e-6, 1e-3),)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointWarmUp(JointEffect):
     """δq = A·(1 − exp(−time/τ)): the joint warms up from time 0, and nobody records its temperature.
 
@@ -198,9 +188,6 @@ class JointWarmUp(JointEffect):
         Coordinate("time_constant_s", "s", 1e3, lower=WARM_UP[0], upper=WARM_UP[1], linear=False),
     )
 
-    def __post_init__(self) -> None:
-        self.require_fixed()
-
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
         xp, time = library_of(values, motion.time), self.drivers[0].values(motion, loads)
@@ -219,8 +206,7 @@ _FRICTION = positive("friction_torque_Nm", "Nm", 0.1, 1e3, linear=False)
 """No motor of such an arm would turn a joint with more."""
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointBacklash(JointEffect):
     """δq = ½·gap·sign(τ − f·direction): gravity presses the gear to a flank, unless friction f carries it to the other.
 
@@ -238,10 +224,8 @@ class JointBacklash(JointEffect):
     specificity: ClassVar[int] = 3
     fixed: ClassVar[str | None] = "friction_torque_Nm"
     searched: ClassVar[bool] = True
+    may_be_zero: ClassVar[bool] = True
     numbers: ClassVar[tuple[Coordinate, ...]] = (_GAP,)
-
-    def __post_init__(self) -> None:
-        self.require_fixed(zero=True)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -263,8 +247,7 @@ class JointBacklash(JointEffect):
         return 0.5 * values[0] * library_of(pressing).sign(pressing)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class _FreeBacklash(JointEffect):
     """A `JointBacklash` whose friction is fitted as well; never in a file, where friction is fixed."""
 
@@ -280,8 +263,7 @@ class _FreeBacklash(JointEffect):
         return 0.5 * values[0] * (jnp.sign(pressed) + ramp - lax.stop_gradient(ramp))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class JointWindup(JointEffect):
     """δq = c·p(τ): p is the play operator of half-width f on gravity's torque. Dry friction f holds the gear back.
 
@@ -300,14 +282,12 @@ class JointWindup(JointEffect):
     """It depends on the samples before."""
     fixed: ClassVar[str | None] = "friction_torque_Nm"
     searched: ClassVar[bool] = True
+    may_be_zero: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("gravity torque",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         positive("compliance_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE),
         _FRICTION,
     )
-
-    def __post_init__(self) -> None:
-        self.require_fixed(zero=True)
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         torque = self.drivers[0].values(motion, loads)
@@ -327,17 +307,15 @@ _FRAME = {"m": 0.1, "rad": 0.3}
 """Of a frame's displacement: more is another arm."""
 
 
-class _Tilting(Bending, ABC):
+class _Tilting(FrameEffect, ABC):
     """A frame that rotates about its x and y axes by a compliance times the moment about each."""
 
-    def tilt(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        """`(6, sample)`, the frame's twist."""
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         return twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkCompliance(_Tilting):
     """A link's frame rotates about its x and y axes by a compliance times the moment of gravity about them.
 
@@ -355,12 +333,8 @@ class LinkCompliance(_Tilting):
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE) for axis in "xy"
     )
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(link=place_at_joint(motion.dof, self.link, self.tilt(values, motion, loads)))
 
-
-@final
-@dataclass(frozen=True)
+@final_effect
 class LinkThermalExpansion(Bending):
     """The vector from a link's frame to the origin of the next joint grows by α times the temperature rise.
 
@@ -389,9 +363,8 @@ class LinkThermalExpansion(Bending):
         return Deflection(stretch=place_at_joint(motion.dof, self.link + 1, growth))
 
 
-@final
-@dataclass(frozen=True)
-class FrameOffset(Bending):
+@final_effect
+class FrameOffset(FrameEffect):
     """A constant twist of a link's frame, after its joint's rotation and in its own axes, or of the base frame.
 
     Attributes:
@@ -410,15 +383,11 @@ class FrameOffset(Bending):
     def site(self) -> str:
         return "base" if self.link is None else f"link{self.link}"
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        displaced = library_of(values).broadcast_to(values[:, None], (6, motion.samples))
-        if self.link is None:
-            return Deflection(base=displaced)
-        return Deflection(link=place_at_joint(motion.dof, self.link, displaced))
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return library_of(values).broadcast_to(values[:, None], (6, motion.samples))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class AxisWobble(Bending):
     """A joint's frame tilts about its x and y, before the joint's rotation, by Fourier series in the joint's position.
 
@@ -458,9 +427,8 @@ class AxisWobble(Bending):
 # ------------------------------------------------------------------ base, tool and sensor
 
 
-@final
-@dataclass(frozen=True)
-class BaseCompliance(Bending):
+@final_effect
+class BaseCompliance(FrameEffect):
     """The base tilts about its x and y axes by a compliance times the moment of links and payload about them.
 
     Attributes:
@@ -492,7 +460,7 @@ class BaseCompliance(Bending):
         # a mount that gives way sideways by a centimetre under 10 Nm
         return (*tilts, *(symmetric(f"shift_{of}_m_per_Nm", "m/Nm", 1e-6, 1e-3) for of in shifts))
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         rx, ry, x, y = values[0] * about_x, values[1] * about_y, None, None
         if self.cross:
@@ -500,26 +468,24 @@ class BaseCompliance(Bending):
         if self.shift:
             xx, xy, yx, yy = values[-4:]
             x, y = xx * about_x + xy * about_y, yx * about_x + yy * about_y
-        return Deflection(base=twist(motion.samples, x, y, rx=rx, ry=ry))
+        return twist(motion.samples, x, y, rx=rx, ry=ry)
 
 
 _VELOCITY = tuple(symmetric(f"v{axis}_m_per_s", "m/s", 1e-7, 1e-3) for axis in "xyz")
 """Of a drift: more is motion."""
 
 
-class _Drifting(Bending, ABC):
+class _Drifting(FrameEffect, ABC):
     """A frame that moves at a constant velocity, from zero at time 0."""
 
     quantities: ClassVar[tuple[str, ...]] = ("time",)
 
-    def drift(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        """`(6, sample)`, the frame's twist."""
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         time = self.drivers[0].values(motion, loads)
         return twist(motion.samples, *(velocity * time for velocity in values))
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class BaseDrift(_Drifting):
     """The base drifts relative to the sensor at a constant velocity, in the base's axes, from zero at time 0."""
 
@@ -528,12 +494,8 @@ class BaseDrift(_Drifting):
     at: ClassVar[str] = "base"
     numbers: ClassVar[tuple[Coordinate, ...]] = _VELOCITY
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(base=self.drift(values, motion, loads))
 
-
-@final
-@dataclass(frozen=True)
+@final_effect
 class SensorDrift(_Drifting):
     """All that the sensor shows drifts at a constant velocity, in the sensor's axes, from zero at time 0.
 
@@ -548,13 +510,9 @@ class SensorDrift(_Drifting):
         *(symmetric(f"w{axis}_rad_per_s", "rad/s", 1e-7, 1e-3) for axis in "xyz"),
     )
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(sensor=self.drift(values, motion, loads))
 
-
-@final
-@dataclass(frozen=True)
-class ToolOffset(Bending):
+@final_effect
+class ToolOffset(FrameEffect):
     """The measured point is displaced on the flange, along the flange's axes.
 
     Attributes:
@@ -572,12 +530,11 @@ class ToolOffset(Bending):
         most = {"m": 1.0, "rad": 3.2}  # any rotation
         return tuple(symmetric(name, unit, 1e-3, most[unit]) for name, unit in _TWIST[: 6 if self.turned else 3])
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(tool=twist(motion.samples, *values))
+    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return twist(motion.samples, *values)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class ToolCompliance(_Tilting):
     """What is on the flange rotates about the flange's x and y by a compliance times the payload's moment about them.
 
@@ -595,12 +552,8 @@ class ToolCompliance(_Tilting):
         positive(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, 1e-2) for axis in "xy"
     )
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(tool=self.tilt(values, motion, loads))
 
-
-@final
-@dataclass(frozen=True)
+@final_effect
 class MeasurementScale(Bending):
     """Positions measured by the sensor are scaled: p ← (1 + s)·p."""
 
@@ -616,20 +569,16 @@ class MeasurementScale(Bending):
 # ------------------------------------------------------------------ clock, payload and gravity
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class TimeOffset(Altering):
     """The pose with the time stamp t is that of the arm (joints, velocities, loads) at t + offset."""
 
     name: ClassVar[str] = "time_offset"
     specificity: ClassVar[int] = 6
     at: ClassVar[str] = "clock"
+    quantities: ClassVar[tuple[str, ...]] = ("time", "velocity of joint 1")
     # more is another recording
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_s", "s", 1e-2, 60.0),)
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("time"), Driver("velocity", 1))
 
     def alter(self, values: Array, motion: Motion) -> Motion:
         return motions.shifted(motion, values[0])
@@ -638,8 +587,7 @@ class TimeOffset(Altering):
         return motions.beyond(motion, values[0])
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadError(Loading):
     """The payload differs from the declared mass; it is observable only through a compliance."""
 
@@ -653,12 +601,8 @@ class PayloadError(Loading):
     def alter(self, values: Array, motion: Motion) -> Motion:
         return motion._replace(payload=motion.payload + values[0])
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
-        return inertia
 
-
-@final
-@dataclass(frozen=True)
+@final_effect
 class PayloadCom(Loading):
     """The payload's centre of mass is elsewhere than declared, along the flange's axes; seen through a compliance."""
 
@@ -672,8 +616,7 @@ class PayloadCom(Loading):
         return inertia._replace(payload_center=inertia.payload_center + values)
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class GravityDirection(Loading):
     """Gravity as declared is turned by a small rotation about the base's x and y; seen through a compliance.
 

@@ -119,7 +119,7 @@ def motion_of(
         raise InputError(f"motion: joint_position has the shape {q.shape}; give (sample, joint), neither of them zero")
     samples = len(q)
 
-    def given(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray | None:
+    def given(name: str, value: ArrayLike | None, shape: tuple[int, ...] = q.shape) -> np.ndarray | None:
         if value is None:
             return None
         array = np.asarray(value, float)
@@ -130,7 +130,7 @@ def motion_of(
             raise InputError(f"motion: {name} is not finite in row {row + 1}; drop such rows first")
         return array
 
-    given("joint_position", q, q.shape)
+    given("joint_position", q)
     starts = np.zeros(samples, bool)
     starts[0] = True
     if run is not None:
@@ -145,27 +145,22 @@ def motion_of(
         back = np.flatnonzero((np.diff(clock) < 0) & ~starts[1:])
         if back.size:
             raise InputError(f"motion: time goes back at row {back[0] + 2}; sort the rows by time within each run")
-    temperature = given("joint_temperature", joint_temperature, q.shape)
+    temperature = given("joint_temperature", joint_temperature)
     if temperature is None and (ambient := given("ambient_temperature", ambient_temperature, (samples,))) is not None:
         temperature = np.repeat(ambient[:, None], q.shape[1], 1)
     rise = None if temperature is None else temperature - reference_temperature
-    mass = given("payload", payload, (samples,))
-    velocity, direction = (
-        given("joint_velocity", joint_velocity, q.shape),
-        given("direction", direction, q.shape),
-    )
 
     def stored(array: np.ndarray | None) -> Array | None:
         return None if array is None else jnp.asarray(np.ascontiguousarray(array.T))
 
     return Motion(
         joint_position=jnp.asarray(np.ascontiguousarray(q.T)),
-        joint_velocity=stored(velocity),
-        direction=stored(direction),
+        joint_velocity=stored(given("joint_velocity", joint_velocity)),
+        direction=stored(given("direction", direction)),
         time=stored(clock),
         run=jnp.asarray(np.stack([first, last])),
         temperature_rise=stored(None if rise is None else rise.mean(1)),
-        payload=jnp.asarray(np.zeros(samples) if mass is None else mass),
+        payload=jnp.asarray(given("payload", np.zeros(samples) if payload is None else payload, (samples,))),
         joint_temperature_rise=stored(rise),
         measured_position=stored(None if measured_position is None else np.asarray(measured_position, float)),
         sliding=Sliding(sliding),
@@ -201,14 +196,8 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     velocity = 6 * u * (1 - u) * (end - start) / step + (1 - u) * (1 - 3 * u) * v_start + u * (3 * u - 2) * v_end
     # at a sample's own instant its own values, at whichever end of the interval it lies
     own = jnp.where(u < 1, before, after)
-    rest = {
-        name: None if value is None else at(value, own)
-        for name, value in (
-            ("temperature_rise", motion.temperature_rise),
-            ("joint_temperature_rise", motion.joint_temperature_rise),
-            ("payload", motion.payload),
-        )
-    }
+    kept = ("temperature_rise", "joint_temperature_rise", "payload")
+    rest = {name: at(value, own) for name in kept if (value := getattr(motion, name)) is not None}
     if motion.joint_acceleration is not None:
         a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)
         rest["joint_acceleration"] = (1 - u) * a_start + u * a_end

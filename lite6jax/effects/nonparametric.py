@@ -1,18 +1,18 @@
 """Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
 import re
-from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
-from typing import ClassVar, final
+from abc import ABC, abstractmethod
+from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects import kernels
-from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
+from lite6jax.effects.deflection import Deflection, library_of, place_at_site, twist
 from lite6jax.effects.drivers import Driver, driver_of
-from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.effect import Bending, Coordinate, Effect, final_effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -36,33 +36,12 @@ def drivers_of(phrase: str) -> tuple[Driver, ...]:
     return tuple(map(driver_of, phrase.split(" and ")))
 
 
-@cache
-def place_of(where: str) -> tuple[str, int]:
-    """The kind of a site, such as `link`, and the number of a joint or link; 0 of the others."""
-    return where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
+@lru_cache(maxsize=1024)
+def _coefficients(one: Coordinate, count: int) -> tuple[Coordinate, ...]:
+    return tuple(one._replace(name=f"coefficient{k + 1}{one.name}") for k in range(count))
 
 
-def require_process(
-    label: str, driver: str, kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...]
-) -> None:
-    """Refuses what is no Gaussian process of these drivers.
-
-    Raises:
-        InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
-    """
-    count = len(drivers_of(driver))
-    if not kernels.is_kernel(kernel, count):
-        wanted = (
-            f"one of {', '.join(kernels.KERNELS)}" if count == 1 else "two that are joined by *, such as smooth*line"
-        )
-        raise InputError(f"{label}: kernel {kernel!r} is not possible with {count} drivers; give {wanted}")
-    if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
-        raise InputError(f"{label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each")
-    if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or kernel != "spectrum"):
-        raise InputError(f"{label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
-
-
-class Process:
+class Process(Effect, ABC):
     """What nonparametric effects have in common: a Gaussian process f = Σ coefficient · φ(drivers).
 
     Attributes:
@@ -74,6 +53,9 @@ class Process:
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
             spread² / (1 + (k / c)ˢ).
+
+    Raises:
+        InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
     """
 
     driver: str
@@ -88,30 +70,41 @@ class Process:
     nonparametric: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
 
+    def __post_init__(self) -> None:
+        count, bounds = len(self.drivers), self.bounds
+        if not kernels.is_kernel(self.kernel, count):
+            one, two = f"one of {', '.join(kernels.KERNELS)}", "two that are joined by *, such as smooth*line"
+            raise InputError(
+                f"{self.label}: kernel {self.kernel!r} is not possible with {count} drivers; give "
+                f"{one if count == 1 else two}"
+            )
+        if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
+            raise InputError(
+                f"{self.label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each"
+            )
+        rolloff = self.rolloff
+        if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel != "spectrum"):
+            raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
+
     @property
-    def size(self) -> int:
-        """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
-        return self.functions
+    @abstractmethod
+    def coefficient(self) -> Coordinate:
+        """Any of the coefficients, its name without a number."""
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
-        return self.coefficients
+        return _coefficients(self.coefficient, self.size)
 
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
-        """The coordinates, made once."""
-        raise NotImplementedError
+    @property
+    def size(self) -> int:
+        """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
+        return kernels.size_of(self.kernel, self.bounds)
 
     @property
     def bounds(self) -> tuple[float, ...]:
         """Lower and upper of the first driver's range, and of the second's."""
         return self.lower, self.upper, *self.further
-
-    @cached_property
-    def functions(self) -> int:
-        """How many coefficients it has."""
-        return kernels.size_of(self.kernel, self.bounds)
 
     @property
     def process(self) -> tuple[object, ...]:
@@ -145,8 +138,7 @@ class Process:
         return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
 
 
-@final
-@dataclass(frozen=True)
+@final_effect
 class Unnamed(Process, Bending):
     """δ = Σ coefficient · φ(drivers): a Gaussian process of one driver or of two, at one component of a site.
 
@@ -178,7 +170,7 @@ class Unnamed(Process, Bending):
             wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
             wanted += f", or {SCALE}" if self.where == "sensor" else ""
             raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
-        require_process(self.label, self.driver, self.kernel, self.bounds, self.rolloff)
+        super().__post_init__()
 
     @property
     def site(self) -> str:
@@ -190,13 +182,10 @@ class Unnamed(Process, Bending):
         """Of what it adds."""
         return _MEASURES.get(self.component, ("rad", ""))[0]
 
-    @cached_property
-    def coefficients(self) -> tuple[Coordinate, ...]:
-        """The coordinates, made once."""
+    @property
+    def coefficient(self) -> Coordinate:
         unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
-        spread = np.inf if self.spread is None else float(self.spread)
-        names = (f"coefficient{k + 1}{end}" for k in range(self.functions))
-        return tuple(Coordinate(name, unit, 1e-4, spread, -_MOST, _MOST) for name in names)
+        return Coordinate(end, unit, 1e-4, np.inf if self.spread is None else float(self.spread), -_MOST, _MOST)
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""
@@ -215,12 +204,8 @@ class Unnamed(Process, Bending):
 
     def _at_site(self, moved: Array, motion: Motion) -> Deflection:
         """What adds `(sample,)`, where this effect is."""
-        kind, number = place_of(self.where)
-        if kind == "joint":
-            return Deflection(joint=place_at_joint(motion.dof, number, moved))
         if self.component == SCALE:
             return Deflection(scale=library_of(moved).broadcast_to(moved, (motion.samples,)))
-        displaced = twist(motion.samples, **{self.component: moved})
-        if kind == "link":
-            return Deflection(link=place_at_joint(motion.dof, number, displaced))
-        return Deflection(**{kind: displaced})
+        if not self.where.startswith("joint"):
+            moved = twist(motion.samples, **{self.component: moved})
+        return place_at_site(motion.dof, self.where, moved)

@@ -1,16 +1,15 @@
 """Loads of gravity and of inertial forces: torques on the joints, moments on the links and on the base."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, HayatiForm, link_frames
-from lite6jax.arms.se3 import Turn, base_frame, cross
-from lite6jax.deferred import Array, jnp, lax
-from lite6jax.effects.motion import Sliding
+from lite6jax.arms.chains import Form, HayatiForm
+from lite6jax.arms.dynamics import wrenches
+from lite6jax.arms.se3 import Turn
+from lite6jax.deferred import Array, jnp
+from lite6jax.effects.deflection import library_of
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -44,23 +43,28 @@ class Loads(NamedTuple):
         base_moment: `(3, sample)` about the origin of the base frame, in its axes.
         payload_moment: `(3, sample)` of the payload alone about the flange's origin, in the flange's axes; None where
             not given.
-        axial: `(joint, sample)` N, the force along the axis of each joint; None where no joint is prismatic.
-        sliding: the prismatic joints.
+        effort: `(joint, sample)`, `torque` where a joint is prismatic; None where none is.
     """
 
     moment: Array
     base_moment: Array
     payload_moment: Array | None = None
-    axial: Array | None = None
-    sliding: Sliding = Sliding()
+    effort: Array | None = None
 
     @property
     def torque(self) -> Array:
         """`(joint, sample)` N·m about the +z axis of each joint, N along it of a prismatic one; the motor exerts the
         opposite."""
-        if self.axial is None:
-            return self.moment[:, 2]
-        return jnp.where(self.sliding.mask(len(self.axial))[:, None], self.axial, self.moment[:, 2])
+        return self.moment[:, 2] if self.effort is None else self.effort
+
+
+def point_mass(mass: Any, center: Any) -> Any:
+    """`(…, 10)` inertial numbers of point masses `(…)` kg at `(…, 3)` m: as `arms.dynamics.PARAMETERS`."""
+    xp = library_of(mass, center)
+    c = xp.asarray(center, float)
+    squares = xp.sum(c * c, -1, keepdims=True) - c * c
+    products = -c[..., np.array([0, 0, 1])] * c[..., np.array([1, 2, 2])]
+    return xp.asarray(mass)[..., None] * xp.concatenate([xp.ones_like(c[..., :1]), c, squares, products], -1)
 
 
 def inertia_of(
@@ -121,10 +125,8 @@ def loads(
 ) -> Loads:
     """The loads on a rigid chain, for use inside a jitted function.
 
-    The frames follow from one forward recursion, the loads from sums over the outboard bodies: with F the force on all
-    bodies outboard of the origin o and P its moment about the base's origin, M = P − o × F. A body of mass m with the
-    acceleration a of its centre contributes m (g − a) (recursive Newton–Euler; J. Luh, M. Walker and R. Paul, 1980).
-    The moments of the bodies' inertia tensors are omitted, because descriptions do not contain these tensors.
+    They are the opposite of what holds point masses in their motion: a mass m with the acceleration a contributes
+    m (g − a) (`arms.dynamics.wrenches`). Inertia tensors are omitted, because descriptions need not contain them.
 
     Args:
         form: a six-parameter chain.
@@ -149,68 +151,11 @@ def loads(
             f"inertia: {inertia.mass.size} masses for an arm of {form.dof} joints; give one per joint, a tool's mass "
             "within the last"
         )
-    samples = joint.cos.shape[1]
-
-    frames = link_frames(form, kinematics, joint, base_frame(jnp.eye(4), samples))
-    x, y, z, origin = (jnp.moveaxis(part, 1, 0) for part in frames)  # (3, joint, sample)
-
-    def arm_to(center: Array, last: slice) -> Array:
-        a, b, c = jnp.moveaxis(center, -1, 0)[..., None]
-        return a * x[:, last] + b * y[:, last] + c * z[:, last]
-
-    links, end = slice(None), slice(-1, None)
-    to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
-    specific_force = _specific_force(form, z, origin, velocity, acceleration, inertia.gravity)
-    force, weight = inertia.mass[:, None] * specific_force(to_link, links), payload * specific_force(to_payload, end)
-    moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, weight))
-    outboard = partial(lax.cumsum, axis=1, reverse=True)
-    outboard_force, about_base = outboard(force.at[:, -1:].add(weight)), outboard(moment)
-    about = about_base - cross(origin, outboard_force)
-    about_flange = cross(to_payload, weight)[:, 0]
-    of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])
-    found = Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0], of_payload)
-    if not form.sliding:
-        return found
-    return found._replace(axial=jnp.sum(z * outboard_force, 0), sliding=Sliding(form.sliding))
-
-
-def _specific_force(
-    form: Form,
-    axis: Array,
-    origin: Array,
-    velocity: Array | None,
-    acceleration: Array | None,
-    gravity: Array,
-) -> Callable[[Array, slice], Array]:
-    """The specific force g − a at points of the links, as a function.
-
-    The function takes the vectors `(3, joint, sample)` m from the origins of some frames to points fixed in them, and
-    the slice of joints to which they belong, and gives g − a of the points in m/s².
-
-    Args:
-        axis: `(3, joint, sample)` of each joint.
-        origin: `(3, joint, sample)` of each joint's frame.
-        velocity: `(joint, sample)` rad/s.
-        acceleration: `(joint, sample)` rad/s².
-        gravity: `(3,)` m/s².
-    """
-    g = gravity[:, None, None]
-    if velocity is None or acceleration is None:
-        return lambda arm, _: jnp.broadcast_to(g, arm.shape)
-    outwards = partial(lax.cumsum, axis=1)
-    slides, shifting = Sliding(form.sliding).mask(form.dof)[:, None], (velocity, acceleration)
-    if form.sliding:
-        velocity, acceleration = (jnp.where(slides, 0.0, rate) for rate in shifting)
-    rates = axis * velocity
-    omega = outwards(rates)
-    alpha = outwards(axis * acceleration + cross(omega, rates))  # a joint's own rotation leaves its axis unchanged
-
-    def relative(arm: Array, at: slice) -> Array:
-        return cross(alpha[:, at], arm) + cross(omega[:, at], cross(omega[:, at], arm))
-
-    steps = relative(jnp.diff(origin, axis=1), slice(-1))
-    of_origin = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(steps)], 1)
-    if form.sliding:  # what a slide adds in the frame before it, which turns
-        along, along_rate = (jnp.where(slides, rate, 0.0) for rate in shifting)
-        of_origin = of_origin + outwards(axis * along_rate + 2 * cross(omega, axis * along))
-    return lambda arm, at: g - of_origin[:, at] - relative(arm, at)
+    still = jnp.zeros_like(joint.cos)
+    rates = (still, still) if velocity is None or acceleration is None else (velocity, acceleration)
+    links = point_mass(inertia.mass, inertia.center_of_mass)[..., None]
+    carried = point_mass(payload, jnp.broadcast_to(inertia.payload_center, (len(payload), 3))).T
+    chain, gravity, sliding = kinematics.reshape(-1, 6), inertia.gravity, form.sliding
+    force, moment, base, flange = wrenches(chain, links, joint, *rates, gravity, sliding, carried)
+    slides = np.isin(np.arange(form.dof), sliding)[:, None]
+    return Loads(-moment, -base, -flange, -jnp.where(slides, force[:, 2], moment[:, 2]) if sliding else None)

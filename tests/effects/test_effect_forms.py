@@ -405,7 +405,7 @@ def test_a_process_deflects_by_its_functions_and_survives_its_file(effect):
     motion, loads = everything()
     values, at = RNG.uniform(-1, 1, effect.size), np.asarray(effect.values_at(motion, loads))
     functions = np.asarray(effect.functions_at(at, motion.run))
-    assert functions.shape == (effect.functions, 5) == (effect.size, 5)
+    assert functions.shape == (effect.size, 5) == (len(effect.coordinates), 5)
     parts = [part for part in effect.deflect(jnp.asarray(values), motion, loads) if part is not None]
     (moved,) = (np.asarray(part).reshape(-1, 5) for part in parts)
     np.testing.assert_allclose(moved[moved.any(1)], [values @ functions], rtol=0, atol=1e-12)

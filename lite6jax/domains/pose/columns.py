@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from lite6jax.arms.chains import Form, joint_motion
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.deflection import Deflection, place_of
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, place_of
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 from lite6jax.estimation.problem import Component, Quantity
 from lite6jax.estimation.terms import Terms
