@@ -22,8 +22,7 @@ from lite6jax.recordings.files import (
 from lite6jax.recordings.readings import Readings, readings_from_arrays
 from lite6jax.recordings.recording import (
     Recording,
-    check_joint_scale,
-    check_position_scale,
+    check_scale,
     drop_missing,
     join_recordings,
 )
@@ -45,8 +44,7 @@ __all__ = [
     "RecordingSettings",
     "Targets",
     "assemble_motion",
-    "check_joint_scale",
-    "check_position_scale",
+    "check_scale",
     "check_torque_scale",
     "check_velocity_scale",
     "drop_missing",

@@ -20,7 +20,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
-from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
+from lite6jax.recordings.recording import Recording, check_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import (
     RecordingSettings,
@@ -30,7 +30,7 @@ from lite6jax.recordings.settings import (
     sidecar_path,
     write_settings,
 )
-from lite6jax.recordings.table import RawTable, make_arrays, tabulate
+from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.recordings.texts import open_text
 from lite6jax.recordings.units import require_radians
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
@@ -233,13 +233,9 @@ def read_recording(
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    arrays = make_arrays(table, str(path), notes)
-    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    recording = Recording.from_table(table, sidecar.settings, str(path), notes)
     recording = drop_missing(recording, table.spelling)
-    if joint_limits is not None:
-        check_joint_scale(recording, joint_limits, table.spelling, assume_degrees or table.converts("q1_rad"))
-    if reach is not None:
-        check_position_scale(recording, reach, table.spelling, assume_millimetres or table.converts("x_m"))
+    check_scale(recording, joint_limits, reach, table, degrees=assume_degrees, millimetres=assume_millimetres)
     return recording
 
 
@@ -324,15 +320,11 @@ def read_targets(
     given = "q1_rad" in table.columns
     if not given:
         table.values.update({f"q{joint + 1}_rad": np.zeros(len(table.values["x_m"])) for joint in range(table.joints)})
-    arrays = make_arrays(table, str(path), notes)
-    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    recording = Recording.from_table(table, sidecar.settings, str(path), notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
-    if given and joint_limits is not None:
-        check_joint_scale(recording, joint_limits, table.spelling, assumed=True)
-    if reach is not None:
-        check_position_scale(recording, reach, table.spelling, assumed=True)
+    check_scale(recording, joint_limits if given else None, reach, table, degrees=True, millimetres=True)
     return Targets(recording, recording.joint_position if given else None)
 
 
