@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from math import pi
 from typing import NamedTuple
@@ -137,12 +136,11 @@ def is_scalar(array: str) -> bool:
     return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """A recognised column: its name and place in the file, and what it holds, in SI once divided by `divisor`."""
 
     name: str
-    index: int
+    place: int
     quantity: str
     joint: int  # 1-based, 0 for a quantity that is not per joint
     unit: str
@@ -268,7 +266,7 @@ def recognise(
     ]
     alike: dict[tuple[str, str], tuple[int, list[str]]] = {}  # the place of a problem, and the next columns with it
     unclear: set[str] = set()
-    for index, raw in enumerate(names):
+    for place, raw in enumerate(names):
         stripped = raw.strip()
         name = own.get(raw, own.get(stripped, stripped))
         if name == IGNORED or name in TEXTS or _STD.fullmatch(name):
@@ -290,13 +288,13 @@ def recognise(
             alike[key] = len(problems), []
             problems.append(f"column {shown[:60]!r}: {meant.problem}; write {meant.remedy}")
         elif (twin := found.get(meant.si_name)) is None:
-            found[meant.si_name] = Column(stripped, index, meant.quantity, meant.joint, meant.unit, meant.divisor)
+            found[meant.si_name] = meant._replace(name=stripped, place=place)
         elif twin.name == stripped:
             problems.append(f"column {stripped} stands there twice; keep one")
         else:
             problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
-    for place, others in alike.values():
-        problems[place] += f" (and likewise {_list_names(others)})" if others else ""
+    for number, others in alike.values():
+        problems[number] += f" (and likewise {_list_names(others)})" if others else ""
     joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
     if not joints and not joints_optional and "q" not in unclear:
         problems.append(

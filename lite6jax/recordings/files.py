@@ -147,7 +147,7 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
             if suffix == ".parquet":
                 return path, open_parquet(path)
             if suffix in TABLES:
-                return path, open_text(path, notes, growing=_is_growing(path))
+                return path, open_text(path, notes, lambda: _was_ended(path))
         columns = read_bag(log, topics, of_arm, notes)
         # nothing says the unit of efforts
         return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
@@ -155,12 +155,8 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
 
 
-def _is_growing(path: Path) -> bool:
-    """Whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
-    with open(path, "rb") as file:
-        file.seek(-min(file.seek(0, os.SEEK_END), 1), os.SEEK_END)
-        if file.read() in (b"", b"\n"):
-            return False
+def _was_ended(path: Path) -> bool:
+    """Whether a recording was not completed, by its sidecar."""
     with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
         return not read_sidecar(sidecar_path(path)).complete
     return False

@@ -31,9 +31,6 @@ from lite6jax.recordings.units import (
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
 
-_OF_EACH = ("contact_distances", "contact_points", "planes", "anchor_m")
-"""Keys of which each file has its own; of all others they have the same."""
-
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,25 +137,10 @@ class Recording(PublicResult):
                 for metres, a quaternion whose length is more than 1 % off, more than half of the rows not finite, or
                 an unknown key of the sidecar.
         """
+        arrays = {name: value for name, value in dict(locals()).items() if name in OF_ARRAY}
+        settings = declared_settings(settings, arm, declared)
         recording = cls.assembled(
-            joint_position,
-            position=position,
-            quaternion=quaternion,
-            sliding=sliding,
-            time=time,
-            joint_velocity=joint_velocity,
-            joint_acceleration=joint_acceleration,
-            joint_torque=joint_torque,
-            motor_current=motor_current,
-            joint_temperature=joint_temperature,
-            commanded_position=commanded_position,
-            ambient_temperature=ambient_temperature,
-            payload=payload,
-            run=run,
-            readings=readings,
-            settings=declared_settings(settings, arm, declared),
-            source=source,
-            spelling={},
+            **arrays, sliding=sliding, readings=readings, settings=settings, source=source, spelling={}
         )
         return drop_missing(_of_arm(recording, arm, sliding))
 
@@ -585,15 +567,18 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     Raises:
         InputError: poses, touches of several kinds, files that disagree on the arm, the tool or a noise, heights.
     """
-    first = recordings[0]
-    kinds = {recording.touches.kind if recording.touches else "poses" for recording in recordings}
+    usual = {field.name: field.default for field in fields(RecordingSettings)}
+    # keys of which each file has its own; of all others they have the same
+    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    first, touched = recordings[0], [one.touches for one in recordings if one.touches is not None]
+    kinds = {one.touches.kind if one.touches else "poses" for one in recordings}
     if len(kinds) > 1 or kinds & {"poses", "axis"}:
         raise InputError(
             f"{', '.join(one.source for one in recordings)}: hold {' and '.join(sorted(kinds))}; several files of one "
             "arm are diagnosed together where all are touches of points, touches of planes, or distances"
         )
     for one in recordings[1:]:
-        for key in (field.name for field in fields(RecordingSettings) if field.name not in _OF_EACH):
+        for key in (key for key in usual if key not in own):
             if getattr(one.settings, key) != getattr(first.settings, key):
                 raise InputError(
                     f"{one.source}: its sidecar says {key}: {getattr(one.settings, key)}, and that of {first.source} "
@@ -613,31 +598,25 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         if all(array is not None for array in each) and not derived:
             arrays[name] = np.concatenate(each)
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
-    names: tuple[str, ...] = ()
-    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    names: list[str] = []
     groups = []
-    for one, stem in zip(recordings, stems, strict=True):
-        assert one.touches is not None
-        groups.append(one.touches.group + len(names))
-        names += tuple(f"{stem}/{name}" for name in one.touches.names)
+    for one, touches, stem in zip(recordings, touched, stems, strict=True):
+        groups.append(touches.group + len(names))
+        names += [f"{stem}/{name}" for name in touches.names]
         own["contact_distances"] += tuple(
             msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
             for each in one.settings.contact_distances
         )
         for key in ("contact_points", "planes", "anchor_m"):
             given = getattr(one.settings, key)
-            if key == "anchor_m" and isinstance(given, tuple):
-                given = dict.fromkeys(one.touches.names, given)
-            if isinstance(given, Mapping):
-                own[key] |= {f"{stem}/{name}": value for name, value in given.items()}
-    assert first.touches is not None
-    value, pixels = (np.concatenate([getattr(one.touches, key) for one in recordings]) for key in ("value", "pixels"))
-    defaults = {field.name: field.default for field in fields(RecordingSettings)}
+            given = dict.fromkeys(touches.names, given) if isinstance(given, tuple) else given
+            own[key] |= {f"{stem}/{name}": value for name, value in given.items()} if isinstance(given, Mapping) else {}
+    value, pixels = (np.concatenate([getattr(one, key) for one in touched]) for key in ("value", "pixels"))
     return Recording.assembled(
         **arrays,
-        settings=replace(first.settings, **{key: given or defaults[key] for key, given in own.items()}),
+        settings=replace(first.settings, **{key: given or usual[key] for key, given in own.items()}),
         source=first.source,
         notes=tuple(dict.fromkeys(note for one in recordings for note in one.notes)),
         sliding=first.sliding,
-        readings=Readings(first.touches.kind, np.concatenate(groups), names, value, pixels),
+        readings=Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels),
     )

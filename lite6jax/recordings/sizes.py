@@ -92,23 +92,24 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
         servo: whether they are named as LeRobot names them, which writes percent of each joint's range too. What may
             be none of both has the reason `percent` or `ticks`.
     """
-    largest, spread = _largest(position), _spread(position)
+    columns = [column[np.isfinite(column)] for column in position.T]
+    largest = _largest(position)
+    spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
     said = {"largest": largest}
     there = position[np.isfinite(position)]
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
     if servo and WIDE_RAD < largest <= PERCENT:
-        in_ticks = _in_ticks(position)
+        in_ticks = _in_ticks(columns)
         return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
     return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
 
 
-def _in_ticks(position: Array) -> bool:
-    """Whether all joints `(sample, joint)` change in steps of a tick in degrees; those of percent depend on a range."""
-    different = [np.unique(column[np.isfinite(column)]) for column in position.T]
-    moved = [values - values[0] for values in different if len(values) > 1]
+def _in_ticks(columns: Sequence[Array]) -> bool:
+    """Whether all joints change in steps of a tick in degrees; those of percent depend on a range."""
+    moved = [values - values[0] for values in map(np.unique, columns) if len(values) > 1]
     if sum(map(len, moved)) < _FEWEST_TICKS:
         return False
     ticks = [np.concatenate(moved) * turn / 360 for turn in (TURN_TICKS, TURN_TICKS - 1)]  # LeRobot divides by either
@@ -177,10 +178,16 @@ def current_unit(current: Array) -> Decision:
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
-    there, largest = torque[np.isfinite(torque)], _largest(torque)
-    if _LARGE_REGISTER < largest <= LARGE_NM and (there == np.round(there)).all():
-        return Decision("Nm", "assumed", "register", {"largest": largest})
-    return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+    decided, there = _by_largest(torque, LARGE_NM, "Nm", "mNm"), torque[np.isfinite(torque)]
+    if _LARGE_REGISTER < decided.numbers["largest"] <= LARGE_NM and (there == np.round(there)).all():
+        return decided._replace(reason="register")
+    return decided
+
+
+def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
+    largest = _largest(values)
+    large = largest > limit
+    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
 def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision | None:
@@ -188,18 +195,10 @@ def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision
 
     Where there are no others, radians are assumed, as robots' descriptions have them.
     """
-    others = np.delete(position, list(endless), axis=1)
-    if _largest(position) <= WIDE_RAD:
+    others, largest = np.delete(position, list(endless), axis=1), _largest(position)
+    if largest <= WIDE_RAD:
         return None
-    if others.size:
-        return angle_unit(others)
-    return Decision("rad", "assumed", "endless", {"largest": _largest(position)})
-
-
-def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
-    largest = _largest(values)
-    large = largest > limit
-    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
+    return angle_unit(others) if others.size else Decision("rad", "assumed", "endless", {"largest": largest})
 
 
 def time_unit(time: Array, position: Array | None) -> Decision:
@@ -268,9 +267,3 @@ def _largest(values: Array) -> float:
     """The largest magnitude but for the highest thousandth, which may be faults."""
     there = np.abs(values[np.isfinite(values)])
     return float(np.quantile(there, 0.999)) if there.size else 0.0
-
-
-def _spread(values: Array) -> float:
-    """Of the column that spreads most, from the 5th percentile to the 95th."""
-    there = [column[np.isfinite(column)] for column in values.T]
-    return max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in there if column.size), default=0.0)

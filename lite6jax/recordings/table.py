@@ -241,11 +241,10 @@ def tabulate(
     """
     found = recognise(raw.names, dof, joints_optional, renamed)
     problems, values, labels, row = list(found.problems), {}, {}, None
-    by_index = {column.index: name for name, column in found.columns.items()}
     try:
-        loaded = raw.load({index: found.columns[name].quantity for index, name in by_index.items()})
-        for index, array in loaded.items():
-            column = found.columns[name := by_index[index]]
+        loaded = raw.load({column.place: column.quantity for column in found.columns.values()})
+        for name, column in found.columns.items():
+            array = loaded[column.place]
             if column.quantity in LABELS and not isinstance(array, str):
                 values[name], labels[name] = _count_words(array)
                 continue

@@ -112,19 +112,19 @@ def test_time_disorder_agrees_with_a_plain_loop():
     rng = np.random.default_rng(1)
     time, run = rng.integers(0, 50, 300) * 0.5, np.sort(rng.integers(0, 6, 300))[::-1]
     late = [k for k in range(300) if any(run[j] == run[k] and time[j] > time[k] for j in range(k))]
-    assert time_disorder(Recording.from_arrays(np.zeros((300, 1)), time=time, run=run)).samples.tolist() == late
+    assert time_disorder(Recording.from_arrays(np.zeros((300, 1)), time=time, run=run))[0].tolist() == late
 
 
 def test_repeated_rows_are_found_with_their_first(plausible):
     rows = np.r_[0:200, 17, 42, 17]
-    found = repeated_rows(plausible.select(rows))
-    assert found.samples.tolist() == [200, 201, 202]
-    assert found.first_rows.tolist() == [18, 43, 18]
+    again, first = repeated_rows(plausible.select(rows))
+    assert again.tolist() == [200, 201, 202]
+    assert first.tolist() == [17, 42, 17]
     # the same joints with another measured pose, or the same pose at other joints, are no repetition
     again = plausible.select(np.r_[0:200, 0:200])
-    assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None])).rows) == 0
-    assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None])).rows) == 0
-    assert len(repeated_rows(again).rows) == 200
+    assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None]))[0]) == 0
+    assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None]))[0]) == 0
+    assert len(repeated_rows(again)[0]) == 200
 
 
 def swinging(torque_factor=1.0, velocity_factor=1.0, time_factor=1.0, **declared):
