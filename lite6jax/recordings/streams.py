@@ -63,20 +63,6 @@ class Joined(NamedTuple):
     resolved: bool = True
 
 
-class Merged(NamedTuple):
-    """A table whose streams stand in different rows, at the rows of its poses.
-
-    Attributes:
-        columns: by their names, `(kept,)` each.
-        rows: `(kept,)`, the rows of the table, counted from 0.
-        said: what was done, in sentences.
-    """
-
-    columns: dict[str, Array]
-    rows: NDArray[np.integer]
-    said: list[str]
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class JointStream:
@@ -189,12 +175,15 @@ def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.in
     return None
 
 
-def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
-    """A table at the rows of its poses, where these rows have no joints; None where no streams are to be joined.
+def merge(
+    columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str, notes: list[str]
+) -> tuple[dict[str, Array], NDArray[np.integer]] | None:
+    """A table at the rows of its poses, and these from 0, where they have no joints; None where nothing is joined.
 
     Args:
         columns: `(row,)` each, NaN where a row does not give one.
         joints: the columns of joint positions; `places` those of the position of the tool, and `time` that of times.
+        notes: what was done is added here.
 
     Raises:
         InputError: no pose has joints, or joint states are too far apart to follow the motion.
@@ -203,7 +192,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
         return None
     clock = columns[time]
     moved, measured = (
-        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
+        np.isfinite([clock, *(columns[name] for name in names)]).all(axis=0) for names in (joints, places)
     )
     poses = np.flatnonzero(measured)
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
@@ -221,15 +210,14 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
             f"{len(poses)} poses and {len(states)} joint states stand in different rows, and {why}; record both in one "
             "row, or joint states more often"
         )
-    found = dict(joined.columns)
-    for name in columns.keys() - found.keys():
-        column = columns[name]
+    found = {}
+    for name, column in columns.items():
         own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
         elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
         found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
     first, *dropped = said_of(joined)
-    said = f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}"
-    return Merged({name: found[name] for name in columns}, rows, [said, *dropped])
+    notes += [f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}", *dropped]
+    return found | joined.columns, rows
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:
@@ -241,12 +229,10 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
         ]
         dropped = ((joined.wide, "without a capture of joints beside them"),)
     else:
-        error = (
-            "" if np.isnan(joined.error) else f"; every other one left out is found again to {joined.error:.2g} {unit}"
-        )
+        error = f"; every other one left out is found again to {joined.error:.2g} {unit}"
         said = [
             f"the joints are interpolated {joined.method} to the times of the poses (between joint states at most "
-            f"{joined.gap:.2g} s apart{error})"
+            f"{joined.gap:.2g} s apart{'' if np.isnan(joined.error) else error})"
         ]
         dropped = (
             (joined.outside, "before the first or after the last joint state"),

@@ -24,7 +24,7 @@ from lite6jax.recordings.columns import (
     with_quaternions,
 )
 from lite6jax.recordings.readings import with_readings
-from lite6jax.recordings.streams import merged
+from lite6jax.recordings.streams import merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
 
@@ -268,9 +268,8 @@ def tabulate(
     else:
         try:  # where joints and poses stand in different rows
             joints, places = name_columns("joint_position", found.joints), name_columns("position")
-            if (whole := merged(values, joints, places, "time_s")) is not None:
-                values, row = whole.columns, whole.rows + 1
-                notes += whole.said
+            if (whole := merge(values, joints, places, "time_s", notes)) is not None:
+                values, row = whole[0], whole[1] + 1
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
         empty = []
