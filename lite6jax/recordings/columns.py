@@ -223,28 +223,12 @@ def nearest_known(name: str) -> str | None:
 # ------------------------------------------------------------------ the columns of a table
 
 
-class Recognised(NamedTuple):
-    """What the columns of a table mean.
-
-    Attributes:
-        columns: by their SI name.
-        joints: how many.
-        ignored: names that mean nothing here, without those that are to be ignored.
-        problems: what makes the table unusable, each with its remedy; empty where nothing does.
-    """
-
-    columns: dict[str, Column]
-    joints: int
-    ignored: list[str]
-    problems: list[str]
-
-
 def recognise(
     names: Sequence[str],
     dof: int | None = None,
     joints_optional: bool = False,
     renamed: Mapping[str, str] | None = None,
-) -> Recognised:
+) -> tuple[dict[str, Column], int, list[str], list[str]]:
     """What the columns of a table mean.
 
     Problems are a unit that is missing or unknown, a quantity given twice, a joint left out, a position or an
@@ -255,6 +239,10 @@ def recognise(
         dof: the number of joints expected, where known.
         joints_optional: whether joint positions may be absent; then `dof` is to be known.
         renamed: of columns with names of their own, the names that they would have here, or `IGNORED`.
+
+    Returns:
+        the columns by their SI name; how many joints; names that mean nothing here and are not to be ignored; and what
+        makes the table unusable, each with its remedy.
     """
     own, there = renamed or {}, {*names, *(name.strip() for name in names)}
     found: dict[str, Column] = {}
@@ -305,7 +293,7 @@ def recognise(
         problems += _check_joints(found, given, joints, unclear)
     if joints and dof is not None and joints != dof:
         problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
-    return Recognised(found, joints, ignored, problems + _check_groups(found, unclear))
+    return found, joints, ignored, problems + _check_groups(found, unclear)
 
 
 def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:

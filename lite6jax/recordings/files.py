@@ -217,15 +217,11 @@ def read_recording(
     columns, values = table.columns, table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
-    degrees = [
-        name
-        for name, column in columns.items()
-        if assume_degrees and is_per_joint(column.quantity) and column.unit.startswith("rad")
-    ]
-    millimetres = [name for name, column in columns.items() if assume_millimetres and column.unit == "m"]
-    for names, divisor, unit in ((degrees, 180 / pi, "degrees"), (millimetres, 1e3, "millimetres")):
-        values |= {name: values[name] / divisor for name in names}
-        if names:
+    angles = [name for name, one in columns.items() if is_per_joint(one.quantity) and one.unit.startswith("rad")]
+    lengths = [name for name, one in columns.items() if one.unit == "m"]
+    for names, divisor, unit in ((angles, 180 / pi, "degrees"), (lengths, 1e3, "millimetres")):
+        if names and (assume_degrees if unit == "degrees" else assume_millimetres):
+            values |= {name: values[name] / divisor for name in names}
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )

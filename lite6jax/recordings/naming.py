@@ -14,11 +14,19 @@ from unicodedata import normalize
 
 import numpy as np
 
-from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, is_per_joint, is_standard, units_of
+from lite6jax.recordings.columns import (
+    ANGLES,
+    MATRIX,
+    QUATERNION,
+    RPY,
+    VECTOR,
+    is_per_joint,
+    is_standard,
+    units_of,
+)
 from lite6jax.recordings.ros import UR_JOINTS
 from lite6jax.recordings.sizes import Sureness
 
-VECTOR, RPY, XYZ, ZYZ = ANGLES
 Role = Literal["controller", "sensor"]
 
 

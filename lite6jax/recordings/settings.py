@@ -151,10 +151,9 @@ class RecordingSettings:
         InputError: a value of the wrong type, not finite, out of its range, or not a listed one.
     """
 
-    arm: Annotated[
-        Line | None,
-        "a bundled arm's name, or the path of an arm description relative to the sidecar",
-    ] = None
+    arm: Annotated[Line | None, "a bundled arm's name, or the path of an arm description relative to the sidecar"] = (
+        None
+    )
     factory_calibration: Annotated[
         Line | None, "the path of the arm's own six-parameter file, relative to the sidecar"
     ] = None
@@ -177,10 +176,11 @@ class RecordingSettings:
     reference_temperature_degC: Annotated[  # noqa: N815 (the sidecar's key)
         float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE), "a finite number in degrees Celsius"
     ] = 25.0
-    gravity_m_per_s2: Annotated[
-        tuple[Gravity, Gravity, Gravity],
-        "three numbers [x, y, z] in m/s^2",
-    ] = (0.0, 0.0, -9.81)
+    gravity_m_per_s2: Annotated[tuple[Gravity, Gravity, Gravity], "three numbers [x, y, z] in m/s^2"] = (
+        0.0,
+        0.0,
+        -9.81,
+    )
     inertial_uncertainty: Annotated[
         Share, "one sigma relative to the masses, from 0 to 0.5, such as 0.1, not per cent"
     ] = 0.1

@@ -239,11 +239,11 @@ def tabulate(
         InputError: problems of names as `recognise`, columns that hold no numbers, no rows; where there are several
             problems, or several columns are over half empty, all are named.
     """
-    found = recognise(raw.names, dof, joints_optional, renamed)
-    problems, values, labels, row = list(found.problems), {}, {}, None
+    columns, joints, ignored, of_names = recognise(raw.names, dof, joints_optional, renamed)
+    problems, values, labels, row = [*of_names], {}, {}, None
     try:
-        loaded = raw.load({column.place: column.quantity for column in found.columns.values()})
-        for name, column in found.columns.items():
+        loaded = raw.load({column.place: column.quantity for column in columns.values()})
+        for name, column in columns.items():
             array = loaded[column.place]
             if column.quantity in LABELS and not isinstance(array, str):
                 values[name], labels[name] = _count_words(array)
@@ -267,8 +267,8 @@ def tabulate(
         problems.append("has column names but no rows; record again")
     else:
         try:  # where joints and poses stand in different rows
-            joints, places = name_columns("joint_position", found.joints), name_columns("position")
-            if (whole := merge(values, joints, places, "time_s", notes)) is not None:
+            moved, places = name_columns("joint_position", joints), name_columns("position")
+            if (whole := merge(values, moved, places, "time_s", notes)) is not None:
                 values, row = whole[0], whole[1] + 1
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
@@ -277,23 +277,23 @@ def tabulate(
             count = int(np.sum(~np.isfinite(column)))
             if count > LARGEST_MISSING_SHARE * len(column):
                 said = f"{count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
-                empty.append(f"column {found.columns[name].name}: {said}")
+                empty.append(f"column {columns[name].name}: {said}")
         # one alone is reported with the rows that are left out for it; targets keep their rows
         problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
-        named = any("write " in problem or "name their columns" in problem for problem in found.problems)
+        named = any("write " in problem or "name their columns" in problem for problem in of_names)
         remedy = f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
         if len(problems) == 1:
             raise InputError(f"{source}: {problems[0]}{remedy}")
         numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
         raise InputError(f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}")
-    if found.ignored:
+    if ignored:
         shown = ", ".join(
-            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in found.ignored[:6]
+            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
         )
-        rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
+        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
         notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return Table(found.columns, found.joints, values, row, labels)
+    return Table(columns, joints, values, row, labels)
 
 
 def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None) -> Table:
