@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import pi
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -70,7 +70,21 @@ def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 def recording_file(path: str | Path) -> Path | None:
     """The file or folder that a recording's name names, without topics; None where it is no recording's name."""
     file, _ = split_topics(path)
-    return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or exists(file / INFO) else None
+    return file if _kind_of(file) else None
+
+
+def _kind_of(path: Path) -> Literal["text", "parquet", "log", "lerobot", ""]:
+    """The kind of recording that a path names; empty where it names none."""
+    suffix = path.suffix.lower()
+    if suffix in LOGS or suffix in TABLES:
+        return "log" if suffix in LOGS else "parquet" if suffix == ".parquet" else "text"
+    if os.path.isdir(path):
+        return "lerobot" if exists(path / INFO) else "log" if exists(path / METADATA) or _logs(path) else ""
+    return ""
+
+
+def _logs(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
 
 
 def stranger(path: str | Path) -> str:
@@ -117,37 +131,30 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
-    suffix, log = path.suffix.lower(), path
-    if suffix == ".parquet" and not exists(path) and exists(growing := growing_path(path)):
+    kind, log = _kind_of(path), path
+    if kind == "parquet" and not exists(path) and exists(growing := growing_path(path)):
         notes.append(f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended")
-        path, suffix = growing, ".csv"
+        path, kind = growing, "text"
     try:
-        if os.path.isdir(path) and suffix not in SUFFIXES:
-            if exists(path / INFO):
-                return path, open_lerobot(path)
-            inside = _logs(path)
-            if not exists(path / METADATA):
-                if len(inside) > 1:
-                    raise InputError(
-                        f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
-                    )
-                if not inside:
-                    raise InputError(f"{path}: {stranger(path)}")
-                log = inside[0]  # a recorder that was ended writes no metadata
-        elif not suffix and not exists(path):
-            raise InputError(f"{path}: no such file or folder; check the name")
-        elif suffix not in SUFFIXES:
+        if kind == "lerobot":
+            return path, open_lerobot(path)
+        if not kind:
             other = (
                 "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data "
                 "set; convert it or correct the name"
             )
-            raise InputError(f"{path}: {stranger(path) or other}")
-        else:
+            missing = "no such file or folder; check the name"
+            raise InputError(f"{path}: {stranger(path) or (other if path.suffix or exists(path) else missing)}")
+        if path.suffix.lower() in SUFFIXES:
             check_readable(path)
-            if suffix == ".parquet":
-                return path, open_parquet(path)
-            if suffix in TABLES:
-                return path, open_text(path, notes, lambda: _was_ended(path))
+        elif not exists(path / METADATA):  # a recorder that was ended writes no metadata
+            log, *more = _logs(path)
+            if more:
+                raise InputError(
+                    f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
+                )
+        if kind != "log":
+            return path, open_parquet(path) if kind == "parquet" else open_text(path, notes, lambda: _was_ended(path))
         columns = read_bag(log, topics, of_arm, notes)
         # nothing says the unit of efforts
         return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
@@ -160,14 +167,6 @@ def _was_ended(path: Path) -> bool:
     with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
         return not read_sidecar(sidecar_path(path)).complete
     return False
-
-
-def _is_bag(path: Path) -> bool:
-    return os.path.isdir(path) and (exists(path / METADATA) or bool(_logs(path)))
-
-
-def _logs(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
 
 
 # ------------------------------------------------------------------ whole recordings
@@ -207,7 +206,7 @@ def read_recording(
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
-    if (path.suffix.lower() in LOGS or _is_bag(path)) and not of_arm.names:  # a diagnosis does not keep the names
+    if _kind_of(path) == "log" and not of_arm.names:  # a diagnosis does not keep the names
         named = sidecar.settings.arm_reference(path.parent) if sidecar.settings.arm is not None else None
         declared = ArmJoints.of(None if named is None else read_arm(named))._replace(dof=None)
         of_arm = declared if arm is None else of_arm.named_as(declared)
