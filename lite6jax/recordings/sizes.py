@@ -21,24 +21,8 @@ PERCENT = 100.0
 """Within, joints of LeRobot may be in percent of each joint's range; beyond, angles are degrees for certain."""
 TURN_TICKS = 4096
 """Ticks of a servo's encoder in a turn (Feetech, Dynamixel)."""
-_FEWEST_TICKS = 20
-"""Different positions of the joints, from which steps between them show that they are angles."""
-_FOLLOWS, _NEAR = 0.5, 0.05
-"""Of the spread of a joint, and rad or m: a joint is nearer to its commanded position, at most of the time."""
-BACK = 0.1
-"""Of the steps of a time, which may not increase: rows out of order, repeated rows, new runs."""
-MOVING_RAD = 0.5
-"""Positions that spread so far are not degrees: an arm that is measured moves by more than a degree."""
-FAR_M = 10.0
-"""From the middle of all positions: beyond, they are millimetres. No arm reaches so far."""
-NEAR_M = 5.0
-"""Below, they are metres: an arm that moved less than 5 mm is not measured."""
-LARGE_A = 100.0
-"""Beyond, currents are milliamperes."""
 LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
-_LARGE_REGISTER = 100.0
-"""Beyond, torques that are whole numbers may be the register of a drive."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Times since 1970, by their least magnitude."""
 _SLOW, _FAST = 2e-3, 8.0
@@ -74,7 +58,8 @@ def increases(time: Array, run: Array | None = None) -> bool:
     steps = np.diff(time[there])
     if run is not None:
         steps = steps[np.diff(run[there]) == 0]
-    return not steps.size or float(np.mean(steps <= 0)) <= BACK
+    # some do not: rows out of order, repeated rows, new runs
+    return not steps.size or float(np.mean(steps <= 0)) <= 0.1
 
 
 def has_unit_length(quaternion: Array) -> bool:
@@ -104,13 +89,14 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
         return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
-    return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
+    moving = spread > 0.5  # an arm that is measured moves by more than a degree
+    return Decision("rad", "likely" if moving else "assumed", "within_turns", said | {"spread": spread})
 
 
 def _in_ticks(columns: Sequence[Array]) -> bool:
     """Whether all joints change in steps of a tick in degrees; those of percent depend on a range."""
     moved = [values - values[0] for values in map(np.unique, columns) if len(values) > 1]
-    if sum(map(len, moved)) < _FEWEST_TICKS:
+    if sum(map(len, moved)) < 20:  # too few steps to tell
         return False
     ticks = [np.concatenate(moved) * turn / 360 for turn in (TURN_TICKS, TURN_TICKS - 1)]  # LeRobot divides by either
     return any(float(np.quantile(np.abs(count - np.round(count)), 0.99)) < 0.15 for count in ticks)
@@ -128,7 +114,7 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
     there = np.isfinite(position).all(1)
     if not there.any() or not np.isfinite(command[there]).all():
         return None
-    far = np.maximum(_FOLLOWS * np.std(position[there], axis=0), _NEAR)
+    far = np.maximum(0.5 * np.std(position[there], axis=0), 0.05)  # joints are nearer to it at most of the time
     units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}
     away = {name: np.median(np.abs(command / size - position)[there], axis=0) / far for name, size in units.items()}
     best = min(away, key=lambda name: float(away[name].max()))
@@ -166,20 +152,21 @@ def length_unit(position: Array) -> Decision:
     there = position[np.isfinite(position).all(1)]
     spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
     said = {"spread": spread}
-    if spread > FAR_M:
+    if spread > 10.0:  # no arm reaches so far
         return Decision("mm", "certain", "beyond_reach", said)
-    return Decision("m", "likely" if spread < NEAR_M else "assumed", "within_reach", said)
+    # an arm that moved less than 5 mm is not measured
+    return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", said)
 
 
 def current_unit(current: Array) -> Decision:
     """`mA` or `A`."""
-    return _by_largest(current, LARGE_A, "A", "mA")
+    return _by_largest(current, 100.0, "A", "mA")
 
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
     decided, there = _by_largest(torque, LARGE_NM, "Nm", "mNm"), torque[np.isfinite(torque)]
-    if _LARGE_REGISTER < decided.numbers["largest"] <= LARGE_NM and (there == np.round(there)).all():
+    if 100 < decided.numbers["largest"] <= LARGE_NM and (there == np.round(there)).all():
         return decided._replace(reason="register")
     return decided
 
