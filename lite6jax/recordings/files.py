@@ -207,9 +207,10 @@ def read_recording(
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
     if _kind_of(path) == "log" and not of_arm.names:  # a diagnosis does not keep the names
-        named = sidecar.settings.arm_reference(path.parent) if sidecar.settings.arm is not None else None
-        declared = ArmJoints.of(None if named is None else read_arm(named))._replace(dof=None)
-        of_arm = declared if arm is None else of_arm.named_as(declared)
+        named = None if sidecar.settings.arm is None else read_arm(sidecar.settings.arm_reference(path.parent))
+        declared = ArmJoints.of(named)._replace(dof=None)
+        of_arm = declared if arm is None else of_arm
+        of_arm = of_arm._replace(names=declared.names) if len(declared.names) == of_arm.dof else of_arm
     of_arm = of_arm if dof is None else of_arm._replace(dof=dof)
     path, raw = open_table(path, topics, of_arm, notes)
     table = tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=raw.renamed(str(path), sidecar.columns))

@@ -488,7 +488,7 @@ def check_scale(
         if joint in recording.sliding:
             metres = f"metres: joint_position[:, {joint}] / 1000"
             remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
-        elif degrees or name.endswith("_deg") or (table is not None and table.converts("q1_rad")):
+        elif degrees or (table is not None and table.converts(f"q{joint + 1}_rad")):
             remedy = "check the unit"
         return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
 
@@ -512,7 +512,7 @@ def check_scale(
         names = [spelling.get(name, name) for name in name_columns("position")]
         place = "position" if given == "arrays" else f"columns {' '.join(names)}"
         remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
-        known = millimetres or names[0].endswith("_mm") or (table is not None and table.converts("x_m"))
+        known = millimetres or (table is not None and table.converts("x_m"))
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
             f"{reach:.3g} m; {'check the unit' if known else remedy}"

@@ -502,7 +502,14 @@ def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:
     """The first whole lines of a text by its first bytes, and its encoding."""
     if start.startswith(b"PAR1"):
         raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
-    text, encoding = _decode(start)
+    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text, encoding = "\0", ""
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
+        with suppress(UnicodeDecodeError):
+            found = codecs.getincrementaldecoder(encoding)().decode(start)
+            if encoding != "latin-1" or {byte for byte in start if byte > 0x7F} <= _LATIN:
+                text = found
+                break
     text = text if len(start) < HEADER_LIMIT else text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     if "\0" in text or not (text or len(start) < HEADER_LIMIT):
         raise InputError(f"{path}: is not a CSV table but binary or of another encoding; write it as UTF-8 text")
@@ -514,14 +521,3 @@ def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:
     if encoding != "utf-8-sig":
         notes.append(f"the text is read as {encoding.capitalize() if encoding == 'latin-1' else encoding.upper()}")
     return text, encoding
-
-
-def _decode(start: bytes) -> tuple[str, str]:
-    """The text that bytes are, and its encoding; a zero where they are of no text, or may have several meanings."""
-    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
-        with suppress(UnicodeDecodeError):
-            text = codecs.getincrementaldecoder(encoding)().decode(start)
-            if encoding != "latin-1" or {byte for byte in start if byte > 0x7F} <= _LATIN:
-                return text, encoding
-    return "\0", ""
