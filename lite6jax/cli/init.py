@@ -220,12 +220,9 @@ def _ask_settings(found: "pose_inspection.Inspection", settings: Mapping[str, An
     poses = found.of("position") is not None
     torques = found.of("tau") is not None or found.of("current") is not None
     wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
-    answers = {}
-    for key in (*wanted, *(("torque_source",) if torques else ())):
-        if key in settings or (key == "pose_source" and found.computed):
-            continue
-        question, choices = _QUESTIONS[key]
-        answers[key] = _ask(question, choices, "unknown")
+    wanted += ["torque_source"] if torques else []
+    known = {*settings, *(("pose_source",) if found.computed else ())}
+    answers = {key: _ask(*_QUESTIONS[key], "unknown") for key in wanted if key not in known}
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
 
 

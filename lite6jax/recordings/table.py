@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -156,15 +157,13 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
 
 def _parse_moment(text: str) -> tuple[int, bool] | None:
     """Nanoseconds, and whether the text has a zone; None where it is of another form, or no day or hour there is."""
-    match = _FORM.fullmatch(text)
-    if match is None:
+    if (match := _FORM.fullmatch(text)) is None:
         return None
     day, time, part, zone = match.groups()
-    try:
+    with suppress(ValueError):
         moment = datetime.fromisoformat(f"{day}T{time}{zone if zone and zone[0] in '+-' else '+00:00'}")
-    except ValueError:
-        return None
-    return 10**9 * round(moment.timestamp()) + int((part or "0").ljust(9, "0")), zone is not None
+        return 10**9 * round(moment.timestamp()) + int((part or "0").ljust(9, "0")), zone is not None
+    return None
 
 
 def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:

@@ -10,7 +10,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from contextlib import suppress
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -270,40 +270,30 @@ def _group_names(row: Row) -> Row | None:
     label = row[filled[0]].lower()
     if label in _WITHOUT_A_NAME or filled == [0] or not any(_kind(cell) == "text" for cell in row):
         return None
-    row = [*row]
-    if label in _LABELS and len(filled) > 1:
-        row[filled[0]] = ""
-    last = ""
-    for k, cell in enumerate(row):
-        last = cell or last
-        row[k] = last
-    return row
+    named = ["" if k == filled[0] and label in _LABELS and filled[1:] else cell for k, cell in enumerate(row)]
+    return [*accumulate(named, lambda before, cell: cell or before)]
 
 
 def _with_heads(names: Sequence[str]) -> list[str]:
     """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
     head, found = "", []
     for k, name in enumerate(names):
-        match = re.fullmatch(r"(.+ )X", name)
-        if match and [*names[k + 1 : k + 3]] == ["Y", "Z"]:
-            head = match[1]
-            found.append(name)
-        else:
-            found.append(head + name if name else name)
+        begins = name.endswith(" X") and [*names[k + 1 : k + 3]] == ["Y", "Z"]
+        found.append(name if begins or not name else head + name)
+        head = name[:-1] if begins else head
     return found
 
 
 def _of_units(row: Iterable[str]) -> bool:
     """Whether all that a row holds are units."""
-    some = False
-    for cell in filter(None, row):
-        unit = cell.strip(_BRACKETS)
-        named = unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
-        named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
-        if not named and unit not in _NO_UNITS:
-            return False
-        some = some or named
-    return some
+
+    def is_unit(cell: str, unit: str) -> bool:
+        bracketed = cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text"
+        return bracketed or unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
+
+    units = {cell: cell.strip(_BRACKETS) for cell in row if cell}
+    others = [unit for cell, unit in units.items() if not is_unit(cell, unit)]
+    return len(others) < len(units) and {*others} <= _NO_UNITS
 
 
 def _with_unit(name: str, cell: str, source: str) -> str:
@@ -326,12 +316,11 @@ def _with_stated_units(names: list[str], above: str, source: str) -> list[str]:
         length = unit_of(f"x [{match[1]}]") or ""
         if length not in ("m", "mm"):
             raise InputError(f"{source}: its lengths are in {match[1]}; export it in meters or millimeters")
-    found = []
-    for name in names:
-        unit = turned if "rotation" in name.lower() else length
-        coordinate = re.search(r"(?:^|[/ ])[XYZ]$", name) is not None
-        found.append(f"{name} [{unit}]" if unit and coordinate else name)
-    return found
+    units = [turned if "rotation" in name.lower() else length for name in names]
+    return [
+        f"{name} [{unit}]" if unit and re.search(r"(?:^|[/ ])[XYZ]$", name) else name
+        for name, unit in zip(names, units, strict=True)
+    ]
 
 
 def _unique(names: Iterable[str], notes: list[str]) -> tuple[str, ...]:
