@@ -23,8 +23,7 @@ from lite6jax.errors import InputError, InputWarning, wrong_type
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
-    check_joint_scale,
-    check_position_scale,
+    check_scale,
     read_recording,
     read_settings,
     recording_file,
@@ -94,8 +93,8 @@ def read_source(
     recording = read_recording(path, **given)
     known = bundled_of(recording.dof)
     if known:  # a wrong unit is no reason to find no arm
-        check_joint_scale(recording, _widest_limits(known), assumed=assume_degrees)
-        check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
+        limits, reach = _widest_limits(known), max(arm.reach for arm in known)
+        check_scale(recording, limits, reach, degrees=assume_degrees, millimetres=assume_millimetres)
     return recording if not recording.numbers_per_sample else with_arm(recording, warn=True)
 
 

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import RenderableType
 
-    Columns = Mapping[str, np.ndarray]
-
 _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "joint_source": ("Where are the joint positions from?", ("measured", "commanded", "unknown")),
     "pose_source": (
@@ -53,19 +51,13 @@ _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class _Table(NamedTuple):
-    """A table as it is looked at: where it is or will be, its columns, their numbers, and how it was read or made."""
+    """A table as it is looked at: its columns and their numbers, how it was read, and whether it is made of others."""
 
     path: Path
     content: "tabulation.RawTable"
     columns: "list[tuple[str, np.ndarray | None]]"
     notes: list[str]
-
-    def write(self, overwrite: bool) -> Path:
-        """Writes it."""
-        import pyarrow as pa
-
-        numbers = pa.table({name: values for name, values in self.columns if values is not None})
-        return write_atomically(self.path, lambda target: tables.write_table(numbers, target), overwrite)
+    made: bool = False
 
 
 @final
@@ -107,31 +99,18 @@ class Init:
         settings = command.parse_pairs("--set", self.set, as_yaml=True)
         given = command.parse_pairs("--column", self.column)
         sidecar_settings.declared_settings(None, None, settings)
-        joined, source = _join(self.source, sources.load_nominal(self.arm), given, self.force), self.source[0]
-        if joined is not None:
-            source, given = str(joined.path), {k: v for k, v in given.items() if k in joined.content.names}
-        path, topics = tables.split_topics(source)
-        sidecar, arm, shown = recordings.sidecar_path(path), self.arm, False
-
-        def open_source() -> _Table:
-            if joined is not None:
-                return joined
-            notes: list[str] = []
-            joints = recordings.ArmJoints.of(sources.load_nominal(arm))
-            place, content = tables.open_table(path, topics, joints, notes)
-            return _Table(place, content, content.numbers(), notes)
+        arm, shown = self.arm, False
+        table = _read_table(self.source, sources.load_nominal(arm), given, self.force)
+        source, file, notes = str(table.path) if table.made else self.source[0], table.path, [*table.notes]
+        sidecar = check_writable(recordings.sidecar_path(tables.split_topics(source)[0]), self.force)
+        given = {name: said for name, said in given.items() if not table.made or name in table.content.names}
+        given = table.content.renamed(str(file), given, self.names)
 
         def look() -> "pose_inspection.Inspection":
             said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
-            source, assumed = str(table.path), table.content.assumed
-            return pose_inspection.inspect(
-                table.columns, sources.load_nominal(arm), given, source, assumed=assumed, **said
-            )
+            nominal, assumed = sources.load_nominal(arm), table.content.assumed
+            return pose_inspection.inspect(table.columns, nominal, given, str(file), assumed=assumed, **said)
 
-        table = open_source()
-        file, notes = table.path, [*table.notes]
-        check_writable(sidecar, self.force)
-        given = table.content.renamed(str(file), given, self.names)
         found = look()
         if arm and (shorter := _leave_out_jaw(arm, found)):
             arm = shorter
@@ -141,8 +120,8 @@ class Init:
             screen.show(inspection.inspection_report(found, str(file)))
             if not arm and found.arm is None:
                 arm = input("Arm (a bundled name or a file; nothing for later): ").strip() or None
-            if arm and not self.arm:  # the joint states of a log are in the units of its joints
-                table = open_source()
+            if arm and not self.arm and not table.made:  # the joint states of a log are in the units of its joints
+                table = _open(source, sources.load_nominal(arm))
                 notes = [*table.notes]
             before = dict(given)
             for ask in (_ask_motors, _ask_pose, _ask_columns):
@@ -160,7 +139,7 @@ class Init:
             settings.setdefault("pose_source", "controller_fk")
         _check(found, table.content, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
-        made = [] if joined is None else [joined.write(self.force)]
+        made = [_write(table, self.force)] if table.made else []
         made.append(write_atomically(sidecar, text, self.force))
         data_faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
@@ -241,12 +220,9 @@ def _ask_settings(found: "pose_inspection.Inspection", settings: Mapping[str, An
     poses = found.of("position") is not None
     torques = found.of("tau") is not None or found.of("current") is not None
     wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
-    answers = {}
-    for key in (*wanted, *(("torque_source",) if torques else ())):
-        if key in settings or (key == "pose_source" and found.computed):
-            continue
-        question, choices = _QUESTIONS[key]
-        answers[key] = _ask(question, choices, "unknown")
+    wanted += ["torque_source"] if torques else []
+    known = {*settings, *(("pose_source",) if found.computed else ())}
+    answers = {key: _ask(*_QUESTIONS[key], "unknown") for key in wanted if key not in known}
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
 
 
@@ -288,58 +264,62 @@ def _ask(question: str, choices: Sequence[str], usual: str) -> str:
 # ------------------------------------------------------------------ join
 
 
-def _join(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, str], overwrite: bool) -> _Table | None:
-    """One table of two files, or of one with three or more points on one body; None where one file is as it is to
-    be."""
+def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, str], overwrite: bool) -> _Table:
+    """The table of a file, or one that is made: of two files, or of one with three or more points on one body."""
     if not 1 <= len(sources) <= 2:
         raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
+    if len(sources) == 2 and arm is None:
+        example = command_line("init", *sources, "--arm", "NAME")
+        raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
+    opened, columns, notes = [_open(source, arm) for source in sources], [], []
+    for table in opened:
+        numbers = {name: values for name, values in table.columns if values is not None}
+        of_points = len(sources) == 2 or table.path.suffix.lower() in tables.TABLES
+        if of_points and (found := reflectors.with_pose_of_reflectors(numbers)) is not None:
+            numbers = found.columns
+            of_file = f"{table.path.name}: " if len(sources) == 2 else ""
+            notes += [f"{of_file}{said}" for said in inspection.describe_reflectors(found)]
+        columns.append(numbers)
+    first, other = opened[0].path, "poses"
     if len(sources) == 1:
-        first, columns = _read_columns(sources[0], arm, only_with_reflectors=True)
-        found = reflectors.with_pose_of_reflectors(columns) if columns else None
-        if found is None:
-            return None
-        place, columns, notes = (
-            _name_table(first, "poses", overwrite),
-            found.columns,
-            inspection.describe_reflectors(found),
-        )
+        if not notes:
+            return opened[0]
+        joined = columns[0]
     else:
-        if arm is None:
-            example = command_line("init", *sources, "--arm", "NAME")
-            raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
-        files, notes = [], []
-        for source in sources:
-            path, columns = _read_columns(source, arm)
-            if (found := reflectors.with_pose_of_reflectors(columns)) is not None:
-                columns = found.columns
-                notes += [f"{path.name}: {said}" for said in inspection.describe_reflectors(found)]
-            own = {name: meaning for name, meaning in given.items() if name in columns}
-            meanings = pose_inspection.inspect(list(columns.items()), arm, own, str(path))
-            files.append(pose_joining.File(str(path), path.stem, columns, meanings))
-        if named := sorted(given.keys() - files[0].columns.keys() - files[1].columns.keys()):
+        assert arm is not None
+        files = []
+        for table, numbers in zip(opened, columns, strict=True):
+            own = {name: meaning for name, meaning in given.items() if name in numbers}
+            meanings = pose_inspection.inspect(list(numbers.items()), arm, own, str(table.path))
+            files.append(pose_joining.File(str(table.path), table.path.stem, numbers, meanings))
+        if named := sorted(given.keys() - columns[0].keys() - columns[1].keys()):
             raise InputError(f"--column {named[0][:60]}: neither {sources[0]} nor {sources[1]} has it; check the name")
         joints, poses = _assign_roles(*files)
         if joints.found.of("q") is None:
             moved = pose_joining.with_joints(joints, arm)
             joints = moved.file
             notes += inspection.describe_solved_joints(moved, arm.name)
-        place = _name_table(Path(files[0].source), files[1].stem, overwrite)
+        other = files[1].stem
         whole = pose_joining.join_files(joints, poses, arm)
         notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
-        columns = whole.columns
-    made = tabulation.RawTable.of_arrays(columns)
-    return _Table(place, made, made.numbers(), notes)
+        joined = whole.columns
+    suffix = first.suffix.lower() if first.suffix.lower() in tables.TABLES else ".csv"
+    place = check_writable(first.with_name(f"{first.stem}_{other}{suffix}"), overwrite)
+    made = tabulation.RawTable.of_arrays(joined)
+    return _Table(place, made, made.numbers(), notes, made=True)
 
 
-def _read_columns(source: str, arm: "arms.Arm | None", only_with_reflectors: bool = False) -> "tuple[Path, Columns]":
-    """The numbers of a table by name; none where only points are of interest and its names tell of none."""
-    path, topics = tables.split_topics(source)
-    if only_with_reflectors and path.suffix.lower() not in tables.TABLES:
-        return path, {}
-    path, table = tables.open_table(path, topics, recordings.ArmJoints.of(arm), [])
-    if only_with_reflectors and not reflectors.reflector_columns(table.names):
-        return path, {}
-    return path, {name: values for name, values in table.numbers() if values is not None}
+def _open(source: str, arm: "arms.Arm | None") -> _Table:
+    notes: list[str] = []
+    path, content = tables.open_table(*tables.split_topics(source), recordings.ArmJoints.of(arm), notes)
+    return _Table(path, content, content.numbers(), notes)
+
+
+def _write(table: _Table, overwrite: bool) -> Path:
+    import pyarrow as pa
+
+    numbers = pa.table({name: values for name, values in table.columns if values is not None})
+    return write_atomically(table.path, lambda target: tables.write_table(numbers, target), overwrite)
 
 
 def _assign_roles(
@@ -363,12 +343,6 @@ def _assign_roles(
             "--column NAME=y_mm --column NAME=z_mm"
         )
     return joints, poses
-
-
-def _name_table(path: Path, other: str, overwrite: bool) -> Path:
-    """The name of the table beside the first file, where nothing is yet."""
-    suffix = path.suffix.lower() if path.suffix.lower() in tables.TABLES else ".csv"
-    return check_writable(path.with_name(f"{path.stem}_{other}{suffix}"), overwrite)
 
 
 # ------------------------------------------------------------------ images

@@ -1,70 +1,38 @@
 """Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them."""
 
+# isort: off
 from lite6jax.recordings.checks import (
-    check_torque_scale,
-    check_velocity_scale,
-    estimated_torque,
-    outside_limits,
-    repeated_rows,
-    require_samples,
-    time_disorder,
+    check_torque_scale as check_torque_scale,
+    check_velocity_scale as check_velocity_scale,
+    estimated_torque as estimated_torque,
+    outside_limits as outside_limits,
+    repeated_rows as repeated_rows,
+    require_samples as require_samples,
+    time_disorder as time_disorder,
 )
 from lite6jax.recordings.files import (
-    Targets,
-    assemble_motion,
-    read_motion,
-    read_recording,
-    read_targets,
-    recording_file,
-    stranger,
-    write_recording,
+    Targets as Targets,
+    assemble_motion as assemble_motion,
+    read_motion as read_motion,
+    read_recording as read_recording,
+    read_targets as read_targets,
+    recording_file as recording_file,
+    stranger as stranger,
+    write_recording as write_recording,
 )
-from lite6jax.recordings.readings import Readings, readings_from_arrays
+from lite6jax.recordings.readings import Readings as Readings, readings_from_arrays as readings_from_arrays
 from lite6jax.recordings.recording import (
-    Recording,
-    check_joint_scale,
-    check_position_scale,
-    drop_missing,
-    join_recordings,
+    Recording as Recording,
+    check_scale as check_scale,
+    drop_missing as drop_missing,
+    join_recordings as join_recordings,
 )
-from lite6jax.recordings.ros import ArmJoints
+from lite6jax.recordings.ros import ArmJoints as ArmJoints
 from lite6jax.recordings.settings import (
-    FactoryUncertainty,
-    RecordingSettings,
-    read_settings,
-    sidecar_path,
-    write_settings,
+    FactoryUncertainty as FactoryUncertainty,
+    RecordingSettings as RecordingSettings,
+    read_settings as read_settings,
+    sidecar_path as sidecar_path,
+    write_settings as write_settings,
 )
-from lite6jax.recordings.units import require_radians
-
-__all__ = [
-    "ArmJoints",
-    "FactoryUncertainty",
-    "Readings",
-    "Recording",
-    "RecordingSettings",
-    "Targets",
-    "assemble_motion",
-    "check_joint_scale",
-    "check_position_scale",
-    "check_torque_scale",
-    "check_velocity_scale",
-    "drop_missing",
-    "estimated_torque",
-    "join_recordings",
-    "outside_limits",
-    "read_motion",
-    "read_recording",
-    "read_settings",
-    "read_targets",
-    "readings_from_arrays",
-    "recording_file",
-    "repeated_rows",
-    "require_radians",
-    "require_samples",
-    "sidecar_path",
-    "stranger",
-    "time_disorder",
-    "write_recording",
-    "write_settings",
-]
+from lite6jax.recordings.units import require_radians as require_radians

@@ -21,10 +21,6 @@ Array = NDArray[np.floating]
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
 _BOARD = re.compile(r"charuco:(\d{1,4})x(\d{1,4}),([\d.]+)mm(?:,([\d.]+)mm)?(?:,(?:DICT_)?(\w+))?", re.IGNORECASE)
 _PARTS = re.compile(r"(\d+)")
-_MARKER = 0.75
-"""Of a square's side, where a marker's is not said."""
-_FEWEST_IMAGES = 3
-"""From which a lens is calibrated."""
 
 
 class Board(NamedTuple):
@@ -84,7 +80,7 @@ def parse_board(text: str) -> Board:
     columns, rows, square, marker, dictionary = match.groups()
     try:
         side = float(square) / 1e3
-        markers = float(marker) / 1e3 if marker else _MARKER * side
+        markers = float(marker) / 1e3 if marker else 0.75 * side
     except ValueError as error:
         raise InputError(f"--board {text[:60]}: {error}; give sides in mm") from error
     if min(int(columns), int(rows)) < 3 or not 0 < markers < side:
@@ -194,7 +190,7 @@ def calibrate_lens(corners: Corners, board: Board, mounted: str) -> tuple[Camera
     cv2 = _opencv()
     points = np.array(board.settings.points, np.float32)
     there = [np.isfinite(image[:, 0]) for image in corners.pixels[corners.shown]]
-    if len(there) < _FEWEST_IMAGES:
+    if len(there) < 3:
         raise InputError(
             f"{len(there)} images show the board, too few to calibrate the camera; give it, "
             "--set 'camera={mounted: fixed, fx: ..., fy: ..., cx: ..., cy: ...}'"

@@ -1,7 +1,7 @@
 """What a recording's numbers reveal: refused where nothing can be made of them, located where a fit can still cope."""
 
 from dataclasses import dataclass, field
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -103,36 +103,17 @@ def require_samples(recording: Recording, unknowns: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class TimeDisorder:
-    """Samples whose time is before that of an earlier sample of the same run, and the largest such step back in s."""
-
-    samples: Int[np.ndarray, " found"]
-    rows: Int[np.ndarray, " found"]
-    largest_step_back_s: float
-
-
-def time_disorder(recording: Recording) -> TimeDisorder:
-    """Finds rows out of time order within their run; empty where there are none or no times."""
+def time_disorder(recording: Recording) -> tuple[Int[np.ndarray, " found"], float]:
+    """The samples whose time is before that of an earlier one of their run, and the largest such step back in s."""
     if recording.time is None:
-        return TimeDisorder(np.empty(0, np.int64), np.empty(0, np.int64), 0.0)
+        return np.empty(0, np.int64), 0.0
     runs = np.split(recording.time, np.flatnonzero(np.diff(recording.run)) + 1)
     back = np.concatenate([np.maximum.accumulate(time) - time for time in runs])
-    late = np.flatnonzero(back > 0)
-    return TimeDisorder(late, recording.row[late], float(back.max()))
+    return np.flatnonzero(back > 0), float(back.max())
 
 
-@dataclass(frozen=True)
-class RepeatedRows:
-    """Samples that equal an earlier one in joints and pose, and which one: `rows[i]` repeats `first_rows[i]`."""
-
-    samples: Int[np.ndarray, " found"]
-    rows: Int[np.ndarray, " found"]
-    first_rows: Int[np.ndarray, " found"]
-
-
-def repeated_rows(recording: Recording) -> RepeatedRows:
-    """Finds samples with exactly the joints and pose of an earlier one, which a noisy sensor never gives twice."""
+def repeated_rows(recording: Recording) -> tuple[Int[np.ndarray, " found"], Int[np.ndarray, " found"]]:
+    """The samples with exactly the joints and pose of an earlier one, which noise never gives twice, and that one."""
     blocks = (recording.joint_position, recording.position, recording.quaternion)
     table = np.column_stack([block for block in blocks if block is not None]) + 0.0  # -0.0 becomes 0.0
     # of whole rows as bytes; by `axis=0` it would take ten times as long
@@ -140,15 +121,13 @@ def repeated_rows(recording: Recording) -> RepeatedRows:
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
     earlier = first[inverse]
     again = np.flatnonzero(earlier != np.arange(recording.samples))
-    return RepeatedRows(again, recording.row[again], recording.row[earlier[again]])
+    return again, earlier[again]
 
 
-@dataclass(frozen=True)
-class OutsideLimits:
-    """Samples of one joint (1-based) outside its limits, and by how much at most, in rad, m of a prismatic joint."""
+class OutsideLimits(NamedTuple):
+    """Rows of one joint (1-based) outside its limits, and by how much at most, in rad, m of a prismatic joint."""
 
     joint: int
-    samples: Int[np.ndarray, " found"]
     rows: Int[np.ndarray, " found"]
     largest_excess_rad: float
 
@@ -157,11 +136,11 @@ def outside_limits(recording: Recording, joint_limits: ArrayLike, margin_rad: fl
     """Finds joints beyond their limits by more than `margin_rad` (the Lite 6 enforces its own to 0.1 deg)."""
     limits = np.asarray(joint_limits, dtype=float)
     excess = np.maximum(limits[:, 0] - recording.joint_position, recording.joint_position - limits[:, 1])
-    found = []
-    for joint in np.flatnonzero((excess > margin_rad).any(axis=0)):
-        samples = np.flatnonzero(excess[:, joint] > margin_rad)
-        found.append(OutsideLimits(int(joint) + 1, samples, recording.row[samples], float(excess[:, joint].max())))
-    return found
+    beyond = excess > margin_rad
+    return [
+        OutsideLimits(int(joint) + 1, recording.row[beyond[:, joint]], float(excess[:, joint].max()))
+        for joint in np.flatnonzero(beyond.any(axis=0))
+    ]
 
 
 # ------------------------------------------------------------------ torques without noise

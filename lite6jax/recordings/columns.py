@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from math import pi
 from typing import NamedTuple
@@ -137,12 +136,11 @@ def is_scalar(array: str) -> bool:
     return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """A recognised column: its name and place in the file, and what it holds, in SI once divided by `divisor`."""
 
     name: str
-    index: int
+    place: int
     quantity: str
     joint: int  # 1-based, 0 for a quantity that is not per joint
     unit: str
@@ -225,28 +223,12 @@ def nearest_known(name: str) -> str | None:
 # ------------------------------------------------------------------ the columns of a table
 
 
-class Recognised(NamedTuple):
-    """What the columns of a table mean.
-
-    Attributes:
-        columns: by their SI name.
-        joints: how many.
-        ignored: names that mean nothing here, without those that are to be ignored.
-        problems: what makes the table unusable, each with its remedy; empty where nothing does.
-    """
-
-    columns: dict[str, Column]
-    joints: int
-    ignored: list[str]
-    problems: list[str]
-
-
 def recognise(
     names: Sequence[str],
     dof: int | None = None,
     joints_optional: bool = False,
     renamed: Mapping[str, str] | None = None,
-) -> Recognised:
+) -> tuple[dict[str, Column], int, list[str], list[str]]:
     """What the columns of a table mean.
 
     Problems are a unit that is missing or unknown, a quantity given twice, a joint left out, a position or an
@@ -257,6 +239,10 @@ def recognise(
         dof: the number of joints expected, where known.
         joints_optional: whether joint positions may be absent; then `dof` is to be known.
         renamed: of columns with names of their own, the names that they would have here, or `IGNORED`.
+
+    Returns:
+        the columns by their SI name; how many joints; names that mean nothing here and are not to be ignored; and what
+        makes the table unusable, each with its remedy.
     """
     own, there = renamed or {}, {*names, *(name.strip() for name in names)}
     found: dict[str, Column] = {}
@@ -268,7 +254,7 @@ def recognise(
     ]
     alike: dict[tuple[str, str], tuple[int, list[str]]] = {}  # the place of a problem, and the next columns with it
     unclear: set[str] = set()
-    for index, raw in enumerate(names):
+    for place, raw in enumerate(names):
         stripped = raw.strip()
         name = own.get(raw, own.get(stripped, stripped))
         if name == IGNORED or name in TEXTS or _STD.fullmatch(name):
@@ -290,13 +276,13 @@ def recognise(
             alike[key] = len(problems), []
             problems.append(f"column {shown[:60]!r}: {meant.problem}; write {meant.remedy}")
         elif (twin := found.get(meant.si_name)) is None:
-            found[meant.si_name] = Column(stripped, index, meant.quantity, meant.joint, meant.unit, meant.divisor)
+            found[meant.si_name] = meant._replace(name=stripped, place=place)
         elif twin.name == stripped:
             problems.append(f"column {stripped} stands there twice; keep one")
         else:
             problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
-    for place, others in alike.values():
-        problems[place] += f" (and likewise {_list_names(others)})" if others else ""
+    for number, others in alike.values():
+        problems[number] += f" (and likewise {_list_names(others)})" if others else ""
     joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
     if not joints and not joints_optional and "q" not in unclear:
         problems.append(
@@ -307,7 +293,7 @@ def recognise(
         problems += _check_joints(found, given, joints, unclear)
     if joints and dof is not None and joints != dof:
         problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
-    return Recognised(found, joints, ignored, problems + _check_groups(found, unclear))
+    return found, joints, ignored, problems + _check_groups(found, unclear)
 
 
 def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import pi
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +20,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
-from lite6jax.recordings.recording import Recording, check_joint_scale, check_position_scale, drop_missing
+from lite6jax.recordings.recording import Recording, check_scale, drop_missing
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.settings import (
     RecordingSettings,
@@ -30,7 +30,7 @@ from lite6jax.recordings.settings import (
     sidecar_path,
     write_settings,
 )
-from lite6jax.recordings.table import RawTable, make_arrays, tabulate
+from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.recordings.texts import open_text
 from lite6jax.recordings.units import require_radians
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
@@ -70,7 +70,21 @@ def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 def recording_file(path: str | Path) -> Path | None:
     """The file or folder that a recording's name names, without topics; None where it is no recording's name."""
     file, _ = split_topics(path)
-    return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or exists(file / INFO) else None
+    return file if _kind_of(file) else None
+
+
+def _kind_of(path: Path) -> Literal["text", "parquet", "log", "lerobot", ""]:
+    """The kind of recording that a path names; empty where it names none."""
+    suffix = path.suffix.lower()
+    if suffix in LOGS or suffix in TABLES:
+        return "log" if suffix in LOGS else "parquet" if suffix == ".parquet" else "text"
+    if os.path.isdir(path):
+        return "lerobot" if exists(path / INFO) else "log" if exists(path / METADATA) or _logs(path) else ""
+    return ""
+
+
+def _logs(path: Path) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
 
 
 def stranger(path: str | Path) -> str:
@@ -117,37 +131,30 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
-    suffix, log = path.suffix.lower(), path
-    if suffix == ".parquet" and not exists(path) and exists(growing := growing_path(path)):
+    kind, log = _kind_of(path), path
+    if kind == "parquet" and not exists(path) and exists(growing := growing_path(path)):
         notes.append(f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended")
-        path, suffix = growing, ".csv"
+        path, kind = growing, "text"
     try:
-        if os.path.isdir(path) and suffix not in SUFFIXES:
-            if exists(path / INFO):
-                return path, open_lerobot(path)
-            inside = _logs(path)
-            if not exists(path / METADATA):
-                if len(inside) > 1:
-                    raise InputError(
-                        f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
-                    )
-                if not inside:
-                    raise InputError(f"{path}: {stranger(path)}")
-                log = inside[0]  # a recorder that was ended writes no metadata
-        elif not suffix and not exists(path):
-            raise InputError(f"{path}: no such file or folder; check the name")
-        elif suffix not in SUFFIXES:
+        if kind == "lerobot":
+            return path, open_lerobot(path)
+        if not kind:
             other = (
                 "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data "
                 "set; convert it or correct the name"
             )
-            raise InputError(f"{path}: {stranger(path) or other}")
-        else:
+            missing = "no such file or folder; check the name"
+            raise InputError(f"{path}: {stranger(path) or (other if path.suffix or exists(path) else missing)}")
+        if path.suffix.lower() in SUFFIXES:
             check_readable(path)
-            if suffix == ".parquet":
-                return path, open_parquet(path)
-            if suffix in TABLES:
-                return path, open_text(path, notes, growing=_is_growing(path))
+        elif not exists(path / METADATA):  # a recorder that was ended writes no metadata
+            log, *more = _logs(path)
+            if more:
+                raise InputError(
+                    f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
+                )
+        if kind != "log":
+            return path, open_parquet(path) if kind == "parquet" else open_text(path, notes, lambda: _was_ended(path))
         columns = read_bag(log, topics, of_arm, notes)
         # nothing says the unit of efforts
         return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
@@ -155,23 +162,11 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
 
 
-def _is_growing(path: Path) -> bool:
-    """Whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
-    with open(path, "rb") as file:
-        file.seek(-min(file.seek(0, os.SEEK_END), 1), os.SEEK_END)
-        if file.read() in (b"", b"\n"):
-            return False
+def _was_ended(path: Path) -> bool:
+    """Whether a recording was not completed, by its sidecar."""
     with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
         return not read_sidecar(sidecar_path(path)).complete
     return False
-
-
-def _is_bag(path: Path) -> bool:
-    return os.path.isdir(path) and (exists(path / METADATA) or bool(_logs(path)))
-
-
-def _logs(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
 
 
 # ------------------------------------------------------------------ whole recordings
@@ -211,35 +206,28 @@ def read_recording(
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
-    if (path.suffix.lower() in LOGS or _is_bag(path)) and not of_arm.names:  # a diagnosis does not keep the names
-        named = sidecar.settings.arm_reference(path.parent) if sidecar.settings.arm is not None else None
-        declared = ArmJoints.of(None if named is None else read_arm(named))._replace(dof=None)
-        of_arm = declared if arm is None else of_arm.named_as(declared)
+    if _kind_of(path) == "log" and not of_arm.names:  # a diagnosis does not keep the names
+        named = None if sidecar.settings.arm is None else read_arm(sidecar.settings.arm_reference(path.parent))
+        declared = ArmJoints.of(named)._replace(dof=None)
+        of_arm = declared if arm is None else of_arm
+        of_arm = of_arm._replace(names=declared.names) if len(declared.names) == of_arm.dof else of_arm
     of_arm = of_arm if dof is None else of_arm._replace(dof=dof)
     path, raw = open_table(path, topics, of_arm, notes)
     table = tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=raw.renamed(str(path), sidecar.columns))
     columns, values = table.columns, table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
-    degrees = [
-        name
-        for name, column in columns.items()
-        if assume_degrees and is_per_joint(column.quantity) and column.unit.startswith("rad")
-    ]
-    millimetres = [name for name, column in columns.items() if assume_millimetres and column.unit == "m"]
-    for names, divisor, unit in ((degrees, 180 / pi, "degrees"), (millimetres, 1e3, "millimetres")):
-        values |= {name: values[name] / divisor for name in names}
-        if names:
+    angles = [name for name, one in columns.items() if is_per_joint(one.quantity) and one.unit.startswith("rad")]
+    lengths = [name for name, one in columns.items() if one.unit == "m"]
+    for names, divisor, unit in ((angles, 180 / pi, "degrees"), (lengths, 1e3, "millimetres")):
+        if names and (assume_degrees if unit == "degrees" else assume_millimetres):
+            values |= {name: values[name] / divisor for name in names}
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    arrays = make_arrays(table, str(path), notes)
-    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    recording = Recording.from_table(table, sidecar.settings, str(path), notes)
     recording = drop_missing(recording, table.spelling)
-    if joint_limits is not None:
-        check_joint_scale(recording, joint_limits, table.spelling, assume_degrees or table.converts("q1_rad"))
-    if reach is not None:
-        check_position_scale(recording, reach, table.spelling, assume_millimetres or table.converts("x_m"))
+    check_scale(recording, joint_limits, reach, table, degrees=assume_degrees, millimetres=assume_millimetres)
     return recording
 
 
@@ -324,15 +312,11 @@ def read_targets(
     given = "q1_rad" in table.columns
     if not given:
         table.values.update({f"q{joint + 1}_rad": np.zeros(len(table.values["x_m"])) for joint in range(table.joints)})
-    arrays = make_arrays(table, str(path), notes)
-    recording = Recording.assemble_plausible(arrays, sidecar.settings, str(path), table.spelling, notes)
+    recording = Recording.from_table(table, sidecar.settings, str(path), notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
-    if given and joint_limits is not None:
-        check_joint_scale(recording, joint_limits, table.spelling, assumed=True)
-    if reach is not None:
-        check_position_scale(recording, reach, table.spelling, assumed=True)
+    check_scale(recording, joint_limits if given else None, reach, table, degrees=True, millimetres=True)
     return Targets(recording, recording.joint_position if given else None)
 
 

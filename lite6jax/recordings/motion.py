@@ -57,16 +57,12 @@ def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None =
     exchange = np.abs(np.sign(A))
     moved = bool((exchange.sum(1) == 1).all())
     changed: dict[str, Any] = {"joint_position": recording.joint_position @ A.T + b}
-    for name, matrix in (
-        ("joint_velocity", A),
-        ("joint_acceleration", A),
-        ("joint_torque", effort),
-        ("motor_current", effort),
-        ("joint_temperature", exchange if moved else None),
-        ("commanded_position", A),
-    ):
+    matrices = dict.fromkeys(("joint_velocity", "joint_acceleration", "commanded_position"), A)
+    matrices |= {} if effort is None else {"joint_torque": effort, "motor_current": effort}
+    matrices |= {"joint_temperature": exchange} if moved else {}
+    for name, matrix in matrices.items():
         column = getattr(recording, name)
-        if column is not None and matrix is not None:
+        if column is not None:
             changed[name] = column @ matrix.T + (b if name == "commanded_position" else 0.0)
     changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
     if not moved:
@@ -96,18 +92,12 @@ def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
             continue
         middle = (low[joint] + high[joint]) / 2
         for part in runs if trajectory else [np.ones(recording.samples, bool)]:
-            values = q[part, joint]
-            outside = (values < low[joint] - slack) | (values > high[joint] + slack)
-            if not outside.any():
-                continue
+            values, reach = q[part, joint], (high[joint] - low[joint]) / 2 + slack
+            outside = np.abs(values - middle) > reach
             # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
-            turns = (
-                np.round((np.median(values) - middle) / (2 * np.pi))
-                if trajectory
-                else np.round((values - middle) / (2 * np.pi)) * outside
-            )
-            back = values - 2 * np.pi * turns
-            if ((back >= low[joint] - slack) & (back <= high[joint] + slack)).all():
+            turned = np.median(values) if trajectory else np.where(outside, values, middle)
+            back = values - 2 * np.pi * np.round((turned - middle) / (2 * np.pi))
+            if outside.any() and (np.abs(back - middle) <= reach).all():
                 q[part, joint] = back
     return q
 

@@ -9,16 +9,24 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal, NamedTuple, final
+from typing import Any, Literal, NamedTuple, final
 from unicodedata import normalize
 
 import numpy as np
 
-from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, is_per_joint, is_standard, units_of
+from lite6jax.recordings.columns import (
+    ANGLES,
+    MATRIX,
+    QUATERNION,
+    RPY,
+    VECTOR,
+    is_per_joint,
+    is_standard,
+    units_of,
+)
 from lite6jax.recordings.ros import UR_JOINTS
 from lite6jax.recordings.sizes import Sureness
 
-VECTOR, RPY, XYZ, ZYZ = ANGLES
 Role = Literal["controller", "sensor"]
 
 
@@ -258,10 +266,10 @@ def sources(found: Sequence[Block]) -> list[Source]:
     return listed
 
 
-def units_allowed(kind: str, slides: bool = False) -> set[str]:
-    """The units that a kind of block may have."""
+def units_allowed(kind: str, *slides: bool) -> set[str]:
+    """The units that a kind of block may have, of revolute joints unless it is said of which."""
     quantity = {"position": "x", "rotation": "rx"}.get(kind, kind)
-    return set(units_of(quantity, slides)) - {""}
+    return {unit for each in slides or (False,) for unit in units_of(quantity, each) if unit}
 
 
 def unit_of(name: str) -> str | None:
@@ -328,7 +336,7 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
         said = "q"
     stated = {*units} - {None}
-    if not stated or (said is not None and stated <= units_allowed(said) | units_allowed(said, True)):
+    if not stated or (said is not None and stated <= units_allowed(said, False, True)):
         return said
     bound = [kind for kind in KINDS[:6] if stated <= units_allowed(kind)]
     return bound[0] if said in (None, "q") and len(bound) == 1 else None
@@ -338,8 +346,7 @@ def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: ob
     """Columns as a block, unless their units are of something else."""
     units = {word.unit for word in words}
     unit = units.pop() if len(units) == 1 else None
-    allowed = units_allowed(kind) | units_allowed(kind, True)
-    if not (units | {unit}) - {None} <= allowed:
+    if not (units | {unit}) - {None} <= units_allowed(kind, False, True):
         return
     present = set(said)
     rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
@@ -364,6 +371,21 @@ def _form(words: Iterable[str]) -> dict[str, object]:
     if {"rotvec", "rvec"} & {*words}:
         return {"form": VECTOR}
     return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
+
+
+def _grouped(words: Sequence[_Word], index: Literal["number", "component"]) -> dict[tuple[str, ...], dict[Any, _Word]]:
+    """Words that differ in their number or component alone, by what they share."""
+    groups: dict[tuple[str, ...], dict[Any, _Word]] = {}
+    for word in words:
+        if (at := getattr(word, index)) is not None:
+            groups.setdefault(word.words, {}).setdefault(at, word)
+    return groups
+
+
+def _counts(numbers: Iterable[int]) -> bool:
+    """Whether numbers count from 0 or 1 without a gap."""
+    listed = sorted(numbers)
+    return listed in ([*range(len(listed))], [*range(1, len(listed) + 1)])
 
 
 def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
@@ -397,31 +419,28 @@ def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterato
 def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
     """Homogeneous and rotation matrices, by two indices (`T00`, `r_1_1`) or by one in either order (`O_T_EE_0`)."""
     pairs: dict[tuple[str, ...], dict[tuple[int, int], _Word]] = {}
-    flat: dict[tuple[str, ...], dict[int, _Word]] = {}
     for word in words:
         if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.every)):
             pairs.setdefault(tuple(match[1].split()), {})[int(match[2]), int(match[3])] = word
-        if word.number is not None and {*word.words} & {*_TURNED, "r", "t", "pose", "matrix", "transform"}:
-            flat.setdefault(word.words, {})[word.number] = word
     found = []
     for (said, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
         if [*sorted(group)] == [(first + i, first + j) for i, j in np.ndindex(shape)]:
             found.append((said, shape, [group[at] for at in sorted(group)], "likely"))
-    for said, group in flat.items():
+    for said, group in _grouped(words, "number").items():
         shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(group))
-        if shape and sorted(group) == [min(group) + k for k in range(len(group))] and min(group) < 2:
+        if shape and _counts(group) and {*said} & {*_TURNED, "r", "t", "pose", "matrix", "transform"}:
             found.append((said, shape, [group[k] for k in sorted(group)], "assumed"))
     for (said, shape, members, sure), turned in product(found, (False, True)):
-        names = np.array([word.name for word in members], object)
-        grid = names.reshape(shape[::-1]).T if turned else names.reshape(shape)
-        words_of = {word.name: word for word in members}
-        same = {"source": (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
-        same |= {"matrix": tuple(grid.ravel()), "unit": None}
-        same |= {"sure": sure if shape == (3, 3) else "certain"}  # of others the numbers show the order
-        same |= {"rank": 2} if said[-1:] == ("c",) else {}
-        yield from _block("rotation", [words_of[name] for name in grid[:3, :3].ravel()], said, form=MATRIX, **same)
+        grid = np.empty(len(members), object)
+        grid[:] = members
+        grid = grid.reshape(shape[::-1]).T if turned else grid.reshape(shape)
+        source = (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3)))
+        sure = sure if shape == (3, 3) else "certain"  # of others the numbers show the order
+        same = {"source": source, "weak": int(turned), "unit": None, "sure": sure}
+        same |= {"matrix": tuple(word.name for word in grid.ravel())} | ({"rank": 2} if said[-1:] == ("c",) else {})
+        yield from _block("rotation", [*grid[:3, :3].ravel()], said, form=MATRIX, **same)
         if shape[1] == 4:
-            yield from _block("position", [words_of[name] for name in grid[:3, 3]], said, **same)
+            yield from _block("position", [*grid[:3, 3]], said, **same)
 
 
 def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
@@ -443,20 +462,17 @@ def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
 
 def _components(words: Sequence[_Word]) -> Iterator[Block]:
     """Positions and rotations whose columns end in x, y, z, w, roll, rx and the like."""
-    groups: dict[tuple[str, ...], dict[str, _Word]] = {}
-    for word in words:
-        if word.component is not None and _quantity(set(word.words) - {*_POSE, *_PLACE}) in (None, "q"):
-            groups.setdefault(word.words, {}).setdefault(word.component, word)
-    for said, group in groups.items():
-        turned = bool(_TURNED & set(said))
-        source = _source(said)
+    for said, group in _grouped(words, "component").items():
+        if _quantity({*said} - {*_POSE, *_PLACE}) not in (None, "q"):
+            continue
+        turned, source = bool(_TURNED & {*said}), _source(said)
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
             yield from _block("rotation", members, said, form=QUATERNION, source=source)
         elif turned and len(place) == 3:
             yield from _block("rotation", place, said, source=source, **_form(said))
-        elif len(place) == 3 and not _JOINT & set(said):
+        elif len(place) == 3 and not _JOINT & {*said}:
             weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)
         for parts, form, sure in _TRIPLES:
@@ -477,13 +493,9 @@ def _unnumbered(words: Sequence[_Word]) -> list[Block]:
 
 def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
-    groups: dict[tuple[str, ...], dict[int, _Word]] = {}
-    for word in words:
-        if word.number is not None:
-            groups.setdefault(word.words, {}).setdefault(word.number, word)
-    for said, group in groups.items():
+    for said, group in _grouped(words, "number").items():
         count, present = len(group), set(said)
-        if sorted(group) not in ([*range(count)], [*range(1, count + 1)]):
+        if not _counts(group):
             continue
         members, same = [group[number] for number in sorted(group)], {"source": _source(said, "qrt")}
         posed, turned = bool(_POSE & present), bool(_TURNED & present)

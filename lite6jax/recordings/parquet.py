@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,30 +45,26 @@ def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
         InputError: damaged, or another kind of file, or one without a column of the first; here and in `load`.
     """
 
-    def describe(file: pa_parquet.ParquetFile) -> list[_Leaf]:
+    with _opened(paths[0]) as file:
         fields = list(file.schema_arrow)
         lists = [field.name for field in fields if "list<" in str(field.type)]
         first = next(file.iter_batches(_SAMPLE, columns=lists), None) if lists else None
-        sampled = {} if first is None else dict(zip(first.schema.names, first.columns, strict=True))
-        starts = [(field.name, sampled.get(field.name, pa.nulls(0, field.type))) for field in fields]
-        return [leaf for name, values in starts for leaf in _leaves(name, values, (name,), named)]
-
-    leaves: list[_Leaf] = _parquet(paths[0], describe)
+    sampled = {} if first is None else dict(zip(first.schema.names, first.columns, strict=True))
+    starts = [(field.name, sampled.get(field.name, pa.nulls(0, field.type))) for field in fields]
+    leaves = [leaf for name, values in starts for leaf in _leaves(name, values, (name,), named)]
 
     def load(wanted: Mapping[int, str]) -> dict[int, Values]:
-        names = list(dict.fromkeys(str(leaves[index].path[0]) for index in wanted))
-        parts = [_parquet(path, lambda file, path=path: _columns(file, names, path)) for path in paths]
+        names, parts = list(dict.fromkeys(str(leaves[index].path[0]) for index in wanted)), []
+        for path in paths:
+            with _opened(path) as file:
+                if lacking := set(names) - set(file.schema_arrow.names):
+                    raise InputError(f"{path}: lacks the column {min(lacking)} of the other episodes; restore the file")
+                parts.append(file.read(columns=names))
         table = pa.concat_tables(parts)
         places = {index: table.column_names.index(str(leaves[index].path[0])) for index in wanted}  # names may be twice
         return {index: _descend(table.column(place), leaves[index].path[1:]) for index, place in places.items()}
 
     return RawTable([leaf.name for leaf in leaves], load)
-
-
-def _columns(file: pa_parquet.ParquetFile, names: Sequence[str], path: Path) -> pa.Table:
-    if lacking := set(names) - set(file.schema_arrow.names):
-        raise InputError(f"{path}: lacks the column {min(lacking)} of the other episodes; restore the file")
-    return file.read(columns=list(names))
 
 
 def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Named) -> Iterator[_Leaf]:
@@ -100,11 +97,12 @@ def _descend(values: Any, path: Sequence[str | int]) -> Any:
     return values
 
 
-def _parquet(path: Path, read: Callable[[pa_parquet.ParquetFile], Any]) -> Any:
-    """What is read of a file, its checksums verified."""
+@contextmanager
+def _opened(path: Path) -> Iterator[pa_parquet.ParquetFile]:
+    """A file whose checksums are verified as it is read."""
     try:
         with pa_parquet.ParquetFile(path, page_checksum_verification=True) as file:
-            return read(file)
+            yield file
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: a column name is not UTF-8; write the file again with other names") from error
     except (pa.ArrowException, OSError) as error:

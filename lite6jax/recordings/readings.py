@@ -8,21 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
+from lite6jax.recordings.columns import READINGS, spelled
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
 
 Array = NDArray[np.floating]
 Kind = Literal["contact", "plane", "distance", "axis", "camera"]
 
-_NUMBERS: dict[str, int] = {"contact": 3, "plane": 1, "distance": 1, "axis": 1, "camera": 6}
-_COLUMNS: dict[str, Kind] = {
-    "contact": "contact",
-    "plane": "plane",
-    "distance_m": "distance",
-    "axis_m": "axis",
-    "u_px": "camera",
-}
-"""The column that tells of a kind of reading."""
+_NUMBERS: Mapping[Kind, int] = {"contact": 3, "plane": 1, "distance": 1, "axis": 1, "camera": 6}
+"""How many numbers a sample measures."""
 LARGEST_CORNER = 10_000
 
 
@@ -114,9 +108,8 @@ def readings_from_arrays(
     names = tuple(dict.fromkeys(labels or ())) or (kind,)
     group = np.zeros(samples, np.int64) if labels is None else np.array([names.index(label) for label in labels])
     value = np.zeros(samples) if value is None else np.asarray(value, float)
-    return Readings(
-        kind, group, names, value, np.zeros((samples, 0, 2)) if pixels is None else np.asarray(pixels, float)
-    )
+    pixels = np.zeros((samples, 0, 2)) if pixels is None else np.asarray(pixels, float)
+    return Readings(kind, group, names, value, pixels)
 
 
 def with_readings(
@@ -138,7 +131,8 @@ def with_readings(
     Raises:
         InputError: readings of several kinds, or an image with corners twice or joints that differ.
     """
-    found = [column for column in _COLUMNS if column in values]
+    told: dict[str, Kind] = {spelled(READINGS[kind][0]): kind for kind in _NUMBERS}
+    found = [column for column in told if column in values]
     if not found:
         return arrays
     if arrays["position"] is not None:
@@ -150,7 +144,7 @@ def with_readings(
             f"{source}: has readings of several kinds, columns {found[0]} and {found[1]}; write each kind to a file of "
             "its own, and name both files: `lite6jax diagnose a.csv b.csv`"
         )
-    kind, samples = _COLUMNS[found[0]], len(arrays["joint_position"])
+    kind, samples = told[found[0]], len(arrays["joint_position"])
     if kind == "camera":
         return _of_corners(arrays, values, source)
     value = np.zeros(samples) if kind in ("contact", "plane") else values[found[0]]
@@ -164,11 +158,10 @@ def with_readings(
 
 def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str) -> dict[str, Any]:
     """With the corners of each image in one sample, which has the joints of its first row."""
-    needed = [name for name in ("image", "corner", "v_px") if name not in values]
-    if needed:
+    if needed := [name for name in ("image", "corner", "v_px") if name not in values]:
         raise InputError(f"{source}: has u_px without {needed[0]}; give image, corner, u_px and v_px, a row a corner")
-    image, corner = values["image"], values["corner"]
-    there = np.isfinite(image) & np.isfinite(corner) & np.isfinite(values["u_px"]) & np.isfinite(values["v_px"])
+    image, corner, u, v = (values[name] for name in ("image", "corner", "u_px", "v_px"))
+    there = np.isfinite([image, corner, u, v]).all(0)
     wrong = np.flatnonzero(there & ((corner != np.round(corner)) | (corner < 0) | (corner >= LARGEST_CORNER)))
     if wrong.size:
         raise InputError(f"{source}: column corner: row {wrong[0] + 1} is {corner[wrong[0]]:g}; count corners from 0")
@@ -185,10 +178,9 @@ def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str
             "image; give each image a number of its own"
         )
     pixels = np.full((len(numbers), int(at.max()) + 1, 2), np.nan)
-    twice = np.bincount(inverse * pixels.shape[1] + at).max()
-    if twice > 1:
+    if np.bincount(inverse * pixels.shape[1] + at).max() > 1:
         raise InputError(f"{source}: an image has a corner twice; give each image a number of its own")
-    pixels[inverse, at] = np.stack([values["u_px"][rows], values["v_px"][rows]], 1)
+    pixels[inverse, at] = np.stack([u[rows], v[rows]], 1)
     few = {
         name: array[kept] if isinstance(array, np.ndarray) and len(array) == len(image) else array
         for name, array in arrays.items()

@@ -22,17 +22,14 @@ from lite6jax.recordings.table import Table, make_arrays, read_frame
 from lite6jax.recordings.units import (
     FAR_REACHES,
     LARGEST_MISSING_SHARE,
+    blank_implausible,
     other_joints,
     real_array,
     require_near,
     unit_quaternions,
-    without_implausible,
 )
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
-
-_OF_EACH = ("contact_distances", "contact_points", "planes", "anchor_m")
-"""Keys of which each file has its own; of all others they have the same."""
 
 
 @final
@@ -140,30 +137,11 @@ class Recording(PublicResult):
                 for metres, a quaternion whose length is more than 1 % off, more than half of the rows not finite, or
                 an unknown key of the sidecar.
         """
-        arrays = {
-            "sliding": sliding,
-            "joint_position": joint_position,
-            "position": position,
-            "quaternion": quaternion,
-            "time": time,
-            "joint_velocity": joint_velocity,
-            "joint_acceleration": joint_acceleration,
-            "joint_torque": joint_torque,
-            "motor_current": motor_current,
-            "joint_temperature": joint_temperature,
-            "commanded_position": commanded_position,
-            "ambient_temperature": ambient_temperature,
-            "payload": payload,
-            "run": run,
-            "readings": readings,
-        }
-        real = {
-            name: real_array(f"{source}: {name}", value)
-            if value is not None and name in OF_ARRAY and name != "run"
-            else value
-            for name, value in arrays.items()
-        }
-        recording = cls.assemble_plausible(real, declared_settings(settings, arm, declared), source, {}, [])
+        arrays = {name: value for name, value in dict(locals()).items() if name in OF_ARRAY}
+        settings = declared_settings(settings, arm, declared)
+        recording = cls.assembled(
+            **arrays, sliding=sliding, readings=readings, settings=settings, source=source, spelling={}
+        )
         return drop_missing(_of_arm(recording, arm, sliding))
 
     @classmethod
@@ -193,26 +171,18 @@ class Recording(PublicResult):
         notes: list[str] = []
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes, columns)
-        arrays = make_arrays(table, source, notes)
-        recording = cls.assemble_plausible(arrays, settings, source, table.spelling, notes)
+        recording = cls.from_table(table, settings, source, notes)
         return drop_missing(_of_arm(recording, arm, recording.sliding, table), table.spelling)
 
     @classmethod
-    def assemble_plausible(
-        cls,
-        arrays: Mapping[str, Any],
-        settings: RecordingSettings,
-        source: str,
-        spelling: Mapping[str, str],
-        notes: list[str],
-    ) -> "Recording":
-        """As `assembled`, with numbers missing that no arm or sensor can give.
+    def from_table(cls, table: Table, settings: RecordingSettings, source: str, notes: list[str]) -> "Recording":
+        """As `assembled`, of the columns of a table, with numbers missing that no arm or sensor can give.
 
         Raises:
-            InputError: as `assembled`, or over half of the rows have such a number.
+            InputError: as `make_arrays` and `assembled`.
         """
-        found = without_implausible(arrays, source, spelling, notes)
-        return cls.assembled(**found, settings=settings, source=source, notes=tuple(notes))
+        arrays = make_arrays(table, source, notes)
+        return cls.assembled(**arrays, settings=settings, source=source, notes=notes, spelling=table.spelling)
 
     @classmethod
     def assembled(
@@ -223,21 +193,24 @@ class Recording(PublicResult):
         row: ArrayLike | None = None,
         settings: RecordingSettings | None = None,
         source: str = "recording",
-        notes: tuple[str, ...] = (),
+        notes: Sequence[str] = (),
         sliding: tuple[int, ...] | None = None,
         readings: Readings | None = None,
+        spelling: Mapping[str, str] | None = None,
         **others: ArrayLike | None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
         The direction and the differentiated velocity of the other rows pass over those whose joints or time are NaN.
         `row` is `(sample,)` int, the data row of each sample in its file, from 1; `notes` say what was done before.
+        With `spelling`, the names of columns in the file by those in SI units, implausible numbers count as missing.
 
         Raises:
-            InputError: arrays that do not fit together, orientation without position, quaternions of another length, or
-                settings with a number per joint that are of another number of joints.
+            InputError: arrays that do not fit together, orientation without position, quaternions of another length,
+                settings with a number per joint that are of another number of joints, or over half of the rows with
+                implausible numbers.
         """
-        settings = settings or RecordingSettings()
+        settings, said = settings or RecordingSettings(), [*notes]
         q = real_array(f"{source}: joint_position", joint_position)
         if q.ndim != 2 or 0 in q.shape:
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
@@ -245,27 +218,19 @@ class Recording(PublicResult):
         settings.require_joints(dof, source)
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
-        if readings is not None and readings.kind == "camera" and others.get("position") is None:
-            readings = readings.with_poses(settings, source)
-            assert readings.seen is not None
-            T = readings.seen.T
-            others |= {"position": T[:, :3, 3], "quaternion": quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))}
-            there = int(np.isfinite(T[:, 0, 3]).sum())
-            if there < samples:
-                few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
-                notes += (f"{samples - there} of {samples} images show {few}: they are left out",)
         given = {"joint_position": q, "payload": np.zeros(samples)}
         given |= {name: value for name, value in others.items() if value is not None}
-        arrays: dict[str, Any] = {}
-        for name in OF_ARRAY:
+        if unknown := given.keys() - OF_ARRAY.keys():
+            raise TypeError(f"{min(unknown)}: a recording has no such array")
+        arrays: dict[str, Any] = dict.fromkeys(OF_ARRAY)
+        for name, value in given.items():
             shape = (samples,) if is_scalar(name) else (samples, len(name_columns(name, dof)))
-            array: Any = given.pop(name, None)
-            array = real_array(f"{source}: {name}", array) if array is not None else None
-            if array is not None and array.shape != shape:
-                raise InputError(f"{source}: {name} has the shape {array.shape}; give {shape}")
-            arrays[name] = array
-        if given:
-            raise TypeError(f"{min(given)}: a recording has no such array")
+            arrays[name] = real_array(f"{source}: {name}", value)
+            if arrays[name].shape != shape:
+                raise InputError(f"{source}: {name} has the shape {arrays[name].shape}; give {shape}")
+        if spelling is not None:
+            said += blank_implausible(arrays, source, spelling)
+            q = arrays["joint_position"]
         for name, counted, usual in (("run", run, np.zeros(samples, int)), ("row", row, np.arange(1, samples + 1))):
             array = usual if counted is None else np.asarray(counted)
             if array.shape != (samples,):
@@ -273,22 +238,31 @@ class Recording(PublicResult):
             if array.dtype.kind not in "iu":
                 raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
             arrays[name] = array.astype(np.int64, copy=False)
+        if readings is not None and readings.kind == "camera" and arrays["position"] is None:
+            readings = readings.with_poses(settings, source)
+            assert readings.seen is not None
+            T = readings.seen.T
+            arrays |= {"position": T[:, :3, 3], "quaternion": quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))}
+            there = int(np.isfinite(T[:, 0, 3]).sum())
+            if there < samples:
+                few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
+                said.append(f"{samples - there} of {samples} images show {few}: they are left out")
         if arrays["quaternion"] is not None:
             if arrays["position"] is None:
                 raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
             arrays["quaternion"], note = unit_quaternions(arrays["quaternion"], arrays["row"], source)
-            notes += (note,) if note else ()
+            said += [note] if note else []
         motion, time, velocity = settings.motion, arrays["time"], arrays["joint_velocity"]
         if motion is None:
             motion, reason = inferred_motion(time, velocity)
-            notes += (f"the motion is not declared and is taken as {motion}: {reason}",)
+            said.append(f"the motion is not declared and is taken as {motion}: {reason}")
         segment, differentiated = run_segments(arrays["run"]), False
         if velocity is None and time is not None and motion == "trajectory":
             velocity, differentiated = differentiate(q, time, segment), True
             arrays["joint_velocity"] = velocity
-            notes += ("the joint velocities were not recorded and come from differentiating the positions over time",)
+            said.append("the joint velocities were not recorded and come from differentiating the positions over time")
         elif velocity is None and motion == "trajectory":
-            notes += ("the trajectory has neither times nor velocities: directions of motion follow the row order",)
+            said.append("the trajectory has neither times nor velocities: directions of motion follow the row order")
         return cls(
             **arrays,
             direction_of_motion=directions(q, velocity, segment, motion),
@@ -296,7 +270,7 @@ class Recording(PublicResult):
             velocity_differentiated=differentiated,
             settings=settings,
             source=source,
-            notes=notes,
+            notes=tuple(said),
             sliding=sliding or (),
             readings=readings,
         )
@@ -476,76 +450,58 @@ def _of_arm(
     if sliding is not None and sliding != known.sliding:
         raise InputError(f"{recording.source}: {other_joints(sliding, known.sliding, known.name)}")
     recording = replace(recording, sliding=known.sliding)
-    if table is None:
-        check_joint_scale(recording, known.possible_positions, given="arrays")
-        check_position_scale(recording, known.reach, given="arrays")
-        return recording
-    limits, spelling = known.possible_positions, table.spelling
-    check_joint_scale(recording, limits, spelling, table.converts("q1_rad"), "table")
-    check_position_scale(recording, known.reach, spelling, table.converts("x_m"), "table")
+    check_scale(recording, known.possible_positions, known.reach, table, "arrays" if table is None else "table")
     return recording
 
 
-def check_joint_scale(
+def check_scale(
     recording: Recording,
-    joint_limits: ArrayLike,
-    spelling: Mapping[str, str] | None = None,
-    assumed: bool = False,
+    joint_limits: ArrayLike | None = None,
+    reach: float | None = None,
+    table: Table | None = None,
     given: Given = "file",
+    degrees: bool = False,
+    millimetres: bool = False,
 ) -> None:
-    """Refuses joint positions so far outside the limits that they must be degrees (`units.require_near`).
+    """Refuses joint positions that must be degrees (`units.require_near`), and poses that must be millimetres.
+
+    Of poses medians decide, so outliers pass. Only `pose_frame: base` says where the base is; a tracker may stand
+    anywhere.
 
     Args:
+        recording: with positions in rad and m.
         joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
-        spelling: SI column name to the name in the file, for the message.
-        assumed: whether degrees have been assumed already, so that the message does not ask.
+        reach: of the arm in m, without a tool.
+        table: that it was read from, for the names of columns in messages.
         given: where the numbers are from.
+        degrees, millimetres: whether these have been assumed already, so that the message does not ask.
 
     Raises:
-        InputError: a tenth of the rows or more are beyond twice the widest limit of the arm.
+        InputError: a tenth of the rows or more are beyond twice the widest limit of the arm, or the median distance of
+            the positions from their middle (or the base) is over five reaches.
     """
-    limits = np.asarray(joint_limits, dtype=float)
-    if limits.shape != (recording.dof, 2):
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, the arm {len(limits)}; choose the arm it is of"
-        )
+    spelling = {} if table is None else table.spelling
 
     def said(joint: int) -> tuple[str, str]:
-        column = f"q{joint + 1}_rad"
-        name = (spelling or {}).get(column, column)
+        name = spelling.get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
         remedy = _ask_about("degrees", "q1_deg ...", "radians: np.deg2rad(joint_position)", given)
         if joint in recording.sliding:
             metres = f"metres: joint_position[:, {joint}] / 1000"
             remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
-        elif assumed or name.endswith("_deg"):
+        elif degrees or (table is not None and table.converts(f"q{joint + 1}_rad")):
             remedy = "check the unit"
         return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
 
-    require_near(recording.joint_position, limits, said, recording.row, recording.sliding)
-
-
-def check_position_scale(
-    recording: Recording,
-    reach: float,
-    spelling: Mapping[str, str] | None = None,
-    assumed: bool = False,
-    given: Given = "file",
-) -> None:
-    """Refuses measured positions that spread, or lie from the base, so far that they must be millimetres.
-
-    Medians decide, so outliers pass. Only `pose_frame: base` says where the base is; a tracker may stand anywhere.
-
-    Args:
-        reach: the arm's reach in m, without a tool.
-        spelling, assumed, given: as in `check_joint_scale`.
-
-    Raises:
-        InputError: the median distance from the middle (or the base) is over five reaches.
-    """
-    if recording.position is None:
-        return
-    there = recording.position[np.isfinite(recording.position).all(1)]
-    if not len(there):
+    if joint_limits is not None:
+        limits = np.asarray(joint_limits, dtype=float)
+        if limits.shape != (recording.dof, 2):
+            raise InputError(
+                f"{recording.source}: has {recording.dof} joints, the arm {len(limits)}; choose the arm it is of"
+            )
+        require_near(recording.joint_position, limits, said, recording.row, recording.sliding)
+    position = np.empty((0, 3)) if recording.position is None else recording.position
+    there = position[np.isfinite(position).all(1)]
+    if reach is None or not len(there):
         return
     with np.errstate(over="ignore"):
         middle = np.median(there, axis=0)
@@ -553,13 +509,13 @@ def check_position_scale(
     if recording.settings.pose_frame == "base" and np.linalg.norm(middle) > distance:
         distance, origin = float(np.linalg.norm(middle)), "from the base"
     if distance > FAR_REACHES * reach:
-        names = [(spelling or {}).get(name, name) for name in name_columns("position")]
+        names = [spelling.get(name, name) for name in name_columns("position")]
         place = "position" if given == "arrays" else f"columns {' '.join(names)}"
         remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
-        remedy = "check the unit" if assumed or names[0].endswith("_mm") else remedy
+        known = millimetres or (table is not None and table.converts("x_m"))
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
-            f"{reach:.3g} m; {remedy}"
+            f"{reach:.3g} m; {'check the unit' if known else remedy}"
         )
 
 
@@ -611,15 +567,18 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     Raises:
         InputError: poses, touches of several kinds, files that disagree on the arm, the tool or a noise, heights.
     """
-    first = recordings[0]
-    kinds = {recording.touches.kind if recording.touches else "poses" for recording in recordings}
+    usual = {field.name: field.default for field in fields(RecordingSettings)}
+    # keys of which each file has its own; of all others they have the same
+    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    first, touched = recordings[0], [one.touches for one in recordings if one.touches is not None]
+    kinds = {one.touches.kind if one.touches else "poses" for one in recordings}
     if len(kinds) > 1 or kinds & {"poses", "axis"}:
         raise InputError(
             f"{', '.join(one.source for one in recordings)}: hold {' and '.join(sorted(kinds))}; several files of one "
             "arm are diagnosed together where all are touches of points, touches of planes, or distances"
         )
     for one in recordings[1:]:
-        for key in (field.name for field in fields(RecordingSettings) if field.name not in _OF_EACH):
+        for key in (key for key in usual if key not in own):
             if getattr(one.settings, key) != getattr(first.settings, key):
                 raise InputError(
                     f"{one.source}: its sidecar says {key}: {getattr(one.settings, key)}, and that of {first.source} "
@@ -639,31 +598,25 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         if all(array is not None for array in each) and not derived:
             arrays[name] = np.concatenate(each)
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
-    names: tuple[str, ...] = ()
-    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    names: list[str] = []
     groups = []
-    for one, stem in zip(recordings, stems, strict=True):
-        assert one.touches is not None
-        groups.append(one.touches.group + len(names))
-        names += tuple(f"{stem}/{name}" for name in one.touches.names)
+    for one, touches, stem in zip(recordings, touched, stems, strict=True):
+        groups.append(touches.group + len(names))
+        names += [f"{stem}/{name}" for name in touches.names]
         own["contact_distances"] += tuple(
             msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
             for each in one.settings.contact_distances
         )
         for key in ("contact_points", "planes", "anchor_m"):
             given = getattr(one.settings, key)
-            if key == "anchor_m" and isinstance(given, tuple):
-                given = dict.fromkeys(one.touches.names, given)
-            if isinstance(given, Mapping):
-                own[key] |= {f"{stem}/{name}": value for name, value in given.items()}
-    assert first.touches is not None
-    value, pixels = (np.concatenate([getattr(one.touches, key) for one in recordings]) for key in ("value", "pixels"))
-    defaults = {field.name: field.default for field in fields(RecordingSettings)}
+            given = dict.fromkeys(touches.names, given) if isinstance(given, tuple) else given
+            own[key] |= {f"{stem}/{name}": value for name, value in given.items()} if isinstance(given, Mapping) else {}
+    value, pixels = (np.concatenate([getattr(one, key) for one in touched]) for key in ("value", "pixels"))
     return Recording.assembled(
         **arrays,
-        settings=replace(first.settings, **{key: given or defaults[key] for key, given in own.items()}),
+        settings=replace(first.settings, **{key: given or usual[key] for key, given in own.items()}),
         source=first.source,
         notes=tuple(dict.fromkeys(note for one in recordings for note in one.notes)),
         sliding=first.sliding,
-        readings=Readings(first.touches.kind, np.concatenate(groups), names, value, pixels),
+        readings=Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels),
     )

@@ -151,10 +151,9 @@ class RecordingSettings:
         InputError: a value of the wrong type, not finite, out of its range, or not a listed one.
     """
 
-    arm: Annotated[
-        Line | None,
-        "a bundled arm's name, or the path of an arm description relative to the sidecar",
-    ] = None
+    arm: Annotated[Line | None, "a bundled arm's name, or the path of an arm description relative to the sidecar"] = (
+        None
+    )
     factory_calibration: Annotated[
         Line | None, "the path of the arm's own six-parameter file, relative to the sidecar"
     ] = None
@@ -177,10 +176,11 @@ class RecordingSettings:
     reference_temperature_degC: Annotated[  # noqa: N815 (the sidecar's key)
         float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE), "a finite number in degrees Celsius"
     ] = 25.0
-    gravity_m_per_s2: Annotated[
-        tuple[Gravity, Gravity, Gravity],
-        "three numbers [x, y, z] in m/s^2",
-    ] = (0.0, 0.0, -9.81)
+    gravity_m_per_s2: Annotated[tuple[Gravity, Gravity, Gravity], "three numbers [x, y, z] in m/s^2"] = (
+        0.0,
+        0.0,
+        -9.81,
+    )
     inertial_uncertainty: Annotated[
         Share, "one sigma relative to the masses, from 0 to 0.5, such as 0.1, not per cent"
     ] = 0.1
@@ -243,11 +243,8 @@ class RecordingSettings:
     @property
     def arm_is_file(self) -> bool:
         """Whether `arm` is the path of a description, not the name of a bundled arm."""
-        if self.arm is None:
-            return False
-        return (
-            "/" in self.arm or "\\" in self.arm or Path(self.arm.partition("#")[0]).suffix.lower() in ARM_FILE_SUFFIXES
-        )
+        arm = self.arm or ""
+        return "/" in arm or "\\" in arm or Path(arm.partition("#")[0]).suffix.lower() in ARM_FILE_SUFFIXES
 
     def arm_reference(self, folder: str | Path) -> str | Path:
         """The bundled arm's name, or the description's path when `folder` holds the sidecar.
@@ -280,12 +277,9 @@ class RecordingSettings:
         """The same settings for a sidecar in another folder: relative paths still lead to the same files."""
         old, new = Path(old_folder).resolve(), Path(new_folder).resolve()
         paths = {"arm": self.arm if self.arm_is_file else None, "factory_calibration": self.factory_calibration}
-        relative = {key: path for key, path in paths.items() if path and not Path(path).is_absolute()}
-        if old == new or not relative:
-            return self
-        return replace(
-            self, **{key: Path(os.path.relpath(old / path, new)).as_posix() for key, path in relative.items()}
-        )
+        relative = {key: path for key, path in paths.items() if path and not Path(path).is_absolute() and old != new}
+        moved = {key: Path(os.path.relpath(old / path, new)).as_posix() for key, path in relative.items()}
+        return replace(self, **moved)
 
 
 def _split_hint(hint: Any) -> tuple[Any, str]:
@@ -356,8 +350,7 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
     """
     _reject_unknown("", declared, KEYS)
     keys = {**declared, **({} if arm is None else {"arm": str(getattr(arm, "name", arm))})}
-    parsed = {key: None if value is None else parse_setting(key, value) for key, value in keys.items()}
-    return replace(settings or RecordingSettings(), **parsed)
+    return replace(settings or RecordingSettings(), **keys)
 
 
 def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str]) -> None:
@@ -477,7 +470,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
         if value is None:
             raise InputError(f"{path}: recording.{key}: has no value; give {form_of(key)}, or leave the key out")
     try:
-        declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
+        declared = RecordingSettings(**settings)
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
     account = content.get("account")
@@ -505,12 +498,11 @@ def write_settings(
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.
     """
-    values = {field.name: (getattr(settings, field.name), field.default) for field in fields(settings)}
-    said = {
-        key: value
-        for key, (value, default) in values.items()
-        if value is not None and not (key in OF_READINGS and value == default)
-    }
+    said = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if value is not None and not (field.name in OF_READINGS and value == field.default):
+            said[field.name] = value
     content = {"recording": said} | ({} if account is None else {"account": dict(account)})
     text = yaml.safe_dump(
         msgspec.to_builtins(content), sort_keys=False, default_flow_style=None, width=120, allow_unicode=True

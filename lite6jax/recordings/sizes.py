@@ -21,24 +21,8 @@ PERCENT = 100.0
 """Within, joints of LeRobot may be in percent of each joint's range; beyond, angles are degrees for certain."""
 TURN_TICKS = 4096
 """Ticks of a servo's encoder in a turn (Feetech, Dynamixel)."""
-_FEWEST_TICKS = 20
-"""Different positions of the joints, from which steps between them show that they are angles."""
-_FOLLOWS, _NEAR = 0.5, 0.05
-"""Of the spread of a joint, and rad or m: a joint is nearer to its commanded position, at most of the time."""
-BACK = 0.1
-"""Of the steps of a time, which may not increase: rows out of order, repeated rows, new runs."""
-MOVING_RAD = 0.5
-"""Positions that spread so far are not degrees: an arm that is measured moves by more than a degree."""
-FAR_M = 10.0
-"""From the middle of all positions: beyond, they are millimetres. No arm reaches so far."""
-NEAR_M = 5.0
-"""Below, they are metres: an arm that moved less than 5 mm is not measured."""
-LARGE_A = 100.0
-"""Beyond, currents are milliamperes."""
 LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
-_LARGE_REGISTER = 100.0
-"""Beyond, torques that are whole numbers may be the register of a drive."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Times since 1970, by their least magnitude."""
 _SLOW, _FAST = 2e-3, 8.0
@@ -74,7 +58,8 @@ def increases(time: Array, run: Array | None = None) -> bool:
     steps = np.diff(time[there])
     if run is not None:
         steps = steps[np.diff(run[there]) == 0]
-    return not steps.size or float(np.mean(steps <= 0)) <= BACK
+    # some do not: rows out of order, repeated rows, new runs
+    return not steps.size or float(np.mean(steps <= 0)) <= 0.1
 
 
 def has_unit_length(quaternion: Array) -> bool:
@@ -92,24 +77,26 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
         servo: whether they are named as LeRobot names them, which writes percent of each joint's range too. What may
             be none of both has the reason `percent` or `ticks`.
     """
-    largest, spread = _largest(position), _spread(position)
+    columns = [column[np.isfinite(column)] for column in position.T]
+    largest = _largest(position)
+    spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
     said = {"largest": largest}
     there = position[np.isfinite(position)]
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
     if servo and WIDE_RAD < largest <= PERCENT:
-        in_ticks = _in_ticks(position)
+        in_ticks = _in_ticks(columns)
         return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
-    return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
+    moving = spread > 0.5  # an arm that is measured moves by more than a degree
+    return Decision("rad", "likely" if moving else "assumed", "within_turns", said | {"spread": spread})
 
 
-def _in_ticks(position: Array) -> bool:
-    """Whether all joints `(sample, joint)` change in steps of a tick in degrees; those of percent depend on a range."""
-    different = [np.unique(column[np.isfinite(column)]) for column in position.T]
-    moved = [values - values[0] for values in different if len(values) > 1]
-    if sum(map(len, moved)) < _FEWEST_TICKS:
+def _in_ticks(columns: Sequence[Array]) -> bool:
+    """Whether all joints change in steps of a tick in degrees; those of percent depend on a range."""
+    moved = [values - values[0] for values in map(np.unique, columns) if len(values) > 1]
+    if sum(map(len, moved)) < 20:  # too few steps to tell
         return False
     ticks = [np.concatenate(moved) * turn / 360 for turn in (TURN_TICKS, TURN_TICKS - 1)]  # LeRobot divides by either
     return any(float(np.quantile(np.abs(count - np.round(count)), 0.99)) < 0.15 for count in ticks)
@@ -127,7 +114,7 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
     there = np.isfinite(position).all(1)
     if not there.any() or not np.isfinite(command[there]).all():
         return None
-    far = np.maximum(_FOLLOWS * np.std(position[there], axis=0), _NEAR)
+    far = np.maximum(0.5 * np.std(position[there], axis=0), 0.05)  # joints are nearer to it at most of the time
     units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}
     away = {name: np.median(np.abs(command / size - position)[there], axis=0) / far for name, size in units.items()}
     best = min(away, key=lambda name: float(away[name].max()))
@@ -165,22 +152,29 @@ def length_unit(position: Array) -> Decision:
     there = position[np.isfinite(position).all(1)]
     spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
     said = {"spread": spread}
-    if spread > FAR_M:
+    if spread > 10.0:  # no arm reaches so far
         return Decision("mm", "certain", "beyond_reach", said)
-    return Decision("m", "likely" if spread < NEAR_M else "assumed", "within_reach", said)
+    # an arm that moved less than 5 mm is not measured
+    return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", said)
 
 
 def current_unit(current: Array) -> Decision:
     """`mA` or `A`."""
-    return _by_largest(current, LARGE_A, "A", "mA")
+    return _by_largest(current, 100.0, "A", "mA")
 
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
-    there, largest = torque[np.isfinite(torque)], _largest(torque)
-    if _LARGE_REGISTER < largest <= LARGE_NM and (there == np.round(there)).all():
-        return Decision("Nm", "assumed", "register", {"largest": largest})
-    return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+    decided, there = _by_largest(torque, LARGE_NM, "Nm", "mNm"), torque[np.isfinite(torque)]
+    if 100 < decided.numbers["largest"] <= LARGE_NM and (there == np.round(there)).all():
+        return decided._replace(reason="register")
+    return decided
+
+
+def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
+    largest = _largest(values)
+    large = largest > limit
+    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
 def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision | None:
@@ -188,18 +182,10 @@ def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision
 
     Where there are no others, radians are assumed, as robots' descriptions have them.
     """
-    others = np.delete(position, list(endless), axis=1)
-    if _largest(position) <= WIDE_RAD:
+    others, largest = np.delete(position, list(endless), axis=1), _largest(position)
+    if largest <= WIDE_RAD:
         return None
-    if others.size:
-        return angle_unit(others)
-    return Decision("rad", "assumed", "endless", {"largest": _largest(position)})
-
-
-def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
-    largest = _largest(values)
-    large = largest > limit
-    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
+    return angle_unit(others) if others.size else Decision("rad", "assumed", "endless", {"largest": largest})
 
 
 def time_unit(time: Array, position: Array | None) -> Decision:
@@ -268,9 +254,3 @@ def _largest(values: Array) -> float:
     """The largest magnitude but for the highest thousandth, which may be faults."""
     there = np.abs(values[np.isfinite(values)])
     return float(np.quantile(there, 0.999)) if there.size else 0.0
-
-
-def _spread(values: Array) -> float:
-    """Of the column that spreads most, from the 5th percentile to the 95th."""
-    there = [column[np.isfinite(column)] for column in values.T]
-    return max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in there if column.size), default=0.0)

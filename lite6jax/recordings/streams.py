@@ -21,19 +21,7 @@ Method = Literal["linearly", "by cubics", "nearest"]
 LONGEST_GAP = 2.0
 """Between joint states around a pose, in median steps; beyond, the joints at the pose are not known, …"""
 LONGEST_STANDSTILL = 10.0
-"""… or beyond this many, where the joints are the same before and after, …"""
-_STILL = 1e-4
-"""… within this part of the range in which they move."""
-_UNRESOLVED = 0.3
-"""Of the change from one joint state to the next: an error of interpolation above it shows captures, not a motion."""
-_COARSE = 0.01
-"""Of the widest range of a joint, which the error of a log that follows the motion does not exceed."""
-_BESIDE = 0.1
-"""Of the median step: the longest time from a pose to the capture of joints that belongs to it."""
-_MOST_BESIDE = 0.8
-"""Share of the poses that stand so near to a capture, where the joints are captures."""
-_ALTERNATING, _MOST_ALTERNATING = 0.4, 0.95
-"""The same where each capture has one pose, always before it or always after it."""
+"""… or beyond this many, where the joints are the same before and after."""
 _SHARED_ROWS = 0.5
 """Of the rows with poses: where fewer have joints as well, poses and joints are streams of their own."""
 
@@ -61,20 +49,6 @@ class Joined(NamedTuple):
     gap: float
     error: float
     resolved: bool = True
-
-
-class Merged(NamedTuple):
-    """A table whose streams stand in different rows, at the rows of its poses.
-
-    Attributes:
-        columns: by their names, `(kept,)` each.
-        rows: `(kept,)`, the rows of the table, counted from 0.
-        said: what was done, in sentences.
-    """
-
-    columns: dict[str, Array]
-    rows: NDArray[np.integer]
-    said: list[str]
 
 
 @final
@@ -111,7 +85,7 @@ class JointStream:
         gap = np.diff(time)
         step = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
         with np.errstate(invalid="ignore", over="ignore"):
-            unmoved = np.abs(np.diff(position, axis=0)).max(1) <= _STILL * np.ptp(position, axis=0).max()
+            unmoved = np.abs(np.diff(position, axis=0)).max(1) <= 1e-4 * np.ptp(position, axis=0).max()
             near = gap <= np.where(unmoved, LONGEST_STANDSTILL, LONGEST_GAP) * step
             method, error = _method(time, position, near)
             slopes = _slopes(time, position, near) if method == "by cubics" else None
@@ -123,8 +97,8 @@ class JointStream:
         with np.errstate(invalid="ignore", over="ignore"):
             change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
             width = np.ptp(self.position, axis=0).max()
-        # beside a fine log, rounding and a jump between runs are errors as large as its steps
-        return not (self.error > _UNRESOLVED * change and self.error > _COARSE * width)
+        # beside a fine log, rounding and a jump between runs are errors as large as its steps, but not as its motion
+        return not (self.error > 0.3 * change and self.error > 0.01 * width)
 
     def known(self, at: Array) -> Flags:
         """`(pose,)`, where there are joint states near enough."""
@@ -173,28 +147,32 @@ def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: A
 def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.integer]] | None:
     """Which poses have a capture of joints of their own, and which; None where most have none.
 
-    It stands beside the pose; or each pose has another one, all of them before the pose or all after it.
+    It stands beside the pose, within a tenth of the median step; or each pose has another one, all of them before the
+    pose or all after it.
     """
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     nearest = after - (at - time[after - 1] <= time[after] - at)
     late = at - time[nearest]
-    beside = np.abs(late) <= _BESIDE * step
-    if np.mean(beside) > _MOST_BESIDE:
+    beside = np.abs(late) <= 0.1 * step
+    if np.mean(beside) > 0.8:
         return beside, nearest
     alone = np.bincount(nearest, minlength=len(time))[nearest] == 1
     for side in (late >= 0, late <= 0):
-        own = side & alone & (np.abs(late) <= _ALTERNATING * step)
-        if np.mean(own) > _MOST_ALTERNATING:
+        own = side & alone & (np.abs(late) <= 0.4 * step)
+        if np.mean(own) > 0.95:
             return own, nearest
     return None
 
 
-def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
-    """A table at the rows of its poses, where these rows have no joints; None where no streams are to be joined.
+def merge(
+    columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str, notes: list[str]
+) -> tuple[dict[str, Array], NDArray[np.integer]] | None:
+    """A table at the rows of its poses, and these from 0, where they have no joints; None where nothing is joined.
 
     Args:
         columns: `(row,)` each, NaN where a row does not give one.
         joints: the columns of joint positions; `places` those of the position of the tool, and `time` that of times.
+        notes: what was done is added here.
 
     Raises:
         InputError: no pose has joints, or joint states are too far apart to follow the motion.
@@ -203,7 +181,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
         return None
     clock = columns[time]
     moved, measured = (
-        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
+        np.isfinite([clock, *(columns[name] for name in names)]).all(axis=0) for names in (joints, places)
     )
     poses = np.flatnonzero(measured)
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
@@ -221,15 +199,14 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
             f"{len(poses)} poses and {len(states)} joint states stand in different rows, and {why}; record both in one "
             "row, or joint states more often"
         )
-    found = dict(joined.columns)
-    for name in columns.keys() - found.keys():
-        column = columns[name]
+    found = {}
+    for name, column in columns.items():
         own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
         elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
         found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
     first, *dropped = said_of(joined)
-    said = f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}"
-    return Merged({name: found[name] for name in columns}, rows, [said, *dropped])
+    notes += [f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}", *dropped]
+    return found | joined.columns, rows
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:
@@ -241,12 +218,10 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
         ]
         dropped = ((joined.wide, "without a capture of joints beside them"),)
     else:
-        error = (
-            "" if np.isnan(joined.error) else f"; every other one left out is found again to {joined.error:.2g} {unit}"
-        )
+        error = f"; every other one left out is found again to {joined.error:.2g} {unit}"
         said = [
             f"the joints are interpolated {joined.method} to the times of the poses (between joint states at most "
-            f"{joined.gap:.2g} s apart{error})"
+            f"{joined.gap:.2g} s apart{'' if np.isnan(joined.error) else error})"
         ]
         dropped = (
             (joined.outside, "before the first or after the last joint state"),

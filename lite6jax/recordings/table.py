@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from lite6jax.recordings.columns import (
     with_quaternions,
 )
 from lite6jax.recordings.readings import with_readings
-from lite6jax.recordings.streams import merged
+from lite6jax.recordings.streams import merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
 
@@ -156,15 +157,13 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
 
 def _parse_moment(text: str) -> tuple[int, bool] | None:
     """Nanoseconds, and whether the text has a zone; None where it is of another form, or no day or hour there is."""
-    match = _FORM.fullmatch(text)
-    if match is None:
+    if (match := _FORM.fullmatch(text)) is None:
         return None
     day, time, part, zone = match.groups()
-    try:
+    with suppress(ValueError):
         moment = datetime.fromisoformat(f"{day}T{time}{zone if zone and zone[0] in '+-' else '+00:00'}")
-    except ValueError:
-        return None
-    return 10**9 * round(moment.timestamp()) + int((part or "0").ljust(9, "0")), zone is not None
+        return 10**9 * round(moment.timestamp()) + int((part or "0").ljust(9, "0")), zone is not None
+    return None
 
 
 def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:
@@ -239,13 +238,12 @@ def tabulate(
         InputError: problems of names as `recognise`, columns that hold no numbers, no rows; where there are several
             problems, or several columns are over half empty, all are named.
     """
-    found = recognise(raw.names, dof, joints_optional, renamed)
-    problems, values, labels, row = list(found.problems), {}, {}, None
-    by_index = {column.index: name for name, column in found.columns.items()}
+    columns, joints, ignored, of_names = recognise(raw.names, dof, joints_optional, renamed)
+    problems, values, labels, row = [*of_names], {}, {}, None
     try:
-        loaded = raw.load({index: found.columns[name].quantity for index, name in by_index.items()})
-        for index, array in loaded.items():
-            column = found.columns[name := by_index[index]]
+        loaded = raw.load({column.place: column.quantity for column in columns.values()})
+        for name, column in columns.items():
+            array = loaded[column.place]
             if column.quantity in LABELS and not isinstance(array, str):
                 values[name], labels[name] = _count_words(array)
                 continue
@@ -268,10 +266,9 @@ def tabulate(
         problems.append("has column names but no rows; record again")
     else:
         try:  # where joints and poses stand in different rows
-            joints, places = name_columns("joint_position", found.joints), name_columns("position")
-            if (whole := merged(values, joints, places, "time_s")) is not None:
-                values, row = whole.columns, whole.rows + 1
-                notes += whole.said
+            moved, places = name_columns("joint_position", joints), name_columns("position")
+            if (whole := merge(values, moved, places, "time_s", notes)) is not None:
+                values, row = whole[0], whole[1] + 1
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
         empty = []
@@ -279,23 +276,23 @@ def tabulate(
             count = int(np.sum(~np.isfinite(column)))
             if count > LARGEST_MISSING_SHARE * len(column):
                 said = f"{count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
-                empty.append(f"column {found.columns[name].name}: {said}")
+                empty.append(f"column {columns[name].name}: {said}")
         # one alone is reported with the rows that are left out for it; targets keep their rows
         problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
-        named = any("write " in problem or "name their columns" in problem for problem in found.problems)
+        named = any("write " in problem or "name their columns" in problem for problem in of_names)
         remedy = f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
         if len(problems) == 1:
             raise InputError(f"{source}: {problems[0]}{remedy}")
         numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
         raise InputError(f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}")
-    if found.ignored:
+    if ignored:
         shown = ", ".join(
-            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in found.ignored[:6]
+            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
         )
-        rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
+        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
         notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return Table(found.columns, found.joints, values, row, labels)
+    return Table(columns, joints, values, row, labels)
 
 
 def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None) -> Table:

@@ -122,39 +122,32 @@ LONGEST_TIME_S = 1e9
 _SHOWN = 12
 
 
-def without_implausible(
-    arrays: Mapping[str, Any], source: str, spelling: Mapping[str, str], notes: list[str]
-) -> dict[str, Any]:
-    """The same arrays with NaN in place of implausible numbers.
+def blank_implausible(arrays: dict[str, Any], source: str, spelling: Mapping[str, str]) -> list[str]:
+    """Puts NaN in place of implausible numbers, and says in which rows; nothing where there are none.
 
     Args:
-        arrays: arguments of `Recording.assembled`, float64 or None where absent; those of other lengths than the joint
-            positions are left alone, because `assembled` refuses them.
+        arrays: those of `OF_ARRAY`, float64 or None where absent.
         source: what messages begin with.
         spelling: column name in SI units to the name in the file; empty for arrays.
-        notes: gets a sentence that names the rows.
 
     Raises:
         InputError: over half of the rows have such a number.
     """
-    samples = len(np.atleast_1d(arrays["joint_position"]))
-    blanked: dict[str, Any] = dict(arrays)
+    samples, dof = arrays["joint_position"].shape
     bad, first = np.zeros(samples, bool), ""
-    for name in OF_ARRAY:
-        array = arrays.get(name)
-        if array is None or name == "run" or array.ndim not in (1, 2) or len(array) != samples or not array.size:
+    for name, array in arrays.items():
+        if array is None:
             continue
         table = array.reshape(samples, -1)
-        names = name_columns(name, table.shape[1])
-        found = implausible(name, table) if len(names) == table.shape[1] else np.zeros_like(table, bool)
+        found = implausible(name, table)
         if found.any():
             row, index = np.argwhere(found)[0]
-            column = spelling.get(names[index], names[index])
-            first = first or f"{table[row, index]:.5g} in column {column}, row {row + 1}"
+            column = name_columns(name, dof)[index]
+            first = first or f"{table[row, index]:.5g} in column {spelling.get(column, column)}, row {row + 1}"
             bad |= found.any(1)
-            blanked[name] = np.where(found, np.nan, table).reshape(array.shape)
+            arrays[name] = np.where(found, np.nan, table).reshape(array.shape)
     if not first:
-        return blanked
+        return []
     rows = np.flatnonzero(bad) + 1
     if len(rows) > LARGEST_MISSING_SHARE * samples:
         raise InputError(
@@ -163,8 +156,7 @@ def without_implausible(
         )
     more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
     listed = f"; rows {', '.join(map(str, rows[:_SHOWN]))}{more}" if len(rows) > 1 else ""
-    notes.append(f"numbers beyond any arm or sensor count as missing: {first}{listed}")
-    return blanked
+    return [f"numbers beyond any arm or sensor count as missing: {first}{listed}"]
 
 
 def implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np.ndarray, "sample column"]:

@@ -10,8 +10,7 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
-    check_joint_scale,
-    check_position_scale,
+    check_scale,
     check_torque_scale,
     check_velocity_scale,
     outside_limits,
@@ -44,7 +43,7 @@ def test_faults_that_the_diagnosis_must_see_are_not_taken_for_degrees(plausible)
     turned[:, 0] += 2 * np.pi
     outliers[:19] = 500.0
     for faulty in (mirrored, swapped, turned, outliers):
-        check_joint_scale(with_joints(plausible, faulty), LITE6)
+        check_scale(with_joints(plausible, faulty), LITE6)
         assert outside_limits(with_joints(plausible, faulty), LITE6)
 
 
@@ -52,28 +51,28 @@ def test_degrees_are_refused_even_in_one_joint_and_beside_endless_ones(plausible
     q = plausible.joint_position.copy()
     q[:, 3] = np.rad2deg(q[:, 3])
     with pytest.raises(InputError, match=r"recording: column q4_rad: row \d+ is at .* are these degrees\?"):
-        check_joint_scale(with_joints(plausible, q), LITE6)
+        check_scale(with_joints(plausible, q), LITE6)
     endless = LITE6.copy()
     endless[5] = [-np.inf, np.inf]
     with pytest.raises(InputError, match=r"column q4_rad: .* joint 4 goes from -6\.283 to 6\.283 rad"):
-        check_joint_scale(with_joints(plausible, q), endless)
-    check_joint_scale(plausible, endless)
+        check_scale(with_joints(plausible, q), endless)
+    check_scale(plausible, endless)
 
 
 def test_a_distant_tracker_is_not_taken_for_millimetres_but_a_distant_base_is(plausible):
     far = plausible.position + np.array([30.0, 0, 0])
-    check_position_scale(dataclasses.replace(plausible, position=far), REACH)
+    check_scale(dataclasses.replace(plausible, position=far), reach=REACH)
     declared = dataclasses.replace(plausible, position=far, settings=RecordingSettings(pose_frame="base"))
     with pytest.raises(
         InputError, match=r"the positions lie .* m from the base \(median\) while the arm reaches 0\.7 m"
     ):
-        check_position_scale(declared, REACH)
+        check_scale(declared, reach=REACH)
     few = plausible.position.copy()
     few[:50] *= 1000  # outliers, for the diagnosis
-    check_position_scale(dataclasses.replace(plausible, position=few), REACH)
+    check_scale(dataclasses.replace(plausible, position=few), reach=REACH)
     with pytest.raises(InputError, match=r"m from their middle .* are these millimetres\?"):
-        check_position_scale(dataclasses.replace(plausible, position=plausible.position * 1000), REACH)
-    check_position_scale(dataclasses.replace(plausible, position=None), REACH)
+        check_scale(dataclasses.replace(plausible, position=plausible.position * 1000), reach=REACH)
+    check_scale(dataclasses.replace(plausible, position=None), reach=REACH)
 
 
 @pytest.mark.parametrize(
@@ -113,19 +112,19 @@ def test_time_disorder_agrees_with_a_plain_loop():
     rng = np.random.default_rng(1)
     time, run = rng.integers(0, 50, 300) * 0.5, np.sort(rng.integers(0, 6, 300))[::-1]
     late = [k for k in range(300) if any(run[j] == run[k] and time[j] > time[k] for j in range(k))]
-    assert time_disorder(Recording.from_arrays(np.zeros((300, 1)), time=time, run=run)).samples.tolist() == late
+    assert time_disorder(Recording.from_arrays(np.zeros((300, 1)), time=time, run=run))[0].tolist() == late
 
 
 def test_repeated_rows_are_found_with_their_first(plausible):
     rows = np.r_[0:200, 17, 42, 17]
-    found = repeated_rows(plausible.select(rows))
-    assert found.samples.tolist() == [200, 201, 202]
-    assert found.first_rows.tolist() == [18, 43, 18]
+    again, first = repeated_rows(plausible.select(rows))
+    assert again.tolist() == [200, 201, 202]
+    assert first.tolist() == [17, 42, 17]
     # the same joints with another measured pose, or the same pose at other joints, are no repetition
     again = plausible.select(np.r_[0:200, 0:200])
-    assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None])).rows) == 0
-    assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None])).rows) == 0
-    assert len(repeated_rows(again).rows) == 200
+    assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None]))[0]) == 0
+    assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None]))[0]) == 0
+    assert len(repeated_rows(again)[0]) == 200
 
 
 def swinging(torque_factor=1.0, velocity_factor=1.0, time_factor=1.0, **declared):

@@ -110,11 +110,11 @@ def test_each_run_has_its_own_clock():
         pose = {"time": at, "q1": np.full(len(at), np.nan), "x": at, "run": np.full(len(at), run)}
         parts += [joint, pose]
     columns = {name: np.concatenate([part[name] for part in parts]).astype(float) for name in parts[0]}
-    found = streams.merged(columns, ["q1"], ["x"], "time")
+    found = streams.merge(columns, ["q1"], ["x"], "time", [])
     assert found is not None
-    wanted = np.sin(found.columns["time"]) + 0.5 * found.columns["run"]
-    np.testing.assert_allclose(found.columns["q1"], wanted, atol=1e-5)
+    wanted = np.sin(found[0]["time"]) + 0.5 * found[0]["run"]
+    np.testing.assert_allclose(found[0]["q1"], wanted, atol=1e-5)
     assert len(wanted) == 2 * len(at)
     del columns["run"]
     with pytest.raises(InputError, match="number the runs in a column `run`"):
-        streams.merged(columns, ["q1"], ["x"], "time")
+        streams.merge(columns, ["q1"], ["x"], "time", [])

@@ -282,8 +282,8 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
     time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
     for position in (block.columns for block in blocks if block.kind == "position"):
         try:
-            if (found := streams.merged(numbers, joints, position, time)) is not None:
-                return found.columns
+            if (found := streams.merge(numbers, joints, position, time, [])) is not None:
+                return found[0]
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     return numbers

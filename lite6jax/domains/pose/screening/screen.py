@@ -37,23 +37,23 @@ _GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
 def sort_rows(state: Screened) -> Screened:
     """The rows of each run by time, where one is before an earlier row."""
     recording = state.recording
-    disorder = time_disorder(recording)
-    if not disorder.rows.size:
+    late, step_back = time_disorder(recording)
+    if not late.size:
         return state.rule_out("time_order", samples=recording.samples, timed=recording.time is not None)
-    numbers = {"largest_step_back_s": disorder.largest_step_back_s}
-    fault = DataFault("time_order", row_numbers(disorder.rows), numbers)
+    fault = DataFault("time_order", row_numbers(recording.row[late]), {"largest_step_back_s": step_back})
     return state.corrected(fault, recording.sorted_by_time())
 
 
 def drop_repeats(state: Screened) -> Screened:
     """Each row once: rows that repeat an earlier one in joints and pose, to the last digit, are dropped."""
-    repeated = repeated_rows(state.recording)
-    if not repeated.rows.size:
+    again, first = repeated_rows(state.recording)
+    if not again.size:
         return state.rule_out("repeated_rows", samples=state.recording.samples)
     kept = np.ones(state.recording.samples, bool)
-    kept[repeated.samples] = False
-    first = repeated.first_rows[np.argsort(repeated.rows)]
-    fault = DataFault("repeated_rows", row_numbers(repeated.rows), {"first_rows": [int(row) for row in first]})
+    kept[again] = False
+    row = state.recording.row
+    first_rows = row[first][np.argsort(row[again])].tolist()
+    fault = DataFault("repeated_rows", row_numbers(row[again]), {"first_rows": first_rows})
     return state.corrected(fault, state.recording.select(kept))
 
 
