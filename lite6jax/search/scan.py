@@ -62,7 +62,9 @@ _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
 _KEPT = 1 << 27
 """Of features of pairs that are kept: 1 GB. The likeliest pairs are weighed beside each model anew."""
-_AT_ONCE = 100
+_AT_ONCE = 1 << 22
+"""Numbers of functions that are multiplied in one call: 32 MB."""
+_WEIGHED = 100
 """Processes that are weighed in one call."""
 _EXACT, _UNDERRATED = 60, 2.5
 """Terms, the likeliest, that are weighed exactly in autocorrelated noise, and what their log odds grow by at most.
@@ -444,7 +446,7 @@ class Weighed:
         )
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
-            some, order = order[:_AT_ONCE], order[_AT_ONCE:]
+            some, order = order[:_WEIGHED], order[_WEIGHED:]
             pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
             left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
             for name in kernels.SCALED:
@@ -598,9 +600,9 @@ class Weighed:
         exact: bool = False,
     ) -> list[Ranked]:
         """Processes of one kernel by component and quantities, those of a component one after the other."""
-        parts = []
-        for _, some in groupby(members, key=lambda member: id(member[0])):
-            own = list(some)
+        parts, most = [], max(_AT_ONCE // max(self._scan.features(members[0][1], kernel, rolloff).size, 1), 1)
+        alike = (list(some) for _, some in groupby(members, key=lambda member: id(member[0])))
+        for own in (some[k : k + most] for some in alike for k in range(0, len(some), most)):
             functions = np.stack([self._scan.features(which, kernel, rolloff) for _, which in own])
             pull, information, *noise = self._equations(own[0][0], functions, exact)
             parts.append((pull, information, *(np.full((len(own), 1, 1), each) for each in noise)))

@@ -177,11 +177,23 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
-    """With the alternatives of each term, what is confounded with the nuisance, and what is nearest."""
+    """With the alternatives of each term, what is confounded with the nuisance, and what is nearest.
+
+    Of very many samples with white noise, alternatives are compared in every n-th, which stands for those between.
+    """
     entered("naming")
     problem, state = selection.problem, selection.state
     selector = Selector(problem, options.rough)
-    state = selector.with_alternatives(state)
+    state = selector.weighed(state)
+    every = _stride(int(problem.valid.sum()), options.most_samples) if state.fit.noise.white else 1
+    if every == 1:
+        alternatives = selector.alternatives(state)
+    else:
+        some = Selector(problem.thinned(every), options.rough)
+        few = replace(state, baseline=state.baseline.thinned(every), fit=state.fit.thinned(every))
+        alternatives = some.alternatives(some.weighed(few), every)
+    pairs = zip(state.tested, alternatives, strict=True)
+    state = replace(state, tested=tuple(replace(one, alternatives=each) for one, each in pairs))
     candidates = problem.candidates
     scores = score_test(selection.reference, state.baseline, options).score(candidates)
     confounded = tuple(term for term, one in zip(candidates, scores, strict=True) if one.confounded)

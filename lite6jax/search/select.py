@@ -242,7 +242,7 @@ class Selector:
         for _ in range(self.options.estimates):
             tested = list(state.tested)
             for k in open_:
-                tested[k] = self._weighed(self.beside(state, k), tested[k])
+                tested[k] = self._chosen_again(self.beside(state, k), tested[k])
             moved = [k for k in open_ if tested[k].term != state.tested[k].term]
             if not moved:
                 return replace(state, tested=tuple(tested))
@@ -254,7 +254,7 @@ class Selector:
         """Whether something of a term is chosen, so that it may be chosen anew."""
         return term not in self._preset and (term.nonparametric or self._has_number(term))
 
-    def _weighed(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
+    def _chosen_again(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
         if term.nonparametric:
             component, which = self._process_of(term)
@@ -273,14 +273,19 @@ class Selector:
         )
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
+    def weighed(self, state: State) -> State:
+        """Each term weighed beside the others as it is."""
+        tested = [
+            one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
+            for k, one in enumerate(state.tested)
+        ]
+        return replace(state, tested=tuple(tested))
+
     def _dropped(self, state: State) -> State:
         """Without the terms that are not worth their cost, the least of those that act on any row first."""
         while True:
-            tested = [
-                one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
-                for k, one in enumerate(state.tested)
-            ]
-            state = replace(state, tested=tuple(tested))
+            state = self.weighed(state)
+            tested = state.tested
             order = np.argsort([np.inf if one.term in self._preset else one.net for one in tested])
             least, taken = set[int](), np.zeros(self.problem.rows, bool)
             for k in order.tolist():
@@ -487,23 +492,20 @@ class Selector:
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
 
-    def with_alternatives(self, state: State) -> State:
-        """Each term with its alternatives."""
-        tested = []
+    def alternatives(self, state: State, every: int = 1) -> list[tuple[Alternative, ...]]:
+        """Those of each term, where each sample stands for so many."""
+        found, close = list[tuple[Alternative, ...]](), self.options.close / every
         for k, one in enumerate(state.tested):
             if one.term in self._preset:
-                tested.append(one)
+                found.append(())
                 continue
-            test = self.beside(state, k)
-            one = self._weighed_as_is(test, one)
-            others, seen = [], set[object]()
-            near = [other for other in self._in_place(state, k) if one.net - other.net < self.options.close]
+            test, others, seen = self.beside(state, k), list[Alternative](), set[object]()
+            near = [other for other in self._in_place(state, k) if one.net - other.net < close]
             # a process of a name's own driver at its site is that name, unless it is as likely
             names = [one.term, *(other.make() for other in near if not other.process)]
             own = {(name.site, driver.phrase) for name in names if not name.nonparametric for driver in name.drivers}
             for other in near:
-                gap = one.net - other.net
-                said = other.site, other.cause
+                gap, said = every * (one.net - other.net), (other.site, other.cause)
                 if len(others) == self.options.listed:
                     break
                 if other.process and gap >= NEARLY and any((other.site, phrase) in own for phrase in other.cause):
@@ -512,11 +514,11 @@ class Selector:
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
             if (wave := wave_of(self.problem, one.term)) is not None:
-                waves = as_likely(test, *wave, self.options.close)
-                others += [Alternative(wave[0].term(order), gap) for order, gap in waves]
+                waves = as_likely(test, *wave, close)
+                others += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
                 others.sort(key=lambda each: each.gap)
-            tested.append(replace(one, alternatives=tuple(others)))
-        return replace(state, tested=tuple(tested))
+            found.append(tuple(others))
+        return found
 
     def _is_possible(self, test: ScoreTest, ranked: Ranked) -> bool:
         """Whether a name of one number would be within its bounds."""
