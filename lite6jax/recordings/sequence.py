@@ -70,16 +70,36 @@ def differentiate(
 ) -> Float[np.ndarray, "sample joint"]:
     """Velocities by second-order differences over uneven times, within segments and in time order.
 
-    Exact for a parabola, at the ends too; first order in a segment of two rows, zero in one of one row. Rows of equal
-    time are passed over; rows with NaN get NaN and do not touch their neighbours.
+    Exact for a parabola, at the ends too, and exactly zero where positions stand still; first order in a segment of two
+    rows, zero in one of one row. Rows of equal time are passed over; rows with NaN get NaN and do not touch their
+    neighbours.
     """
     velocity = np.full_like(joint_position, np.nan)
     usable = np.flatnonzero(np.isfinite(joint_position).all(axis=1) & np.isfinite(time))
     order = usable[np.lexsort((time[usable], segment[usable]))]
-    apart = (np.diff(segment[order]) != 0) | (np.diff(time[order]) == 0)
-    for rows in np.split(order, np.flatnonzero(apart) + 1):
-        q, t = joint_position[rows], time[rows]
-        velocity[rows] = np.gradient(q, t, axis=0, edge_order=2 if len(rows) > 2 else 1) if len(rows) > 1 else 0.0
+    if not order.size:
+        return velocity
+    q, t, s = joint_position[order], time[order], segment[order]
+    step = np.diff(t)
+    joined = (np.diff(s) == 0) & (step > 0)
+    step = np.where(joined, step, 1.0)
+    slope = np.where(joined[:, None], np.diff(q, axis=0) / step[:, None], 0.0)
+
+    def padded(array: np.ndarray, before: int, after: int) -> np.ndarray:
+        return np.pad(array, [(before, after)] + [(0, 0)] * (array.ndim - 1))
+
+    # per row: the intervals before and after it, and those one further out for the ends of a segment
+    has_left, has_right = padded(joined, 1, 0)[:, None], padded(joined, 0, 1)[:, None]
+    h_left, h_right = padded(step, 1, 0)[:, None], padded(step, 0, 1)[:, None]
+    v_left, v_right = padded(slope, 1, 0), padded(slope, 0, 1)
+    inside = (h_right * v_left + h_left * v_right) / np.maximum(h_left + h_right, np.finfo(float).tiny)
+    value = np.where(has_left & has_right, inside, v_left + v_right)
+    starts = np.flatnonzero(~has_left[:-1, 0] & has_right[:-1, 0] & has_right[1:, 0])
+    ends = 1 + np.flatnonzero(has_left[:-1, 0] & has_left[1:, 0] & ~has_right[1:, 0])
+    for rows, near, far in ((starts, starts, starts + 1), (ends, ends - 1, ends - 2)):
+        weight = (step[near] / (step[near] + step[far]))[:, None]
+        value[rows] = slope[near] + (slope[near] - slope[far]) * weight
+    velocity[order] = value
     return velocity
 
 

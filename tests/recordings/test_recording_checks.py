@@ -174,3 +174,13 @@ def test_torques_in_another_unit_are_asked_about():
 def test_velocities_that_contradict_the_positions_are_asked_about(factors, message):
     said = refusal(check_velocity_scale, swinging(**factors))
     assert said.startswith(f"recording: columns dq1_rad_per_s ...: the velocities are {message}")
+
+
+def test_a_joint_that_stands_still_has_no_velocity_whatever_the_times():
+    """Rounding would give it a direction of motion."""
+    time = np.cumsum(np.random.default_rng(3).uniform(0.02, 0.04, 200))
+    joints = np.column_stack([np.sin(time), np.full(200, 0.3)])
+    recording = Recording.from_arrays(joints, time=time, motion="trajectory")
+    assert recording.joint_velocity is not None
+    assert not recording.joint_velocity[:, 1].any()
+    assert not recording.direction_of_motion[:, 1].any()
