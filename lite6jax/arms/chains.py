@@ -386,10 +386,7 @@ def sweep(
             "the frames of a Hayati chain are not those of its links, so it cannot bend; use the six-parameter "
             "chain, to which hayati_to_six_parameter converts it exactly"
         )
-    if form.walking_order.max() == form.size:  # a parameter that is always zero
-        parameters = jnp.append(parameters, 0.0)
-    of_base, of_joints = jnp.split(parameters[form.walking_order], [form.base_size])
-    steps = of_joints.reshape(form.dof, -1)
+    of_base, steps = _in_order(form, parameters)
     frame, twists = form.apply_base(start, of_base)
     of_frame = [] if emit is None else [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
 
@@ -413,6 +410,25 @@ def sweep_order(form: Form) -> np.ndarray:
     """The place in `form.names` of the parameter of each result of `sweep`, `form.size` where it is always zero."""
     of_joints = form.walking_order[form.base_size :].reshape(form.dof, -1)
     return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
+
+
+def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
+    """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
+    of_base, steps = _in_order(form, parameters)
+
+    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
+        frame, _ = form.step(frame, *at)
+        return frame, frame
+
+    return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
+
+
+def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
+    """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
+    if form.walking_order.max() == form.size:  # a parameter that is always zero
+        parameters = jnp.append(parameters, 0.0)
+    values = parameters[form.walking_order]
+    return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
 
 
 @partial(jit, static_argnums=0)

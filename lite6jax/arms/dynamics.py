@@ -266,62 +266,28 @@ def inverse_dynamics(
         `(joint, sample)` N·m, and N along +z of prismatic joints.
     """
     kinematics, q, dq, ddq, gravity = (jnp.asarray(value, float) for value in (kinematics, q, dq, ddq, gravity))
-    links = jnp.asarray(parameters, float)[..., None]
-    force, moment, _, _ = wrenches(kinematics, links, joint_turn(q, sliding), dq, ddq, gravity, sliding)
-    return jnp.where(np.isin(np.arange(len(q)), sliding)[:, None], force[:, 2], moment[:, 2])
-
-
-def wrenches(
-    kinematics: Array,
-    parameters: Array,
-    joint: Turn,
-    dq: Array,
-    ddq: Array,
-    gravity: Array,
-    sliding: tuple[int, ...] = (),
-    carried: Array | None = None,
-) -> tuple[Array, Array, Array, Array]:
-    """What holds links in their motion against gravity, for use inside a jitted function (recursive Newton–Euler).
-
-    Args:
-        kinematics: `(joint, 6)` m and rad, the six-parameter chain.
-        parameters: `(joint, 10, sample or 1)` `PARAMETERS` of each link.
-        joint: the joints' motions, each `(joint, sample)`.
-        dq: `(joint, sample)` rad/s; `ddq` rad/s² likewise.
-        gravity: `(3,)` m/s² in the base frame.
-        sliding: the prismatic joints, counted from 0.
-        carried: `(10, sample)` `PARAMETERS` of a body on the last link, beside it; None for nothing.
-
-    Returns:
-        forces in N and moments in N·m `(joint, 3, sample)` on each link and all that it carries, about the origin and
-        in the axes of its frame; their moment in the base frame, and that of `carried` in the last, `(3, sample)`.
-    """
-    steps = _steps(kinematics, joint, dq, ddq, sliding)
+    steps = _steps(kinematics, joint_turn(q, sliding), dq, ddq, sliding)
 
     def outwards(motion: _Motion, step: _Step) -> tuple[_Motion, _Motion]:
         motion = _next(motion, step)
         return motion, motion
 
-    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Any]:
-        step, motion, numbers = link
-        force, moment = (_sum(part, own) for part, own in zip(load, _body_wrench(motion, numbers), strict=True))
+    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
+        (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
+        first, a = (hx, hy, hz), motion.acceleration
+        M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
+        force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
+        own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
+        moment = _sum(moment, _sum(own, _cross(first, a)))
         before = step.out_of(force)
-        return (before, _sum(step.out_of(moment), _cross(step.p, before))), (jnp.stack(force), jnp.stack(moment))
+        effort = moment[2] if step.slide is None else jnp.where(step.slide[0], force[2], moment[2])
+        return (before, _sum(step.out_of(moment), _cross(step.p, before))), effort
 
-    last, motions = lax.scan(outwards, _resting(gravity, dq.shape[1]), steps)
-    own = _body_wrench(last, jnp.zeros((10, 1)) if carried is None else carried)
-    (_, at_base), (force, moment) = lax.scan(inwards, own, (steps, motions, parameters), reverse=True)
-    return force, moment, jnp.stack(at_base), jnp.stack(own[1])
-
-
-def _body_wrench(motion: _Motion, parameters: Array) -> tuple[_Vector, _Vector]:
-    """The force and the moment that move a body (10, sample or 1) as its frame moves."""
-    m, hx, hy, hz, xx, yy, zz, xy, xz, yz = parameters
-    a, w = motion.acceleration, motion.spin
-    x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
-    M = jnp.stack([jnp.stack(row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))])
-    own = _sum(_product(M, motion.spin_rate), _cross(w, _product(M, w)))
-    return (m * a[0] + x, m * a[1] + y, m * a[2] + z), _sum(own, _cross((hx, hy, hz), a))
+    resting = _resting(gravity, q.shape[1])
+    motions = lax.scan(outwards, resting, steps)[1]
+    links = (steps, motions, jnp.asarray(parameters, float))
+    return lax.scan(inwards, (resting.spin, resting.spin), links, reverse=True)[1]
 
 
 @dataclass(frozen=True, eq=False)

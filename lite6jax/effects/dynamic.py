@@ -18,7 +18,7 @@ from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, final_effect, positive, symmetric
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Process
-from lite6jax.effects.statics import Loads, point_mass
+from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -123,6 +123,13 @@ def direction(
 def _log_cosh(x: Array) -> Array:
     """But for a constant; it does not overflow."""
     return np.abs(x) + np.log1p(np.exp(-2 * np.abs(x)))
+
+
+def point_mass(mass: float, center: Array) -> Array:
+    """`(10,)` inertial numbers of a point mass in kg at a place in m."""
+    x, y, z = center
+    tensor = [y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z]
+    return mass * np.array([1.0, x, y, z, *tensor])
 
 
 class TorqueEffect(Effect, ABC):

@@ -1,15 +1,16 @@
 """Loads of gravity and of inertial forces: torques on the joints, moments on the links and on the base."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, HayatiForm
-from lite6jax.arms.dynamics import wrenches
-from lite6jax.arms.se3 import Turn
-from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import library_of
+from lite6jax.arms.chains import Form, HayatiForm, link_frames
+from lite6jax.arms.se3 import Turn, base_frame, cross
+from lite6jax.deferred import Array, jnp, lax
+from lite6jax.effects.motion import Sliding
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -56,15 +57,6 @@ class Loads(NamedTuple):
         """`(joint, sample)` N·m about the +z axis of each joint, N along it of a prismatic one; the motor exerts the
         opposite."""
         return self.moment[:, 2] if self.effort is None else self.effort
-
-
-def point_mass(mass: Any, center: Any) -> Any:
-    """`(…, 10)` inertial numbers of point masses `(…)` kg at `(…, 3)` m: as `arms.dynamics.PARAMETERS`."""
-    xp = library_of(mass, center)
-    c = xp.asarray(center, float)
-    squares = xp.sum(c * c, -1, keepdims=True) - c * c
-    products = -c[..., np.array([0, 0, 1])] * c[..., np.array([1, 2, 2])]
-    return xp.asarray(mass)[..., None] * xp.concatenate([xp.ones_like(c[..., :1]), c, squares, products], -1)
 
 
 def inertia_of(
@@ -125,8 +117,12 @@ def loads(
 ) -> Loads:
     """The loads on a rigid chain, for use inside a jitted function.
 
-    They are the opposite of what holds point masses in their motion: a mass m with the acceleration a contributes
-    m (g − a) (`arms.dynamics.wrenches`). Inertia tensors are omitted, because descriptions need not contain them.
+    The frames follow from one forward recursion, the loads from sums over the outboard bodies: with F the force on all
+    bodies outboard of the origin o and P its moment about the base's origin, M = P − o × F. A body of mass m with the
+    acceleration a of its centre contributes m (g − a) (recursive Newton–Euler; J. Luh, M. Walker and R. Paul, 1980).
+    The moments of the bodies' inertia tensors are omitted, because descriptions do not contain these tensors.
+
+    All is summed in the axes of the base: a joint whose axis is vertical has a torque of exactly zero.
 
     Args:
         form: a six-parameter chain.
@@ -151,11 +147,70 @@ def loads(
             f"inertia: {inertia.mass.size} masses for an arm of {form.dof} joints; give one per joint, a tool's mass "
             "within the last"
         )
-    still = jnp.zeros_like(joint.cos)
-    rates = (still, still) if velocity is None or acceleration is None else (velocity, acceleration)
-    links = point_mass(inertia.mass, inertia.center_of_mass)[..., None]
-    carried = point_mass(payload, jnp.broadcast_to(inertia.payload_center, (len(payload), 3))).T
-    chain, gravity, sliding = kinematics.reshape(-1, 6), inertia.gravity, form.sliding
-    force, moment, base, flange = wrenches(chain, links, joint, *rates, gravity, sliding, carried)
-    slides = np.isin(np.arange(form.dof), sliding)[:, None]
-    return Loads(-moment, -base, -flange, -jnp.where(slides, force[:, 2], moment[:, 2]) if sliding else None)
+    samples = joint.cos.shape[1]
+
+    frames = link_frames(form, kinematics, joint, base_frame(jnp.eye(4), samples))
+    x, y, z, origin = (jnp.moveaxis(part, 1, 0) for part in frames)  # (3, joint, sample)
+
+    def arm_to(center: Array, last: slice) -> Array:
+        a, b, c = jnp.moveaxis(center, -1, 0)[..., None]
+        return a * x[:, last] + b * y[:, last] + c * z[:, last]
+
+    links, end = slice(None), slice(-1, None)
+    to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
+    specific_force = _specific_force(form, z, origin, velocity, acceleration, inertia.gravity)
+    force, weight = inertia.mass[:, None] * specific_force(to_link, links), payload * specific_force(to_payload, end)
+    moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, weight))
+    outboard = partial(lax.cumsum, axis=1, reverse=True)
+    outboard_force, about_base = outboard(force.at[:, -1:].add(weight)), outboard(moment)
+    about = about_base - cross(origin, outboard_force)
+    about_flange = cross(to_payload, weight)[:, 0]
+    of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])
+    about_axes = jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1)
+    found = Loads(about_axes, about_base[:, 0], of_payload)
+    if not form.sliding:
+        return found
+    slides = Sliding(form.sliding).mask(form.dof)[:, None]
+    return found._replace(effort=jnp.where(slides, jnp.sum(z * outboard_force, 0), about_axes[:, 2]))
+
+
+def _specific_force(
+    form: Form,
+    axis: Array,
+    origin: Array,
+    velocity: Array | None,
+    acceleration: Array | None,
+    gravity: Array,
+) -> Callable[[Array, slice], Array]:
+    """The specific force g − a at points of the links, as a function.
+
+    The function takes the vectors `(3, joint, sample)` m from the origins of some frames to points fixed in them, and
+    the slice of joints to which they belong, and gives g − a of the points in m/s².
+
+    Args:
+        axis: `(3, joint, sample)` of each joint.
+        origin: `(3, joint, sample)` of each joint's frame.
+        velocity: `(joint, sample)` rad/s.
+        acceleration: `(joint, sample)` rad/s².
+        gravity: `(3,)` m/s².
+    """
+    g = gravity[:, None, None]
+    if velocity is None or acceleration is None:
+        return lambda arm, _: jnp.broadcast_to(g, arm.shape)
+    outwards = partial(lax.cumsum, axis=1)
+    slides, shifting = Sliding(form.sliding).mask(form.dof)[:, None], (velocity, acceleration)
+    if form.sliding:
+        velocity, acceleration = (jnp.where(slides, 0.0, rate) for rate in shifting)
+    rates = axis * velocity
+    omega = outwards(rates)
+    alpha = outwards(axis * acceleration + cross(omega, rates))  # a joint's own rotation leaves its axis unchanged
+
+    def relative(arm: Array, at: slice) -> Array:
+        return cross(alpha[:, at], arm) + cross(omega[:, at], cross(omega[:, at], arm))
+
+    steps = relative(jnp.diff(origin, axis=1), slice(-1))
+    of_origin = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(steps)], 1)
+    if form.sliding:  # what a slide adds in the frame before it, which turns
+        along, along_rate = (jnp.where(slides, rate, 0.0) for rate in shifting)
+        of_origin = of_origin + outwards(axis * along_rate + 2 * cross(omega, axis * along))
+    return lambda arm, at: g - of_origin[:, at] - relative(arm, at)
