@@ -151,9 +151,10 @@ class RecordingSettings:
         InputError: a value of the wrong type, not finite, out of its range, or not a listed one.
     """
 
-    arm: Annotated[Line | None, "a bundled arm's name, or the path of an arm description relative to the sidecar"] = (
-        None
-    )
+    arm: Annotated[
+        Line | None,
+        "a bundled arm's name, or the path of an arm description relative to the sidecar",
+    ] = None
     factory_calibration: Annotated[
         Line | None, "the path of the arm's own six-parameter file, relative to the sidecar"
     ] = None
@@ -176,11 +177,10 @@ class RecordingSettings:
     reference_temperature_degC: Annotated[  # noqa: N815 (the sidecar's key)
         float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE), "a finite number in degrees Celsius"
     ] = 25.0
-    gravity_m_per_s2: Annotated[tuple[Gravity, Gravity, Gravity], "three numbers [x, y, z] in m/s^2"] = (
-        0.0,
-        0.0,
-        -9.81,
-    )
+    gravity_m_per_s2: Annotated[
+        tuple[Gravity, Gravity, Gravity],
+        "three numbers [x, y, z] in m/s^2",
+    ] = (0.0, 0.0, -9.81)
     inertial_uncertainty: Annotated[
         Share, "one sigma relative to the masses, from 0 to 0.5, such as 0.1, not per cent"
     ] = 0.1
@@ -350,7 +350,8 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
     """
     _reject_unknown("", declared, KEYS)
     keys = {**declared, **({} if arm is None else {"arm": str(getattr(arm, "name", arm))})}
-    return replace(settings or RecordingSettings(), **keys)
+    parsed = {key: None if value is None else parse_setting(key, value) for key, value in keys.items()}
+    return replace(settings or RecordingSettings(), **parsed)
 
 
 def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str]) -> None:
@@ -470,7 +471,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
         if value is None:
             raise InputError(f"{path}: recording.{key}: has no value; give {form_of(key)}, or leave the key out")
     try:
-        declared = RecordingSettings(**settings)
+        declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
     account = content.get("account")
