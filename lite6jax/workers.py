@@ -12,8 +12,7 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -44,7 +43,8 @@ WORKERS_WITHIN = 60.0
 ROW_GROUP = 4096
 """Rows of a table that are written together, whatever the batches."""
 _MOST_STARTS = 3
-_CONTEXT = multiprocessing.get_context("spawn")
+_ENDS_WITHIN = 5.0
+"""s, in which a process undoes what it has begun."""
 _MOST_MAPPINGS = 40_000
 """Of memory; Linux lets a process have 65 530, and every compiled function takes several."""
 _SENT_AHEAD = 2
@@ -100,7 +100,12 @@ class Workers:
     """
 
     def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
-        """Starts nothing; `scheduler` and `processes` are as of `run_batches`, and of `most` batches no more."""
+        """Starts nothing.
+
+        Args:
+            scheduler, processes: as of `run_batches`.
+            most: how many batches there are at most: more processes are not started.
+        """
         self._pool: Processes | Cluster | None = None
         if scheduler is not None:
             self._pool = Cluster(scheduler)
@@ -130,11 +135,14 @@ class Workers:
         *,
         died: Callable[[Any], "pa.Table"],
     ) -> Generator[tuple[int, "pa.Table"]]:
-        """Numbered batches with their rows, as they come; read them to their end before the next begin.
+        """Batches by their numbers with their rows, as they come; read them to their end before the next begin.
 
         A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its
-        inputs are tried one by one, and those at which a worker dies get the row that `died` makes. The arguments are
-        those of `run_batches`.
+        inputs are tried one by one, and those at which a worker dies get the row that `died` makes.
+
+        Args:
+            batches: numbers and inputs, taken as there is room for them.
+            function, given, died: as of `run_batches`.
 
         Raises:
             InputError: no process starts, the cluster has no worker or one of another version, or its scheduler is
@@ -201,13 +209,21 @@ _job: tuple[bytes, Function, tuple[Any, ...]] | None = None
 
 
 def work(job: bytes, inputs: Sequence[Any], expected: tuple[str, ...] | None = None) -> "tuple[pa.Table, int]":
-    """The rows of a batch, and the bytes of memory that the worker has then; 0 where the system does not say.
+    """What a worker does with a batch.
 
     A worker of a cluster may call this from several threads: one computes, as compiled code and what libraries set for
-    a whole process are shared. `job` is the pickled function with what is given to it besides a batch.
+    a whole process are shared.
+
+    Args:
+        job: the pickled function and what is given to it besides a batch.
+        inputs: of the batch.
+        expected: the versions of the program that asks: with others a worker might compute other numbers.
+
+    Returns:
+        the rows, and the bytes of memory that the worker has then; 0 where the system does not say.
 
     Raises:
-        InputError: the versions are not those `expected`, with which a worker might compute other numbers.
+        InputError: the versions are others.
         Exception: what the function raised; a `RuntimeError` with its message where it cannot be sent.
     """
     global _job
@@ -251,8 +267,8 @@ def set_up() -> None:
     gc.set_threshold(200_000)  # tracing makes objects that stay
 
 
-def _begin(lifeline: Connection, imports: tuple[str, ...]) -> None:
-    """What a process of this machine does first; it ends with the lifeline, or with the process at its other end."""
+def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...]) -> None:
+    """Works on the batches that come, until the lifeline is closed at its other end, or the process there ends."""
 
     def end() -> None:
         with suppress(EOFError, OSError):
@@ -265,16 +281,97 @@ def _begin(lifeline: Connection, imports: tuple[str, ...]) -> None:
     for module in imports:
         with suppress(Exception):  # where it is not whole, work says so
             import_module(module)
+    with suppress(EOFError, OSError):  # the process at the other end has ended
+        connection.send(True)
+        while True:
+            message = connection.recv_bytes()
+            try:
+                said = work(*pickle.loads(message))
+            except Exception as error:
+                said = error
+            connection.send(said)
 
 
 # ------------------------------------------------------------------ processes of this machine
 
 
+class WorkerDiedError(Exception):
+    """The process that had a batch came to its end."""
+
+
+@final
+class _Process:
+    """A process of this machine, in whose place another comes where it died or has grown."""
+
+    def __init__(self, imports: tuple[str, ...]) -> None:
+        self._imports, self._is_over = imports, False
+        self._start()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        ends, self._lifeline = context.Pipe(duplex=False)
+        self._process = context.Process(target=_serve, args=(theirs, ends, self._imports), daemon=True)
+        self._is_ready, self._resident = False, 0
+        # it inherits a blocked Ctrl-C, which is this process's to answer
+        blocks = hasattr(signal, "pthread_sigmask")
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
+        try:
+            self._process.start()
+        finally:
+            if blocks:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        theirs.close()
+        ends.close()
+
+    def work(self, job: bytes, inputs: Sequence[Any]) -> "pa.Table":
+        """As `Processes.submit`; waits for the rows."""
+        if self._resident > MOST_RESIDENT:
+            self._restart()
+        for _ in range(_MOST_STARTS):
+            try:
+                if not self._is_ready:
+                    self._is_ready = self._connection.recv()
+                self._connection.send((job, list(inputs)))
+                break
+            except (EOFError, OSError):  # it ended before it had a batch
+                self._restart()
+        else:
+            raise InputError(
+                "the processes that are to do the work end as they start; free memory, or give --processes 1"
+            )
+        try:
+            said = self._connection.recv()
+        except (EOFError, OSError) as error:
+            self._restart()
+            raise WorkerDiedError from error
+        if isinstance(said, Exception):
+            raise said
+        rows, self._resident = said
+        return rows
+
+    def _restart(self) -> None:
+        self._stop()
+        self._connection.close()
+        if self._is_over:
+            raise WorkerDiedError
+        self._start()
+
+    def end(self) -> None:
+        """Ends it at once, whatever it works on; no other comes in its place."""
+        self._is_over = True
+        self._stop()
+
+    def _stop(self) -> None:
+        self._lifeline.close()
+        self._process.join(_ENDS_WITHIN if self._is_ready else 0)
+        self._process.kill()
+        self._process.join()
+
+
 @final
 class Processes:
-    """Processes of this machine, started by the `with` statement.
-
-    Each has a thread here and an executor of its own, so that one that dies takes no other with it.
+    """Processes of this machine, started by the `with` statement, and a thread here for each.
 
     Attributes:
         room: the batches that are given to them at a time.
@@ -285,61 +382,32 @@ class Processes:
         self.room, self._imports = count, imports
 
     def __enter__(self) -> "Processes":
-        self._ends, self._lifeline = _CONTEXT.Pipe(duplex=False)
+        self._all = [_Process(self._imports) for _ in range(self.room)]
         self._threads = ThreadPoolExecutor(self.room)
-        self._idle: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
-        for _ in range(self.room):
-            self._idle.put(self._start())
+        self._idle: SimpleQueue[_Process] = SimpleQueue()
+        for process in self._all:
+            self._idle.put(process)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._lifeline.close()  # ends them at once, whatever they work on
+        for process in self._all:
+            process.end()
         self._threads.shutdown(cancel_futures=True)
-        for _ in range(self.room):
-            self._idle.get().shutdown()
-        self._ends.close()
-
-    def _start(self) -> ProcessPoolExecutor:
-        executor = ProcessPoolExecutor(1, _CONTEXT, _begin, (self._ends, self._imports))
-        # it inherits a blocked Ctrl-C, which is this process's to answer
-        blocks = hasattr(signal, "pthread_sigmask")
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
-        try:
-            executor.submit(os.getpid)
-        finally:
-            if blocks:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        return executor
 
     def submit(self, job: bytes, inputs: Sequence[Any]) -> Future[Any]:
         """Gives a batch of a pickled function and what is given to it to a process that has nothing to do.
 
-        The result is its rows; or a `BrokenProcessPool` where the process died or was ended, an `InputError` where none
+        The result is its rows; or a `WorkerDiedError` where the process died or was ended, an `InputError` where none
         gets as far as to ask for a batch, or what the function raised.
         """
-        return self._threads.submit(self._work, job, list(inputs))
+        return self._threads.submit(self._work, job, inputs)
 
-    def _work(self, job: bytes, inputs: list[Any]) -> "pa.Table":
-        executor = self._idle.get()
+    def _work(self, job: bytes, inputs: Sequence[Any]) -> "pa.Table":
+        process = self._idle.get()
         try:
-            for left in reversed(range(_MOST_STARTS)):
-                try:
-                    executor.submit(os.getpid).result()
-                    break
-                except BrokenProcessPool as error:  # it ended before it had a batch
-                    if not left:
-                        raise InputError(
-                            "the processes that are to do the work end as they start; free memory, or give "
-                            "--processes 1"
-                        ) from error
-                    executor = self._start()
-            rows, resident = executor.submit(work, job, inputs).result()
-            if resident > MOST_RESIDENT:
-                executor.shutdown()
-                executor = self._start()
-            return rows
+            return process.work(job, inputs)
         finally:
-            self._idle.put(executor)
+            self._idle.put(process)
 
     def take(self, future: Future[Any]) -> "pa.Table | None":
         """The rows of a batch that is done; None where its worker died.
@@ -349,7 +417,7 @@ class Processes:
         """
         try:
             return future.result()
-        except BrokenProcessPool:
+        except WorkerDiedError:
             return None
 
 

@@ -338,13 +338,29 @@ def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: 
     W = np.moveaxis(W, 2, 0).reshape(-1, 10 * joints)
 
     order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
-    left = np.abs(np.diagonal(np.linalg.qr(W[:, order], "r")))  # of each column, by those before it
-    independent = np.sort(order[left > INDEPENDENT * np.linalg.norm(W, axis=0).max()])
+    independent = np.sort(order[_independent(W[:, order])])
     grouping = np.linalg.lstsq(W[:, independent], W, rcond=None)[0]
     grouping[np.abs(grouping) < 1e-9] = 0.0  # rounding, in kg m^±2 of an arm of metres
     grouping[:, independent] = np.eye(len(independent))
     basis, _ = np.linalg.qr(grouping.T)
     return BaseParameters(independent, grouping, basis)
+
+
+def _independent(W: Numbers) -> NDArray[np.integer]:
+    """The places of the columns that are no combination of those before them (Gram–Schmidt, twice).
+
+    A QR decomposition without pivots would take the rounding of a dependent column for a direction.
+    """
+    found: list[int] = []
+    Q = np.zeros((len(W), 0))
+    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
+    for k, column in enumerate(W.T):
+        left = column - Q @ (Q.T @ column)
+        left -= Q @ (Q.T @ left)
+        if np.linalg.norm(left) > least:
+            found.append(k)
+            Q = np.column_stack([Q, left / np.linalg.norm(left)])
+    return np.array(found, int)
 
 
 _THIN = 1e-6

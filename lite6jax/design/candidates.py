@@ -85,6 +85,8 @@ class SelfCollision(NamedTuple):
 
     def pair_clearances(self, joint_position: Any) -> Any:
         """Each pair's distance of surfaces, m, `(pair, sample)`."""
+        if not len(self.pairs):
+            return np.zeros((0, len(joint_position)))
         q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
         xp, walked = q.__array_namespace__(), walk_chain(self.arm, q)
         p, r = (

@@ -175,9 +175,11 @@ def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mas
     unknown and differs between folds, so each ratio is one of likelihoods, and no fold decides alone.
     """
     if isinstance(selection.problem, TorqueProblem):
-        before, after = errors.before_over_noise, errors.after_over_noise
-        logs = [np.log(max(_ratio(before[:, rows], after[:, rows]), 1e-150)) for rows in _rows_of(folds, kept)]
-        ratio = float(np.exp(np.mean(logs)))
+        pairs = [
+            (errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)
+        ]
+        logs = [[np.log(max(float(np.linalg.norm(each)), 1e-150)) for each in pair] for pair in pairs]
+        ratio = float(np.exp(np.mean([after - before for before, after in logs])))
         return Judgement(ratio > options.heldout_rise, ratio)
     numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
     rejects = raises(errors, kept, numbers, options) or is_overfitted(errors, selection, kept, folds, options)

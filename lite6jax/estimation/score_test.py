@@ -191,6 +191,19 @@ class ScoreTest:
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
+    def confounded(self, terms: Sequence[Term]) -> list[bool]:
+        """Whether each term is in the span of nuisance and model, under their priors."""
+        found = list[bool]()
+        for part in bounded_parts(terms, self.problem.rows * self.problem.samples):
+            columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
+            for own in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
+                flat = self._flat(own)
+                inside, norms = flat @ self.basis.T, np.linalg.norm(flat, axis=1)
+                length = np.where(norms > 0, norms, 1.0)
+                information = (flat @ flat.T - inside @ inside.T) / np.outer(length, length)
+                found.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
+        return found
+
     def gains(self, column: Array, functions: Array) -> Array:
         """The gains in log-likelihood `(group,)` of many groups of functions at one site, without their tests.
 

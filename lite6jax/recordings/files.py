@@ -131,11 +131,13 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
-    kind, log = _kind_of(path), path
-    if kind == "parquet" and not exists(path) and exists(growing := growing_path(path)):
-        notes.append(f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended")
-        path, kind = growing, "text"
     try:
+        kind, log = _kind_of(path), path
+        if kind == "parquet" and not exists(path) and exists(growing := growing_path(path)):
+            notes.append(
+                f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended"
+            )
+            path, kind = growing, "text"
         if kind == "lerobot":
             return path, open_lerobot(path)
         if not kind:
@@ -154,7 +156,7 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
                     f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
                 )
         if kind != "log":
-            return path, open_parquet(path) if kind == "parquet" else open_text(path, notes, lambda: _was_ended(path))
+            return path, open_parquet(path) if kind == "parquet" else open_text(path, notes, _was_ended(path))
         columns = read_bag(log, topics, of_arm, notes)
         # nothing says the unit of efforts
         return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
@@ -163,7 +165,11 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
 
 
 def _was_ended(path: Path) -> bool:
-    """Whether a recording was not completed, by its sidecar."""
+    """Whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
+    with open(path, "rb") as file:
+        file.seek(-min(file.seek(0, os.SEEK_END), 1), os.SEEK_END)
+        if file.read() in (b"", b"\n"):
+            return False
     with suppress(InputError):  # whoever needs the sidecar says what is wrong with it
         return not read_sidecar(sidecar_path(path)).complete
     return False

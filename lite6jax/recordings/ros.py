@@ -47,6 +47,21 @@ class ArmJoints(NamedTuple):
             return cls(arm.dof, arm.sliding, arm.joint_names)
         return cls() if arm is None else arm
 
+    def named_as(self, other: "ArmJoints") -> "ArmJoints":
+        """These with the names of others, where these are as many."""
+        return self._replace(names=other.names) if len(other.names) == self.dof else self
+
+
+class _Chosen(NamedTuple):
+    """A topic, and of transforms the frame whose poses are wanted; None where there is only one."""
+
+    topic: str
+    child: str | None = None
+
+    @property
+    def name(self) -> str:
+        return self.topic + (f":{self.child}" if self.child else "")
+
 
 class _Series(NamedTuple):
     """Messages of one topic in the order of the log, their stamps in ns, and by what clock they are stamped."""
@@ -87,7 +102,7 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             types = {one.topic: str(one.msgtype).replace("/msg/", "/") for one in reader.connections}
             joints, poses = _choose(path, dict(sorted(types.items())), topics)
-            found: dict[str, list[tuple[Any, int, int]]] = {_topic(name): [] for name in (joints, poses) if name}
+            found: dict[str, list[tuple[Any, int, int]]] = {one.topic: [] for one in (joints, poses) if one is not None}
             connections = [one for one in reader.connections if one.topic in found]
             for connection, logged, content in reader.messages(connections=connections):
                 message: Any = reader.deserialize(content, connection.msgtype)
@@ -102,24 +117,24 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         tool = {".mcap": "recover what is left with `mcap recover`", ".bag": "check it with `rosbag info`"}
         remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
         raise InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again") from error
-    moved = _series(path, joints, found[joints])
-    stamp, columns = _joint_states(path, joints, moved, of_arm, notes)
-    if not poses:
-        notes.append(f"times are {moved.clock} of {joints}")
+    moved = _series(path, joints, found[joints.topic])
+    measured = None if poses is None else _series(path, poses, found[poses.topic])
+    stamp, columns = _joint_states(path, joints.topic, moved, of_arm, notes)
+    said = f"times are {moved.clock} of {joints.topic}"
+    notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
+    if poses is None or measured is None:
         if not topics and not any(name.startswith("tau") for name in columns):
             raise InputError(
                 f"{path}: has no topic of {POSE_STAMPED}; {_topics_of(types)}; record one with these types, or name "
-                f"{path.name}#{joints} for a motion or torques without poses"
+                f"{path.name}#{joints.name} for a motion or torques without poses"
             )
         if not topics:
-            notes.append(f"there are no poses: {joints} is read for its efforts, as {path.name}#{joints}")
+            notes.append(f"there are no poses: {joints.topic} is read for its efforts, as {path.name}#{joints.name}")
         return {"time_s": _seconds(stamp, stamp[0]), **columns}
-    measured = _series(path, poses, found[_topic(poses)])
-    notes.append(f"times are {moved.clock} of {joints}, {measured.clock} of {poses}")
-    if types[_topic(poses)] == TF:
+    if types[poses.topic] == TF:
         parent, child = _frames(measured.messages[0])
         notes.append(
-            f"the poses are those of {child} in {parent} on {_topic(poses)}; a robot_state_publisher computes such "
+            f"the poses are those of {child} in {parent} on {poses.topic}; a robot_state_publisher computes such "
             "transforms from the joints, which measures nothing"
         )
     kept, columns = _at_poses(path, stamp, columns, measured.stamp, notes)
@@ -127,7 +142,7 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
     position, quaternion = (part[kept] for part in _poses(measured.messages))
     table = {"time_s": _seconds(at, at[0]), **columns, **dict(zip(map(spelled, PLACE), position.T, strict=True))}
     if (quaternion == quaternion[0]).all() and len(measured.messages) > 1:
-        notes.append(f"the orientations of {poses} never change: they are taken as not measured")
+        notes.append(f"the orientations of {poses.name} never change: they are taken as not measured")
         return table
     return table | dict(zip(QUATERNION, quaternion.T, strict=True))
 
@@ -135,36 +150,32 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 # ------------------------------------------------------------------ topics
 
 
-def _choose(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[str, str]:
-    """The topics of the joint states and of the poses; none of poses where only joint states are there, or named.
-
-    The frame of a transform follows its topic, `/tf:tool0`: a topic has no colon, and the name of a frame may.
-    """
-    there = _topics_of(types)
+def _choose(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
+    """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
+    there, wanted = _topics_of(types), []
     for name in named:
-        kind = types.get(_topic(name))
-        if kind not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF) or (":" in name and kind != TF):
+        topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
+        wanted.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))
+        if types.get(wanted[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
             raise InputError(
                 f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {there}; name those to be read"
             )
-    of = {name: types[_topic(name)] for name in named or types}
-    joints = [name for name, kind in of.items() if kind == JOINT_STATE]
-    poses = [name for name, kind in of.items() if kind in (POSE_STAMPED, TRANSFORM)]
-    poses = poses or [name for name, kind in of.items() if kind == TF and (named or name != "/tf_static")]
+    candidates = wanted or [_Chosen(topic) for topic in types]
+    joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
+    poses = [choice for choice in candidates if types[choice.topic] in (POSE_STAMPED, TRANSFORM)]
+    poses = poses or [
+        choice for choice in candidates if types[choice.topic] == TF and (named or choice.topic != "/tf_static")
+    ]
     if not joints:
         raise InputError(f"{path}: has no topic of {JOINT_STATE}; {there}; record one with these types")
-    pair = ",".join((*joints[:1], *poses[:1]))
+    pair = ",".join(choice.name for choice in (*joints[:1], *poses[:1]))
     for listed in (joints, poses):
         if len(listed) > 1:
             raise InputError(
-                f"{path}: has {len(listed)} topics of {of[listed[0]]}: {', '.join(listed)}; choose, as in "
-                f"{path.name}#{pair}"
+                f"{path}: has {len(listed)} topics of {types[listed[0].topic]}: "
+                f"{', '.join(choice.name for choice in listed)}; choose, as in {path.name}#{pair}"
             )
-    return joints[0], "".join(poses)
-
-
-def _topic(name: str) -> str:
-    return name.partition(":")[0]
+    return joints[0], poses[0] if poses else None
 
 
 def _topics_of(types: Mapping[str, str]) -> str:
@@ -176,27 +187,26 @@ def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
     return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
 
 
-def _series(path: Path, name: str, found: list[tuple[Any, int, int]]) -> _Series:
+def _series(path: Path, chosen: _Chosen, found: list[tuple[Any, int, int]]) -> _Series:
     """The messages of a topic with their stamps: the headers', or the log's where no header has any.
 
     Raises:
         InputError: there are none, or transforms to several frames of which none is chosen.
     """
-    topic, _, wanted = name.partition(":")
     if not found:
-        raise InputError(f"{path}: topic {topic} has no messages; record again")
+        raise InputError(f"{path}: topic {chosen.topic} has no messages; record again")
     pairs = list(dict.fromkeys(_frames(part) for part, _, _ in found if not hasattr(part, "name")))
     listed = _listed([f"{child} in {parent}" for parent, child in pairs])
-    if wanted:
-        found = [entry for entry in found if _frames(entry[0])[1] == wanted]
-        parents = [parent for parent, child in pairs if child == wanted]
+    if chosen.child is not None:
+        found = [entry for entry in found if _frames(entry[0])[1] == chosen.child]
+        parents = [parent for parent, child in pairs if child == chosen.child]
         if len(parents) != 1:
-            said = f"{wanted} in {', '.join(parents)}" if parents else f"no transform to {wanted}"
-            raise InputError(f"{path}: topic {topic} has {said}; it has {listed}")
+            said = f"no transform to {chosen.child}" if not parents else f"{chosen.child} in {', '.join(parents)}"
+            raise InputError(f"{path}: topic {chosen.topic} has {said}; it has {listed}")
     elif len(pairs) > 1:
         raise InputError(
-            f"{path}: topic {topic} has {len(pairs)} transforms: {listed}; choose the "
-            f"frame that was measured, as in {path.name}#/joint_states,{topic}:{pairs[0][1]}"
+            f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {listed}; choose the "
+            f"frame that was measured, as in {path.name}#/joint_states,{chosen.topic}:{pairs[0][1]}"
         )
     stamped = any(header for _, header, _ in found)
     clock = "the header stamps" if stamped else "the log times (no header stamps)"

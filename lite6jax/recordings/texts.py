@@ -6,11 +6,12 @@ a row of units is added to them. Whatever stands higher is not read. Only the fi
 
 import codecs
 import csv
+import io
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
-from itertools import accumulate, islice
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -270,30 +271,40 @@ def _group_names(row: Row) -> Row | None:
     label = row[filled[0]].lower()
     if label in _WITHOUT_A_NAME or filled == [0] or not any(_kind(cell) == "text" for cell in row):
         return None
-    named = ["" if k == filled[0] and label in _LABELS and filled[1:] else cell for k, cell in enumerate(row)]
-    return [*accumulate(named, lambda before, cell: cell or before)]
+    row = [*row]
+    if label in _LABELS and len(filled) > 1:
+        row[filled[0]] = ""
+    last = ""
+    for k, cell in enumerate(row):
+        last = cell or last
+        row[k] = last
+    return row
 
 
 def _with_heads(names: Sequence[str]) -> list[str]:
     """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
     head, found = "", []
     for k, name in enumerate(names):
-        begins = name.endswith(" X") and [*names[k + 1 : k + 3]] == ["Y", "Z"]
-        found.append(name if begins or not name else head + name)
-        head = name[:-1] if begins else head
+        match = re.fullmatch(r"(.+ )X", name)
+        if match and [*names[k + 1 : k + 3]] == ["Y", "Z"]:
+            head = match[1]
+            found.append(name)
+        else:
+            found.append(head + name if name else name)
     return found
 
 
 def _of_units(row: Iterable[str]) -> bool:
     """Whether all that a row holds are units."""
-
-    def is_unit(cell: str, unit: str) -> bool:
-        bracketed = cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text"
-        return bracketed or unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
-
-    units = {cell: cell.strip(_BRACKETS) for cell in row if cell}
-    others = [unit for cell, unit in units.items() if not is_unit(cell, unit)]
-    return len(others) < len(units) and {*others} <= _NO_UNITS
+    some = False
+    for cell in filter(None, row):
+        unit = cell.strip(_BRACKETS)
+        named = unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
+        named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
+        if not named and unit not in _NO_UNITS:
+            return False
+        some = some or named
+    return some
 
 
 def _with_unit(name: str, cell: str, source: str) -> str:
@@ -316,11 +327,12 @@ def _with_stated_units(names: list[str], above: str, source: str) -> list[str]:
         length = unit_of(f"x [{match[1]}]") or ""
         if length not in ("m", "mm"):
             raise InputError(f"{source}: its lengths are in {match[1]}; export it in meters or millimeters")
-    units = [turned if "rotation" in name.lower() else length for name in names]
-    return [
-        f"{name} [{unit}]" if unit and re.search(r"(?:^|[/ ])[XYZ]$", name) else name
-        for name, unit in zip(names, units, strict=True)
-    ]
+    found = []
+    for name in names:
+        unit = turned if "rotation" in name.lower() else length
+        coordinate = re.search(r"(?:^|[/ ])[XYZ]$", name) is not None
+        found.append(f"{name} [{unit}]" if unit and coordinate else name)
+    return found
 
 
 def _unique(names: Iterable[str], notes: list[str]) -> tuple[str, ...]:
@@ -381,36 +393,37 @@ class _NoNumberError(InputError):
         self.index, self.text = index, text
 
 
-def open_text(path: Path, notes: list[str], was_ended: Callable[[], bool] = lambda: False) -> RawTable:
+def open_text(path: Path, notes: list[str], growing: bool = False) -> RawTable:
     """The table in a file of text.
 
     Args:
         path: the file; UTF-8, UTF-16 with its mark, or Latin-1 where it can be nothing else.
         notes: gets a sentence on what stands above the table, on what was done to its names, and one where the last
             line has no end.
-        was_ended: whether it is of a recording that was not completed, asked where the last line has no end. A kill may
-            leave a part of a row there, and a power cut zeros. They are left out, and a note says so.
+        growing: whether it is of a recording that was not completed. A kill may leave a part of a row at its end, and
+            a power cut zeros. They are left out, and a note says so.
 
     Raises:
         InputError: no text; from `load`, rows of another length than the names.
     """
-    content = path.read_bytes()
-    if (rest := content[content.rfind(b"\n") + 1 :]) and was_ended():
-        what = "a row that was cut" if rest.strip(b"\0") else "zeros"
-        notes.append(f"the recording was ended while it was written: {what} at the end of {path.name} is left out")
-        content = content.removesuffix(rest)
-    start, encoding = _start(path, content[:HEADER_LIMIT], notes)
+    whole = _whole_lines(path, notes) if growing else None
+    with open(path, "rb") if whole is None else io.BytesIO(whole) as file:
+        start, encoding = _start(path, file.read(HEADER_LIMIT), notes)
+        file.seek(0, 2)
+        file.seek(max(0, file.tell() - HEADER_LIMIT))
+        tail = file.read()
     layout = find_table(start, str(path), notes)
-    if not content.rstrip(b"\0").endswith((b"\n", b"\r")):
+    if not tail.rstrip(b"\0").endswith((b"\n", b"\r")):
         notes.append("the file does not end with a line break: its last number may have been cut short")
-    body = _body_text(content, layout, encoding)
+    plain = whole is None and encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
+    rewritten = cache(lambda: _rewritten(path.read_bytes() if whole is None else whole, layout, encoding))
 
     def load(columns: Mapping[int, str]) -> dict[int, Values]:
         wanted, wrong = [*columns], {}
         texts = {index for index, quantity in columns.items() if quantity in LABELS}
         while True:
             try:
-                table = _read(path, layout, wanted, body, texts)
+                table = _read(path, layout, wanted, tail if plain else rewritten(), texts, plain)
                 break
             except _NoNumberError as error:
                 if columns[error.index] == "time" and like_a_clock(error.text):
@@ -423,11 +436,19 @@ def open_text(path: Path, notes: list[str], was_ended: Callable[[], bool] = lamb
     return RawTable(layout.names, load, layout.nameless)
 
 
-def _body_text(content: bytes, layout: Layout, encoding: str) -> bytes:
+def _whole_lines(path: Path, notes: list[str]) -> bytes | None:
+    """What is in a file without what stands behind its last line break; None where nothing does."""
+    content = path.read_bytes()
+    end = content.rfind(b"\n") + 1
+    if end == len(content):
+        return None
+    what = "a row that was cut" if content[end:].strip(b"\0") else "zeros"
+    notes.append(f"the recording was ended while it was written: {what} at the end of {path.name} is left out")
+    return content[:end]
+
+
+def _rewritten(content: bytes, layout: Layout, encoding: str) -> bytes:
     """The rows of numbers as Arrow can read them: UTF-8, one delimiter between numbers, none of them in lists."""
-    if encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists:
-        breaks = islice(re.finditer(rb"\r\n|[\r\n]", content), layout.skip)
-        return content[max((match.end() for match in breaks), default=0) :]
     text = content.decode(encoding, "replace")
     text = "\n".join(LINE_BREAK.split(text, maxsplit=layout.skip)[layout.skip :])
     if layout.lists:
@@ -438,29 +459,44 @@ def _body_text(content: bytes, layout: Layout, encoding: str) -> bytes:
 
 
 def _read(
-    path: Path, layout: Layout, indices: Sequence[int], body: bytes, texts: Set[int], threads: bool = True
+    path: Path,
+    layout: Layout,
+    indices: Sequence[int],
+    content: bytes,
+    texts: Set[int],
+    plain: bool,
+    threads: bool = True,
 ) -> pa.Table:
-    """The columns wanted, named by their index: two ignored columns may share a name. Those of `texts` are of text."""
+    """The columns wanted, named by their index: two ignored columns may share a name. Those of `texts` are of text.
+
+    `content` is the end of the file where that is plain, else all of its rows, rewritten.
+    """
     if not indices:
         return pa.table({})
+    wanted = [str(index) for index in indices]
     kinds = {str(index): pa.string() if index in texts else pa.float64() for index in indices}
     numbers = [str(index) for index in range(layout.fields)]
+    skip = layout.skip if plain else 0
     try:
         return pa_csv.read_csv(
-            pa.py_buffer(body),
-            pa_csv.ReadOptions(column_names=numbers, use_threads=threads),
+            path if plain else pa.py_buffer(content),
+            pa_csv.ReadOptions(column_names=numbers, skip_rows=skip, use_threads=threads),
             pa_csv.ParseOptions(delimiter=layout.delimiter),
-            pa_csv.ConvertOptions(include_columns=[*kinds], column_types=kinds, decimal_point=layout.decimal),
+            pa_csv.ConvertOptions(
+                include_columns=wanted,
+                column_types=kinds,
+                decimal_point=layout.decimal,
+            ),
         )
     except pa.ArrowInvalid as error:
-        if "Empty CSV" in str(error):  # Arrow's words for names and nothing below
+        if "Could not skip" in str(error) or "Empty CSV" in str(error):  # Arrow's words for names and nothing below
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
-            return _read(path, layout, indices, body, texts, threads=False)
+            return _read(path, layout, indices, content, texts, plain, threads=False)
         if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
-            raise InputError(_ragged(path, int(match[1]), int(match[2]), layout, body)) from error
+            raise InputError(_ragged(path, int(match[1]) - skip, int(match[2]), layout, content)) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
-            raise _no_number(int(match[2]), int(match[1]), match[3], layout) from error
+            raise _no_number(int(match[2]) - skip, int(match[1]), match[3], layout) from error
         raise InputError(f"{path}: is not a table of numbers ({one_line(error)}); check the file") from error
 
 
@@ -476,10 +512,10 @@ def _no_number(row: int, index: int, text: str, layout: Layout) -> _NoNumberErro
     return _NoNumberError(problem, index, text)
 
 
-def _ragged(path: Path, row: int, fields: int, layout: Layout, body: bytes) -> str:
+def _ragged(path: Path, row: int, fields: int, layout: Layout, content: bytes) -> str:
     place = f"{path}: row {row} has {fields} of {layout.fields} columns"
     if fields < layout.fields:
-        last = body.rstrip().rpartition(b"\n")[2]
+        last = content.rstrip().rpartition(b"\n")[2]
         cut = last.count(layout.delimiter.encode()) + 1 == fields
         problem = "the file is truncated" if cut else "the row is cut short"
         first = layout.names[min(fields, len(layout.names) - 1)]
@@ -491,14 +527,7 @@ def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:
     """The first whole lines of a text by its first bytes, and its encoding."""
     if start.startswith(b"PAR1"):
         raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
-    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    text, encoding = "\0", ""
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
-        with suppress(UnicodeDecodeError):
-            found = codecs.getincrementaldecoder(encoding)().decode(start)
-            if encoding != "latin-1" or {byte for byte in start if byte > 0x7F} <= _LATIN:
-                text = found
-                break
+    text, encoding = _decode(start)
     text = text if len(start) < HEADER_LIMIT else text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     if "\0" in text or not (text or len(start) < HEADER_LIMIT):
         raise InputError(f"{path}: is not a CSV table but binary or of another encoding; write it as UTF-8 text")
@@ -510,3 +539,14 @@ def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:
     if encoding != "utf-8-sig":
         notes.append(f"the text is read as {encoding.capitalize() if encoding == 'latin-1' else encoding.upper()}")
     return text, encoding
+
+
+def _decode(start: bytes) -> tuple[str, str]:
+    """The text that bytes are, and its encoding; a zero where they are of no text, or may have several meanings."""
+    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
+        with suppress(UnicodeDecodeError):
+            text = codecs.getincrementaldecoder(encoding)().decode(start)
+            if encoding != "latin-1" or {byte for byte in start if byte > 0x7F} <= _LATIN:
+                return text, encoding
+    return "\0", ""

@@ -59,8 +59,8 @@ def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.
     if not inputs:
         return gained
     test = score_test(problem, fitted, options)
-    for term, alone in zip(inputs, test.score(inputs), strict=True):
-        if alone.confounded:
+    for term, confounded in zip(inputs, test.confounded(inputs), strict=True):
+        if confounded:
             continue
         other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
         difference = other.values[own] - fitted.values

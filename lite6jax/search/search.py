@@ -195,8 +195,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     pairs = zip(state.tested, alternatives, strict=True)
     state = replace(state, tested=tuple(replace(one, alternatives=each) for one, each in pairs))
     candidates = problem.candidates
-    scores = score_test(selection.reference, state.baseline, options).score(candidates)
-    confounded = tuple(term for term, one in zip(candidates, scores, strict=True) if one.confounded)
+    hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)
+    confounded = tuple(term for term, one in zip(candidates, hidden, strict=True) if one)
     left = Weighed(selector.scan, selector.test(state)).names_and_waves()
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))

@@ -494,18 +494,21 @@ class Selector:
 
     def alternatives(self, state: State, every: int = 1) -> list[tuple[Alternative, ...]]:
         """Those of each term, where each sample stands for so many."""
-        found, close = list[tuple[Alternative, ...]](), self.options.close / every
+        found = list[tuple[Alternative, ...]]()
         for k, one in enumerate(state.tested):
             if one.term in self._preset:
                 found.append(())
                 continue
             test, others, seen = self.beside(state, k), list[Alternative](), set[object]()
-            near = [other for other in self._in_place(state, k) if one.net - other.net < close]
+            gaps = [
+                (every * (one.gain - other.gain) - (one.cost - other.cost), other) for other in self._in_place(state, k)
+            ]
+            near = sorted((pair for pair in gaps if pair[0] < self.options.close), key=lambda pair: pair[0])
             # a process of a name's own driver at its site is that name, unless it is as likely
-            names = [one.term, *(other.make() for other in near if not other.process)]
+            names = [one.term, *(other.make() for _, other in near if not other.process)]
             own = {(name.site, driver.phrase) for name in names if not name.nonparametric for driver in name.drivers}
-            for other in near:
-                gap, said = every * (one.net - other.net), (other.site, other.cause)
+            for gap, other in near:
+                said = other.site, other.cause
                 if len(others) == self.options.listed:
                     break
                 if other.process and gap >= NEARLY and any((other.site, phrase) in own for phrase in other.cause):
@@ -514,7 +517,7 @@ class Selector:
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
             if (wave := wave_of(self.problem, one.term)) is not None:
-                waves = as_likely(test, *wave, close)
+                waves = as_likely(test, *wave, self.options.close / every)
                 others += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
                 others.sort(key=lambda each: each.gap)
             found.append(tuple(others))

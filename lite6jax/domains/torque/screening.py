@@ -300,8 +300,8 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     none = np.zeros(problem.samples, bool)
     baseline = fit(problem, Terms(), options)
     simple = problem.simple
-    scores = score_test(problem, baseline, options).score(simple)
-    terms = Terms(tuple(term for term, one in zip(simple, scores, strict=True) if not one.confounded))
+    confounded = score_test(problem, baseline, options).confounded(simple)
+    terms = Terms(tuple(term for term, one in zip(simple, confounded, strict=True) if not one))
     found = fit(problem, terms, options)
     scaled = found.residuals.rows / np.maximum(_robust(found.residuals.rows), 1e-300)[:, None]
     away = np.sum(scaled**2, 0)
