@@ -106,6 +106,17 @@ def test_base_parameters_say_all_that_torques_do():
         np.testing.assert_allclose(base.basis.T @ base.basis, np.eye(size), rtol=0, atol=1e-12)
 
 
+def test_base_parameters_of_prismatic_joints_at_right_angles_say_all_that_torques_do():
+    """Columns there are dependent up to rounding, which is no direction of its own."""
+    chain = np.array([[0.0] * 6, [0, 0, 0.1, 0, 0, 0], [0, 0, 0.1, -np.pi / 2, 0, 0]])
+    base = dynamics.base_parameters(chain, UPRIGHT, (1, 2))
+    rng = np.random.default_rng(3)
+    W = np.moveaxis(np.asarray(dynamics.regressor(chain, *rng.normal(size=(3, 3, 40)), UPRIGHT, (1, 2))), 2, 0)
+    W = W.reshape(-1, 30)
+    assert base.size == np.linalg.matrix_rank(W) == 5
+    np.testing.assert_allclose(W[:, base.independent] @ base.grouping, W, rtol=0, atol=1e-9)
+
+
 def in_words(base):
     """Each combination, such as `Izz1 + 0.16 m2`: coefficients in the parameters' own units."""
     names = [f"{dynamics.PARAMETERS[k % 10]}{k // 10 + 1}" for k in range(base.grouping.shape[1])]
