@@ -198,9 +198,7 @@ class ScoreTest:
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
             for own in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
                 flat = self._flat(own)
-                inside, norms = flat @ self.basis.T, np.linalg.norm(flat, axis=1)
-                length = np.where(norms > 0, norms, 1.0)
-                information = (flat @ flat.T - inside @ inside.T) / np.outer(length, length)
+                information, _ = _of_unit_columns(flat @ flat.T, flat @ self.basis.T)
                 found.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
         return found
 
@@ -221,8 +219,7 @@ class ScoreTest:
             flat = white.reshape(*functions.shape[:2], -1)
             basis, residual = self.of_rows(rows)
             gram, inside, score = flat @ flat.swapaxes(1, 2), flat @ basis.T, flat @ residual
-        norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
-        information = (gram - inside @ inside.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None])
+        information, norms = _of_unit_columns(gram, inside)
         eigenvalues, V = np.linalg.eigh(information)
         least = self.options.confounded
         inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
@@ -296,6 +293,17 @@ class ScoreTest:
 
     def _by_block(self, products: Array) -> Array:
         return sums_by_block(products, self.problem.rows, self.problem.samples, self.blocks)
+
+
+def _of_unit_columns(gram: Array, inside: Array) -> tuple[Array, Array]:
+    """The information `(…, number, number)` of columns of unit length beside a model, and the lengths that they have.
+
+    Args:
+        gram: `(…, number, number)`, products of the columns with one another.
+        inside: `(…, number, k)`, with the basis of the model.
+    """
+    norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-300))
+    return (gram - inside @ inside.swapaxes(-1, -2)) / (norms[..., None] * norms[..., None, :]), norms
 
 
 def sums_by_block(products: Array, rows: int, samples: int, blocks: NDArray[np.integer]) -> Array:

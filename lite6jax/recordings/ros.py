@@ -47,10 +47,6 @@ class ArmJoints(NamedTuple):
             return cls(arm.dof, arm.sliding, arm.joint_names)
         return cls() if arm is None else arm
 
-    def named_as(self, other: "ArmJoints") -> "ArmJoints":
-        """These with the names of others, where these are as many."""
-        return self._replace(names=other.names) if len(other.names) == self.dof else self
-
 
 class _Chosen(NamedTuple):
     """A topic, and of transforms the frame whose poses are wanted; None where there is only one."""

@@ -16,7 +16,7 @@ A site's own quantities have 0.6 of the probability together, all of them 0.4.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, product
+from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -496,11 +496,11 @@ class Weighed:
 
     def _of_all(self, asked: Iterable[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
         """Processes by component, quantities and kernel."""
-        alike: dict[str, dict[int, list[tuple[Component, tuple[int, ...]]]]] = {}
+        alike: dict[tuple[int, str], tuple[Component, list[tuple[int, ...]]]] = {}
         for component, which, kernel in asked:
-            alike.setdefault(kernel, {}).setdefault(id(component), []).append((component, which))
-        each = ((kernel, [one for some in own.values() for one in some]) for kernel, own in alike.items())
-        return [one for kernel, members in each for one in self._of_kernel(members, kernel)]
+            alike.setdefault((id(component), kernel), (component, []))[1].append(which)
+        each = (self._of_kernel(*members, kernel) for (_, kernel), members in alike.items())
+        return [one for some in each for one in some]
 
     def _plain(self, k: int) -> str:
         """The kernel as which a quantity of a pair is first weighed."""
@@ -590,26 +590,25 @@ class Weighed:
         exact: bool = False,
     ) -> Ranked:
         """A process of one kernel."""
-        return self._of_kernel([(component, which)], kernel, rolloff, exact)[0]
+        return self._of_kernel(component, [which], kernel, rolloff, exact)[0]
 
     def _of_kernel(
         self,
-        members: Sequence[tuple[Component, tuple[int, ...]]],
+        component: Component,
+        members: Sequence[tuple[int, ...]],
         kernel: str,
         rolloff: tuple[float, ...] = (),
         exact: bool = False,
     ) -> list[Ranked]:
-        """Processes of one kernel by component and quantities, those of a component one after the other."""
-        parts, most = [], max(_AT_ONCE // max(self._scan.features(members[0][1], kernel, rolloff).size, 1), 1)
-        alike = (list(some) for _, some in groupby(members, key=lambda member: id(member[0])))
-        for own in (some[k : k + most] for some in alike for k in range(0, len(some), most)):
-            functions = np.stack([self._scan.features(which, kernel, rolloff) for _, which in own])
-            pull, information, *noise = self._equations(own[0][0], functions, exact)
-            parts.append((pull, information, *(np.full((len(own), 1, 1), each) for each in noise)))
-        pull, information, left, freedom = (np.concatenate(part) for part in zip(*parts, strict=True))
-        found = of_process(pull, information, left, freedom, self._options.confounded)
-        each = zip(members, zip(*found, strict=True), strict=True)
-        return [self._process(Evidence(*one), *member, kernel, rolloff) for member, one in each]
+        """The same kernel of several sets of quantities, as many in one call as memory allows."""
+        most = max(_AT_ONCE // max(self._scan.features(members[0], kernel, rolloff).size, 1), 1)
+        found = list[Ranked]()
+        for some in (members[k : k + most] for k in range(0, len(members), most)):
+            functions = np.stack([self._scan.features(which, kernel, rolloff) for which in some])
+            evidence = of_process(*self._equations(component, functions, exact), self._options.confounded)
+            each = zip(some, zip(*evidence, strict=True), strict=True)
+            found += [self._process(Evidence(*one), component, which, kernel, rolloff) for which, one in each]
+        return found
 
     def _process(
         self,
