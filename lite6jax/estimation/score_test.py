@@ -149,9 +149,7 @@ class ScoreTest:
 
     def extend(self, columns: Array) -> "ScoreTest":
         """The test of the model with more columns `(number, row, sample)`, to first order; the fit is as it was."""
-        flat = np.zeros((len(columns), self.span.shape[1]))
-        measured = self.problem.rows * self.problem.samples
-        flat[:, :measured] = _white(self.fit, columns, self.scale).reshape(len(columns), -1)
+        flat = self._flat(columns)
         further = orthonormal(outside(unit_rows(flat[flat.any(1)]), self.span), self.options.rounding)
         padded = np.pad(self.coordinates, ((0, 0), (0, len(further))))
         return replace(
@@ -186,8 +184,9 @@ class ScoreTest:
         """A score for each group of columns `(number, row, sample)`."""
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
-        projected = outside(flat, self.basis)
-        per_block = self._by_block(projected * self.left)
+        projected = outside(flat, self.span)
+        left = np.pad(self.residual, (0, flat.shape[1] - len(self.residual))) - self._inside @ self.span
+        per_block = self._by_block(projected * left)
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
@@ -198,7 +197,7 @@ class ScoreTest:
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
             for own in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
                 flat = self._flat(own)
-                information, _ = _of_unit_columns(flat @ flat.T, flat @ self.basis.T)
+                information, _ = _of_unit_columns(flat @ flat.T, flat @ self.span.T)
                 found.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
         return found
 
@@ -285,8 +284,8 @@ class ScoreTest:
         return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
 
     def _flat(self, columns: Array) -> Array:
-        """Columns `(number, row, sample)` as readings `(number, reading)`: whitened, zero for held-out samples."""
-        flat = np.zeros((len(columns), len(self.residual)))
+        """Columns `(number, row, sample)` as readings of the span: whitened, zero of held-out samples and priors."""
+        flat = np.zeros((len(columns), self.span.shape[1]))
         white = _white(self.fit, columns, self.scale)
         flat[:, : self.problem.rows * self.problem.samples] = white.reshape(len(columns), -1)
         return flat

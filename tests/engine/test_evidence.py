@@ -6,9 +6,12 @@ from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
+from lite6jax.effects.kinematic import JointOffset
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.evidence import Marginal, bound, of_process
 from lite6jax.estimation.noise import coefficients
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Terms
 
 RNG = np.random.default_rng(8)
 CONFOUNDED = 1e-9
@@ -184,3 +187,24 @@ def test_noise_that_persists_is_an_autoregression_along_the_direction_of_its_com
         S = left @ left, left @ np.linalg.solve(C, left)
         gains.append(-0.5 * bare * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1])
     assert found.gain == pytest.approx(max(gains), abs=0.05)
+
+
+def test_a_name_beside_a_process_is_scored_in_the_covariance_that_the_process_has(beside):
+    problem, _, _, _ = beside
+    q = problem.motion.joint_position
+    process = Unnamed("joint3", "position of joint 3", float(q[2].min()), float(q[2].max()), "cubic", spread=2e-4)
+    name = JointOffset(3)
+    fitted = fitted_to(problem, Terms((process,)))
+    test = score_test(problem, fitted, OPTIONS)
+    flat = lambda columns: columns.reshape(len(columns), -1).T / test.scale[0]  # noqa: E731
+    model = fitted.terms, fitted.values
+    N, F = flat(problem.nuisance_columns(*model)), flat(problem.columns((process,), beside=model))
+    c = flat(problem.columns((name,), beside=model))[:, 0]
+    y = problem.residual(fitted.nuisance, *model).ravel() / test.scale[0] - F @ fitted.values
+    spread = process.spread * test.scale[0] / fitted.scale[0]  # priors are weighed in the noise that was fitted
+    K = np.eye(len(y)) + spread**2 * F @ F.T
+    Ki = np.linalg.inv(K)
+    P = Ki - Ki @ N @ np.linalg.pinv(N.T @ Ki @ N) @ N.T @ Ki
+    score = test.score([name])[0]
+    assert score.gain == pytest.approx(0.5 * (c @ P @ y) ** 2 / (c @ P @ c), rel=1e-4)
+    assert score.values[0] == pytest.approx(-(c @ P @ y) / (c @ P @ c), rel=1e-4)
