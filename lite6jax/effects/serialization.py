@@ -24,8 +24,6 @@ _TYPES = {
 }
 _OF_SLIDE = "of_slide"
 """The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
-_FORMER = "slide_"
-"""What names of effects at prismatic joints began with in earlier files, where `joint_` now has `of_slide`."""
 
 
 class _Estimate(Strict):
@@ -35,15 +33,11 @@ class _Estimate(Strict):
     std: NonNegative = 0.0
 
 
-def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> tuple[type[Effect], bool]:
-    """The class of a name, and whether the name says that the joint is prismatic."""
-    if isinstance(name, str) and name.startswith(_FORMER) and name not in kinds:
-        present = "joint_" + name.removeprefix(_FORMER)
-        if present in kinds:
-            return kinds[present], True
+def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
+    """The class of a name."""
     if not isinstance(name, str) or name not in kinds:
         raise InputError(f"effect {name!r}: unknown; the catalogue has {', '.join(kinds)}")
-    return kinds[name], False
+    return kinds[name]
 
 
 def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[type, ...]]:
@@ -118,7 +112,7 @@ def parse_effect(
         InputError: an unknown name or key, with the accepted ones; a repeated key; a missing value.
     """
     name, _, rest = text.partition(":")
-    kind, former = _kind(name.strip(), kinds)
+    kind = _kind(name.strip(), kinds)
     written: dict[str, str] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         key, _, value = (part.strip() for part in item.partition("="))
@@ -127,7 +121,7 @@ def parse_effect(
         if key in written:
             raise InputError(f"{kind.name}: {key} is given twice; keep one")
         written[key] = value
-    at_slide = former or written.get("joint") in {str(joint + 1) for joint in sliding}
+    at_slide = written.get("joint") in {str(joint + 1) for joint in sliding}
     of_slide = _OF_SLIDE in _field_types(kind) and at_slide
     taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
     place: dict[str, Any] = {key: _literal(value) for key, value in written.items() if key in taken}
@@ -188,12 +182,12 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = POSE_EFF
     unknown = [name for name in document if name not in ("effect", "site", "where", "parameters")]
     if unknown:
         raise InputError(f"effect: the key {unknown[0]!r} is unknown; the keys are effect, site, where, parameters")
-    kind, former = _kind(document.get("effect"), kinds)
+    kind = _kind(document.get("effect"), kinds)
     where, parameters = document.get("where", {}), document.get("parameters", {})
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
-    effect = _build(kind, {**where, _OF_SLIDE: True} if former else where)
+    effect = _build(kind, where)
     if document.get("site", effect.site) != effect.site:
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
     numbers = {}

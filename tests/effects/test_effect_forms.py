@@ -52,7 +52,6 @@ BARE = motion_of(RNG.uniform(-1, 1, (4, 6)))
         ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", JointCompliance(2), [9e-5]),
         (" joint_compliance : joint = 2 , compliance_rad_per_Nm = 9e-5 ", JointCompliance(2), [9e-5]),
         ("joint_harmonic:joint=1,order=2,amplitude_rad=1e-3", JointHarmonic(1, 2.0), [1e-3, 0]),
-        ("slide_backlash:joint=2,gap_m=1e-3", JointBacklash(2, of_slide=True), [1e-3]),  # as it was called before
         ("link_thermal_expansion:link=2,expansion_per_K=2e-5", LinkThermalExpansion(2), [2e-5]),
         ("frame_offset:rz_rad=1e-3,x_m=2e-3", FrameOffset(), [2e-3, 0, 0, 0, 0, 1e-3]),
         ("joint_backlash:joint=2,gap_rad=1e-3,friction_torque_Nm=0.5", JointBacklash(2, 0.5), [1e-3]),

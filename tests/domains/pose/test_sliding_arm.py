@@ -19,7 +19,7 @@ from lite6jax.recordings import Recording, read_recording, write_recording
 from lite6jax.simulation import simulate
 from tests.oracles.sliding_arms import ARMS
 
-EFFECTS = ("slide_scale:joint=3,scale=1e-3", "slide_backlash:joint=3,gap_m=4e-4")
+EFFECTS = ("joint_scale:joint=3,scale=1e-3", "joint_backlash:joint=3,gap_m=4e-4")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_an_angle_is_no_length(scara):
         Recording.from_arrays(q, position, arm=arm, sliding=(0, 2))
     for effect, message in (
         ("joint_offset:joint=3,offset_rad=1e-3", "the key 'offset_rad' is unknown; the keys are joint, offset_m"),
-        ("slide_offset:joint=1,offset_m=1e-3", "joint_offset:joint1: is of a prismatic joint, and joint 1 is"),
+        ("joint_offset:joint=1,offset_m=1e-3", "the key 'offset_m' is unknown; the keys are joint, offset_rad"),
     ):
         with pytest.raises(InputError, match=message):
             simulate(arm, effects=[effect], samples=5)
