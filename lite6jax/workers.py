@@ -30,8 +30,8 @@ if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa
 
 Function = Callable[..., "pa.Table"]
-"""Of the inputs of a batch and what is given to all: a row an input, in their order. It stands in a module, so that
-other processes find it."""
+"""Of the inputs of a batch and what is given to all: a row an input, in their order; of a batch of one input anything
+but None. It stands in a module, so that other processes find it."""
 
 MOST_RESIDENT = 2 << 30
 """Bytes of a process above which another takes its place before the next batch: compiled code, and freed memory between

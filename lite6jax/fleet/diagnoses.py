@@ -197,18 +197,17 @@ def pool_folder(
         else:
             about, found, unused = heading.about, heading.found, _reason_unused(heading, arm)
         members.append(population.Member(row["file"], about, found, unused))
-    used = [i for i, member in enumerate(members) if not member.unused]
-    if len(used) < _FEWEST:
+    files = [member.file for member in members if not member.unused]
+    if len(files) < _FEWEST:
         reason = next((f" ({member.unused})" for member in members if member.unused), "")
         raise InputError(
-            f"{folder}: {len(used)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
+            f"{folder}: {len(files)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
             "recordings of this type of arm"
         )
-    files = [members[i].file for i in used]
     tried = terms.Tried([headings[file] for file in files], thresholds.engine)
-    with Workers(scheduler, processes, len(used)) as workers:
+    with Workers(scheduler, processes, len(files)) as workers:
         recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
-        return population.diagnose_population(arm[0], members, used, tried, recordings, progress)
+        return population.diagnose_population(arm[0], members, tried, recordings, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:

@@ -94,7 +94,6 @@ class Hierarchy:
         mean: `(number,)`.
         covariance: `(number, number)`, of the mean.
         freedom: degrees of freedom of its intervals.
-        gain: log-likelihood over that of no effect in any arm.
     """
 
     arms: ArmLikelihoods
@@ -102,7 +101,6 @@ class Hierarchy:
     mean: Array
     covariance: Array
     freedom: float
-    gain: float
 
     @property
     def between(self) -> Array:
@@ -185,10 +183,10 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
         lambda log: -arms.solved(float(np.exp(log)))[3], bounds=tuple(near), method="bounded", options={"xatol": 1e-6}
     )
     tau = float(np.exp(refined.x)) if -refined.fun > arms.solved(0.0)[3] + 1e-9 else 0.0
-    mean, M, likely, _ = arms.solved(tau)
+    mean, M, *_ = arms.solved(tau)
     D = arms.typical
     left = along - values * (mean @ U)
     spread = np.sum(left[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
     freedom = max(int(np.sum(values > 0)) - len(D), 1)
     covariance = scaled_inverse(M, _RANK) * max(1.0, float(spread) / freedom) * np.outer(D, D)
-    return Hierarchy(arms, tau, mean * D, covariance, float(shown - 1), likely)
+    return Hierarchy(arms, tau, mean * D, covariance, float(shown - 1))

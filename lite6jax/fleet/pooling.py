@@ -18,11 +18,10 @@ the information says, the likelihood is that of so many fewer samples. Whether a
 of two terms, as the scatter of each is known to a tenth.
 """
 
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import Any, Literal, NoReturn, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,9 +34,6 @@ from lite6jax.fleet.hierarchy import ArmLikelihoods, fitted
 from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared, order_grid
 from lite6jax.fleet.terms import CUBICS, SPLINES, PooledTerm, PoolingOptions, Process, Tested, Tried
 from lite6jax.workers import Workers
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Array = NDArray[np.floating]
 Way = Literal["mean", "any", "one"]
@@ -223,26 +219,24 @@ class Reduced:
     def _answers(self, question: Callable[..., Any], *given: Any) -> Iterator[Any]:
         """What `question(recording, options, *given)` gives of each recording, in order."""
         batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
-        waiting: dict[int, pa.Table] = {}
+        waiting: dict[int, Any] = {}
         following = 0
-        for number, rows in self._workers.outcomes(answer, batches, (question, self.options, *given), died=_died):
-            waiting[number] = rows
+        for number, found in self._workers.outcomes(answer, batches, (question, self.options, *given), died=_died):
+            waiting[number] = found
             while following in waiting:
-                yield pickle.loads(waiting.pop(following)["found"][0].as_py())
+                yield waiting.pop(following)
                 following += 1
 
 
-def _died(stored: bytes) -> "pa.Table":
+def _died(stored: bytes) -> NoReturn:
     raise InputError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def answer(stored: Sequence[bytes], question: Callable[..., Any], *given: Any) -> "pa.Table":
-    """What a question gives of one recording, as a table of one row."""
-    import pyarrow as pa
-
+def answer(stored: Sequence[bytes], question: Callable[..., Any], *given: Any) -> Any:
+    """What a question gives of one recording."""
     (one,) = stored
-    return pa.table({"found": pa.array([pickle.dumps(question(ReducedArm.from_bytes(one), *given))], pa.binary())})
+    return question(ReducedArm.from_bytes(one), *given)
 
 
 def scan_beside(
@@ -264,6 +258,9 @@ def measure(arm: ReducedArm, options: PoolingOptions, asked: tuple[Asked, ...]) 
 @final
 class Search:
     """Which effects the arms of a type have, by evidence, as in the search of one recording.
+
+    Its state is a set of terms of linear models. It has no fit, noise or rows that a step could change, which is what
+    most steps of `search.select.Selector` are about; kernels are estimated anew by exchanges.
 
     1. Add the term whose evidence over all arms most exceeds the cost of its choice, if by a margin.
     2. Drop the term that is least worth its cost beside the others, as long as one is not.

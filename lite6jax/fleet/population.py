@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -82,7 +83,6 @@ class Population:
     Attributes:
         arm: the name of the nominal arm.
         members: all recordings.
-        used: the places of those that were pooled, in `members`.
         effects: in the order in which they were found.
         tried: all that the recordings were tested for.
         options: thresholds.
@@ -90,10 +90,14 @@ class Population:
 
     arm: str
     members: tuple[Member, ...]
-    used: tuple[int, ...]
     effects: tuple[TypeEffect, ...]
     tried: Tried
     options: PoolingOptions
+
+    @cached_property
+    def used(self) -> tuple[int, ...]:
+        """The places of those that were pooled, in `members`."""
+        return tuple(i for i, member in enumerate(self.members) if not member.unused)
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/fleet_diagnosis/1`: codes, and numbers in SI units."""
@@ -187,7 +191,6 @@ def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
 def diagnose_population(
     arm: str,
     members: Sequence[Member],
-    used: Sequence[int],
     tried: Tried,
     reduced: Reduced,
     progress: Callable[[int], object] = lambda effects: None,
@@ -197,14 +200,13 @@ def diagnose_population(
     Args:
         arm: the name of the nominal arm.
         members: all recordings.
-        used: places of those in `reduced`, in its order.
         tried: all that they are tested for.
-        reduced: the recordings.
+        reduced: the recordings that are used, in their order.
         progress: called with the number of effects at each round of the search.
     """
     found = Search(reduced, tried, progress).selected()
     effects = [_effect(one, tried.candidate(one.term), len(found), reduced.options) for one in found]
-    return Population(arm, tuple(members), tuple(used), tuple(effects), tried, reduced.options)
+    return Population(arm, tuple(members), tuple(effects), tried, reduced.options)
 
 
 def _effect(selected: Weighed, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:

@@ -197,9 +197,9 @@ class Tried:
     @cached_property
     def singles(self) -> tuple[Process, ...]:
         """Splines of each quantity at each component where it can act."""
-        count = range(len(self.quantities))
+        count, may_act = range(len(self.quantities)), self._scan.may_act
         return tuple(
-            self._process(place, SPLINES, k) for place in self._places for k in count if self._may_act(place, k)
+            self._process(place, SPLINES, k) for place in self._places for k in count if may_act(place.site, k)
         )
 
     @cached_property
@@ -209,7 +209,7 @@ class Tried:
         for place in self._places:
             own = sorted(self._scan.own[place.site], key=lambda k: self._scan.discrete[k])
             pairs = ((j, k) for n, j in enumerate(own) for k in own[n + 1 :])
-            found += [self._process(place, CUBICS, *pair) for pair in pairs if self._may_act(place, *pair)]
+            found += [self._process(place, CUBICS, *pair) for pair in pairs if self._scan.may_act(place.site, *pair)]
         return tuple(found)
 
     def with_every_kernel(self, process: Process) -> list[Process]:
@@ -235,9 +235,6 @@ class Tried:
     def cost_of_waves(self, orders: Array) -> Array:
         """Of a wave of each order `(order,)` of one family."""
         return KINDS + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
-
-    def _may_act(self, place: Place, *which: int) -> bool:
-        return self._scan.may_act(place.site, *which)
 
     def _process(self, place: Place, kernel: str, *which: int) -> Process:
         own = [self.quantities[k] for k in which]

@@ -93,4 +93,4 @@ def population(folder, arms, processes=0, options=OPTIONS):
     members = [Member(f"arm{i}.csv", one.heading.about, one.heading.found) for i, one in enumerate(arms)]
     with Workers(processes=processes) as workers:
         recordings = Reduced(stored(folder, arms), options, workers)
-        return diagnose_population("none", members, range(len(arms)), tried(arms, options), recordings)
+        return diagnose_population("none", members, tried(arms, options), recordings)
