@@ -224,7 +224,7 @@ class Diagnose:
         pooled = self.out / diagnoses.POOLED
         if self.fleet:
             diagnoses.check_pooled(self.out, list_recordings(Place.of(self.source)), self.force)
-        with screen.progress_of_many("diagnosing") as advance:
+        with screen.progress(None, "diagnosing") as advance:
             table = diagnoses.diagnose_folder(
                 self.source,
                 self.out,
@@ -383,7 +383,7 @@ class View:
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
-            screen.show([Text(f"Open {shown.url} in a browser. Stop with Ctrl-C.", no_wrap=True, overflow="ignore")])
+            screen.show([screen.unbroken(f"Open {shown.url} in a browser. Stop with Ctrl-C.")])
             screen.console().file.flush()  # another program may wait for these lines
             for _ in command.repeat(self.duration, _REFRESH_S):
                 shown.play(_REFRESH_S)

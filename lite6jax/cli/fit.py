@@ -221,7 +221,7 @@ class Fleet:
         command.check_outputs([self.out], [], self.force, [".parquet"])
         command.check_processes(self.processes, self.scheduler)
         nominal = None if self.arm is None else sources.load_nominal(self.arm)
-        with screen.progress_of_many("fitting") as advance:
+        with screen.progress(None, "fitting") as advance:
             table = folder.fit_folder(
                 self.folder,
                 self.out,
