@@ -35,8 +35,7 @@ from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
 from lite6jax.recordings.files import recording_file
 from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
-from lite6jax.schema import Count, NonNegative, Number, Strict, check
-from lite6jax.storage import exists, read_text, write_atomically
+from lite6jax.storage import Count, NonNegative, Number, Strict, check, exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 

@@ -17,12 +17,12 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.quality import Result
+from lite6jax.fleet import FLEET
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import capital, chance, counted, fill, listing, number, quantity, read_texts, say
-from lite6jax.schema import FLEET
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
