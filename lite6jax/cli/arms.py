@@ -113,11 +113,9 @@ class Effects:
     def run(self) -> int:
         """Prints."""
         found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
-        if self.json:
-            _print_json([effect.to_dict() for effect in found])
-        else:
-            screen.show(listings.effects_report(found))
-        return command.DONE
+        return command.present(
+            self.json, lambda: _as_json([effect.to_dict() for effect in found]), listings.effects_report(found)
+        )
 
 
 @final
@@ -146,12 +144,8 @@ class Arms:
             entries = [listings.arm_entry(description.load_bundled(name)) for name in description.bundled_arms()]
             found = [entry._asdict() for entry in entries]
             report = listings.arms_report(entries, screen.console().width)
-        if self.json:
-            _print_json(found)
-        else:
-            screen.show(report)
-        return command.DONE
+        return command.present(self.json, lambda: _as_json(found), report)
 
 
-def _print_json(content: object) -> None:
-    print(json.dumps(content, indent=1, ensure_ascii=False))
+def _as_json(content: object) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False)

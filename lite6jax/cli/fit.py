@@ -186,11 +186,7 @@ class Compare:
         nominal, names = sources.load_nominal(self.arm), ("compare_parameters", "compare_distances")
         command.check_figures(self.figures, names, self.force)
         found = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
-
-        def draw():
-            return figures.parameter_differences(found), figures.distance_between(found)
-
-        written = command.save_figures(self.figures, names, draw, self.force)
+        written = command.save_figures(self.figures, names, lambda: found.plot().values(), self.force)
         return command.present(self.json, found, fits.comparison_report(found, screen.console().width), written)
 
 

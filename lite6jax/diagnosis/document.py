@@ -269,8 +269,9 @@ def model_from_document(
     Raises:
         InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
+    read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"), source)
     with _refuse_damage(source):
-        return _model(_read(document, domain or ("torques" if is_of_torques(document) else "poses")), effects)
+        return _model(read, effects)
 
 
 def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> DiagnosedArm | DiagnosedMotors:
@@ -333,8 +334,6 @@ def _refuse_damage(source: str) -> Iterator[None]:
     try:
         yield
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        if isinstance(error, _NoDiagnosisError):
-            raise InputError(f"{source}: {error}") from error
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
 
 
@@ -495,11 +494,10 @@ def check_document(document: Any, path: str | Path) -> None:
     Raises:
         InputError: as `model_from_document`.
     """
-    with _refuse_damage(str(path)):
-        if not is_of_torques(document):
-            _read(document, "poses")
-        if is_of_torques(document) or "torques" in document:
-            _read(document, "torques")
+    if not is_of_torques(document):
+        _read(document, "poses", str(path))
+    if is_of_torques(document) or "torques" in document:
+        _read(document, "torques", str(path))
 
 
 def is_of_torques(document: Any) -> bool:
@@ -515,17 +513,14 @@ def find_torques(document: Any) -> dict[str, Any] | None:
     return inside if is_of_torques(inside) else None
 
 
-class _NoDiagnosisError(InputError):
-    """What is no diagnosis at all."""
-
-
-def _read(document: Any, domain: Domain) -> PoseDocument | TorqueDocument:
+def _read(document: Any, domain: Domain, source: str) -> PoseDocument | TorqueDocument:
     """A document of a domain by its schema; of torques also that in one of poses."""
     torques = domain == "torques"
     part = find_torques(document) if torques else document
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
         what, wrote = ("of torques", " of one") if torques else (f"({SCHEMA} with a model)", "")
-        raise _NoDiagnosisError(f"is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
+        raise InputError(f"{source}: is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
     if is_of_torques(part) is not torques:
-        raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
-    return check(part, TorqueDocument if torques else PoseDocument)
+        raise InputError(f"{source}: is a diagnosis of torques; give one of poses")
+    with _refuse_damage(source):
+        return check(part, TorqueDocument if torques else PoseDocument)

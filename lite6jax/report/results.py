@@ -279,6 +279,7 @@ for kind in _DRAWINGS:
 
 _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure]]] = {
     Solution: {"error_by_joint": figures.error_by_joint},
+    Comparison: {"parameters": figures.parameter_differences, "distances": figures.distance_between},
     Identification: {"deviations": figures.deviations},
     Plan: {"accuracy": figures.accuracy_by_count},
     DiscriminationPlan: {"distance": figures.accuracy_by_count},
@@ -289,7 +290,10 @@ _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure]]] = {
 
 def _draw_each(found: Any, title: str) -> Figures:
     own = "Tolerances"
-    if isinstance(found, Solution):
+    if isinstance(found, Comparison):
+        own = f"{len(found.names)} × {found.arm.name}"
+        title = title and f"{title}: {own}"
+    elif isinstance(found, Solution):
         own = found.arm.name if found.recording is None else Path(found.recording.source).name
     elif not isinstance(found, Sensitivity):
         own = found.experiment.arm.name
@@ -298,14 +302,6 @@ def _draw_each(found: Any, title: str) -> Figures:
 
 for kind in _FIGURES:
     draw.register(kind, _draw_each)
-
-
-@draw.register
-def _draw_comparison(found: Comparison, title: str) -> Figures:
-    drawn = {"parameters": figures.parameter_differences(found), "distances": figures.distance_between(found)}
-    for figure in drawn.values() if title else ():
-        figure.suptitle(f"{title}: {figure.get_suptitle()}", fontsize=15)
-    return Figures(drawn)
 
 
 @draw.register
