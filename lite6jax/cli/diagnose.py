@@ -32,7 +32,7 @@ with import_lazily():
     from lite6jax.domains import predict
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
-    from lite6jax.fleet import diagnoses, reduction, terms
+    from lite6jax.fleet import diagnoses, folder, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         diagnosis_figures,
@@ -236,7 +236,7 @@ class Diagnose:
                 overwrite=self.force,
             )
         if not self.fleet:
-            rows = listings.read_diagnoses(table)
+            rows = list(folder.read_rows(table))
             return command.present(
                 self.json, lambda: documents.of_diagnoses(rows), listings.diagnoses_report(rows), [table]
             )
@@ -278,9 +278,9 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
     """
     rows = []
     for name in names:
-        with place.local_folder([name]) as folder, contextlib.redirect_stdout(io.StringIO()):
-            found, said = attempt(folder / name, replace(asked, source=folder / name).diagnose)
-            said = place.show(said, folder)
+        with place.local_folder([name]) as here, contextlib.redirect_stdout(io.StringIO()):
+            found, said = attempt(here / name, replace(asked, source=here / name).diagnose)
+            said = place.show(said, here)
         if found is None:
             rows.append(diagnoses.make_refusal(name, said))
         else:

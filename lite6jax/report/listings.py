@@ -5,7 +5,6 @@ Nothing here takes JAX.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -128,13 +127,6 @@ def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
     if groups:
         yield from ("By type of arm; position errors in mm", table, _TEXTS["folder"])
     yield from headed(f"{len(bad)} of {count} files have no usable fit:", bad)
-
-
-def read_diagnoses(path: Path) -> list[dict[str, Any]]:
-    """The rows of a table of diagnoses."""
-    import pyarrow.parquet as pq
-
-    return pq.read_table(path).to_pylist()
 
 
 def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:
