@@ -80,10 +80,11 @@ class Convert:
         self, source: str, nominal: "arms.Arm | None"
     ) -> "tuple[arms.Arm | None, tuple[str, ...], arms.Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
-        if not export.is_diagnosis(source):
+        content = document.parse_document(source)
+        if not (isinstance(content, dict) and content.get("schema") == document.SCHEMA):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None
-        nominal = nominal or sources.load_nominal(command.find_nominal(document.parse_document(source), Path(source)))
+        nominal = nominal or sources.load_nominal(command.find_nominal(content, Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
         if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
             raise InputError(
