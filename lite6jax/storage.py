@@ -1,4 +1,6 @@
-"""Reading and writing files: regular files only, atomic writes, no silent overwriting, and a safe subset of YAML."""
+"""Reading and writing files: regular files only, atomic writes, no silent overwriting, a safe subset of YAML; and types
+of values of JSON, with their check by msgspec, whose messages name the place: `$.model.arm`.
+"""
 
 import hashlib
 import os
@@ -10,9 +12,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
+import msgspec
 import yaml
+from msgspec import Meta
 
 from lite6jax import interruption
 from lite6jax.errors import InputError
@@ -310,3 +314,34 @@ def _construct(path: str | Path, text: str) -> Any:
     if not isinstance(after := next(events), yaml.StreamEndEvent):
         raise refuse(after, "not valid YAML (a second document); correct the file")
     return value
+
+
+# ------------------------------------------------------------------ values of JSON
+
+Kind = TypeVar("Kind")
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Count = Annotated[int, Meta(ge=0)]
+Number = Annotated[int, Meta(ge=1)]
+"""Of a row or a joint, which count from 1; or of samples."""
+
+
+class Strict(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """An object with these keys and no others."""
+
+
+def check(value: Any, kind: type[Kind], place: str = "") -> Kind:
+    """A value of JSON as one of a type.
+
+    Args:
+        value: as `json` or msgspec reads it; numbers may be NumPy's.
+        kind: a type that msgspec knows.
+        place: what the value is.
+
+    Raises:
+        InputError: it is none of the type, or has a number that is not finite; the message ends with its place.
+    """
+    try:
+        # a number that is not finite becomes null
+        return msgspec.json.decode(msgspec.json.encode(value, enc_hook=float), type=kind)
+    except (msgspec.MsgspecError, TypeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{place}: {error}" if place else str(error)) from error

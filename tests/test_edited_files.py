@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from diagnosis.recorded import Made
 from domains.pose.documents import document
-from typed import refusal
+from typed import refusal, refused
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dh import read_table, write_table
-from lite6jax.diagnosis.document import SCHEMA, parse_document, read_model, write_document
+from lite6jax.diagnosis.document import SCHEMA, read_model, write_document
 
 EFFECTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_offset:joint=3,offset_rad=2e-4")
 LITE6 = load_bundled("lite6")
@@ -109,46 +109,14 @@ def test_the_undamaged_diagnosis_is_read_without_a_word(diagnosis, tmp_path):
     np.testing.assert_array_equal(read_model(tmp_path / "d.json").values, model.values)
 
 
-def test_a_diagnosis_of_the_schema_before_is_read(diagnosis, tmp_path):
-    now, known = read_model(write_document(diagnosis, tmp_path / "d.json")), diagnosis["model"]["uncertainty"]
-    axes = ("position_m", "orientation_rad")
-    per_axis = {name: dict(zip(axes, known[name], strict=True)) for name in ("left", "unseen", "noise")}
-    curve = {"effect": "unnamed", "peak_to_peak_Nm": 0.3, "confusable_with": [{"order": None, "status": "found"}]}
-    torques = {
-        "schema": "lite6jax/diagnosis/2", "domain": "torque", "torque_source": "current", "kept_samples": 7,
-        "left": {"torque_over_noise": [1.5, 2.5], "white": True}, "withdrawn": [{"effect": "torque_lag"}],
-        "noise": {"declared_torque_Nm": None, "estimated_torque_Nm": [0.1, 0.2]}, "findings": [curve],
-        "model": {"domain": "torque", "kinematics": [[0.0] * 6] * 2, "uncertainty": {
-            "inertial": True, "covariance": [], "recorded": {},
-            "left_Nm": [1.0, 2.0], "unseen_Nm": [0.0, 0.0], "noise_Nm": [0.1, 0.2]}},
-        "against": {"file": "b.csv", "by": "effects", "differences": [{"differs": True}, {"differs": None}]},
-    }  # fmt: skip
-    before = diagnosis | {
-        "schema": "lite6jax/diagnosis/2", "pose_source": "camera", "heldout_rows": 28, "findings": [],
-        "left": {"position_over_noise": 1.1, "orientation_over_noise": None, "white": True, "acts_at": None},
-        "noise": {"declared_position_m": 2e-5, "declared_orientation_rad": None, "estimated_position_m": 3e-5},
-        "withdrawn": {"effects": [], "heldout_position_rms_m": {"before": 1e-4, "after": 2e-4}},
-        "model": diagnosis["model"] | {"uncertainty": known | per_axis | {"typical": None}},
-        "against": {"file": "a.csv", "rigid": True}, "torques": torques,
-    }  # fmt: skip
-    path = write_document(before, tmp_path / "before.json")
-    model, document = read_model(path), parse_document(path)
-    np.testing.assert_array_equal(model.uncertainty.covariance, now.uncertainty.covariance)
-    np.testing.assert_array_equal(model.uncertainty.left, now.uncertainty.left)
-    assert model.reference == ("a.csv", "rigid")
-    assert (document["domain"], document["source"]) == ("poses", "camera")
-    assert document["left"]["over_noise"] == {"position": 1.1, "orientation": None}
-    assert document["noise"]["declared"] == {"position_m": 2e-5, "orientation_rad": None}
-    assert document["withdrawn"]["after"] == {"heldout_position_rms_m": 2e-4}
-    beside = document["torques"]
-    assert (beside["domain"], beside["source"], beside["heldout_rows"]) == ("torques", "current", 7)
-    assert beside["left"]["over_noise"] == {"joint1": 1.5, "joint2": 2.5}
-    assert beside["findings"][0]["peak_to_peak"] == {"peak_to_peak_Nm": {"value": 0.3, "std": 0.0}}
-    assert beside["findings"][0]["confusable_with"] == [{"status": "found"}]
-    assert beside["withdrawn"]["effects"] == [{"effect": "torque_lag"}]
-    assert beside["model"]["uncertainty"]["left"] == [1.0, 2.0]
-    assert len(beside["model"]["uncertainty"]["sites"]) == 20
-    assert [one["agree"] for one in beside["against"]["differences"]] == [False, None]
+@pytest.mark.parametrize("schema", ["lite6jax/diagnosis/1", "lite6jax/diagnosis/2", "lite6jax/diagnosis/4"])
+def test_a_diagnosis_of_another_schema_is_to_be_made_again(diagnosis, tmp_path, capsys, schema):
+    path = write_document(diagnosis | {"schema": schema}, tmp_path / "d.json")
+    line = f"{path}: is a diagnosis of the schema {schema}, and {SCHEMA} is read; diagnose the recording again"
+    assert refusal(read_model, path) == line
+    out = tmp_path / "out.csv"
+    for name, *more in (["report"], ["view"], ["convert", tmp_path / "arm.urdf"], ["predict", path, "--out", out]):
+        assert refused(capsys, name, path, *more) == line
 
 
 @pytest.mark.parametrize(

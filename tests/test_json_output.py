@@ -62,7 +62,7 @@ def test_progress_is_a_line_from_time_to_time_where_stderr_is_no_terminal(monkey
     with screen.progress(4, "drawing") as advance:
         advance(2)
         heard, until = "", time.monotonic() + 10.0
-        while "drawing" not in heard and time.monotonic() < until:
+        while "2 of 4" not in heard and time.monotonic() < until:
             time.sleep(0.01)
             heard += capsys.readouterr().err
     assert "drawing: 2 of 4, 0:00 so far, about 0:00 to go" in heard

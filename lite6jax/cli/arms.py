@@ -80,10 +80,11 @@ class Convert:
         self, source: str, nominal: "arms.Arm | None"
     ) -> "tuple[arms.Arm | None, tuple[str, ...], arms.Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
-        if not export.is_diagnosis(source):
+        content = document.parse_document(source)
+        if not (isinstance(content, dict) and content.get("schema") == document.SCHEMA):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None
-        nominal = nominal or sources.load_nominal(command.find_nominal(document.parse_document(source), Path(source)))
+        nominal = nominal or sources.load_nominal(command.find_nominal(content, Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
         if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
             raise InputError(
@@ -113,11 +114,9 @@ class Effects:
     def run(self) -> int:
         """Prints."""
         found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
-        if self.json:
-            _print_json([effect.to_dict() for effect in found])
-        else:
-            screen.show(listings.effects_report(found))
-        return command.DONE
+        return command.present(
+            self.json, lambda: _as_json([effect.to_dict() for effect in found]), listings.effects_report(found)
+        )
 
 
 @final
@@ -146,12 +145,8 @@ class Arms:
             entries = [listings.arm_entry(description.load_bundled(name)) for name in description.bundled_arms()]
             found = [entry._asdict() for entry in entries]
             report = listings.arms_report(entries, screen.console().width)
-        if self.json:
-            _print_json(found)
-        else:
-            screen.show(report)
-        return command.DONE
+        return command.present(self.json, lambda: _as_json(found), report)
 
 
-def _print_json(content: object) -> None:
-    print(json.dumps(content, indent=1, ensure_ascii=False))
+def _as_json(content: object) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False)

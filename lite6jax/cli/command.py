@@ -294,7 +294,7 @@ def say(text: str, wrapped: bool = True, **facts: object) -> "Iterator[Text]":
 
     for one in words.read_texts("commands.yaml")[text]:
         if (said := words.fill(one, facts)) or not one:
-            yield Text(said) if wrapped else Text(said, no_wrap=True, overflow="ignore")
+            yield Text(said) if wrapped else screen.unbroken(said)
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":

@@ -32,7 +32,7 @@ with import_lazily():
     from lite6jax.domains import predict
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
-    from lite6jax.fleet import diagnoses, reduction, terms
+    from lite6jax.fleet import diagnoses, folder, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         diagnosis_figures,
@@ -224,7 +224,7 @@ class Diagnose:
         pooled = self.out / diagnoses.POOLED
         if self.fleet:
             diagnoses.check_pooled(self.out, list_recordings(Place.of(self.source)), self.force)
-        with screen.progress_of_many("diagnosing") as advance:
+        with screen.progress(None, "diagnosing") as advance:
             table = diagnoses.diagnose_folder(
                 self.source,
                 self.out,
@@ -236,7 +236,7 @@ class Diagnose:
                 overwrite=self.force,
             )
         if not self.fleet:
-            rows = listings.read_diagnoses(table)
+            rows = list(folder.read_rows(table))
             return command.present(
                 self.json, lambda: documents.of_diagnoses(rows), listings.diagnoses_report(rows), [table]
             )
@@ -278,9 +278,9 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
     """
     rows = []
     for name in names:
-        with place.local_folder([name]) as folder, contextlib.redirect_stdout(io.StringIO()):
-            found, said = attempt(folder / name, replace(asked, source=folder / name).diagnose)
-            said = place.show(said, folder)
+        with place.local_folder([name]) as here, contextlib.redirect_stdout(io.StringIO()):
+            found, said = attempt(here / name, replace(asked, source=here / name).diagnose)
+            said = place.show(said, here)
         if found is None:
             rows.append(diagnoses.make_refusal(name, said))
         else:
@@ -383,7 +383,7 @@ class View:
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
-            screen.show([Text(f"Open {shown.url} in a browser. Stop with Ctrl-C.", no_wrap=True, overflow="ignore")])
+            screen.show([screen.unbroken(f"Open {shown.url} in a browser. Stop with Ctrl-C.")])
             screen.console().file.flush()  # another program may wait for these lines
             for _ in command.repeat(self.duration, _REFRESH_S):
                 shown.play(_REFRESH_S)

@@ -186,11 +186,7 @@ class Compare:
         nominal, names = sources.load_nominal(self.arm), ("compare_parameters", "compare_distances")
         command.check_figures(self.figures, names, self.force)
         found = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
-
-        def draw():
-            return figures.parameter_differences(found), figures.distance_between(found)
-
-        written = command.save_figures(self.figures, names, draw, self.force)
+        written = command.save_figures(self.figures, names, lambda: found.plot().values(), self.force)
         return command.present(self.json, found, fits.comparison_report(found, screen.console().width), written)
 
 
@@ -221,7 +217,7 @@ class Fleet:
         command.check_outputs([self.out], [], self.force, [".parquet"])
         command.check_processes(self.processes, self.scheduler)
         nominal = None if self.arm is None else sources.load_nominal(self.arm)
-        with screen.progress_of_many("fitting") as advance:
+        with screen.progress(None, "fitting") as advance:
             table = folder.fit_folder(
                 self.folder,
                 self.out,

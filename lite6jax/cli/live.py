@@ -297,15 +297,11 @@ class Emulate:
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
         named = first.body.arm.name if self.arm is None else self.arm
         other = "" if named == "lite6" else f" --arm {named}"  # the default of the commands
-        yield Text(f"Try: lite6jax read --ip {ip}{other}", no_wrap=True, overflow="ignore")
-        yield Text(
-            f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")', no_wrap=True, overflow="ignore"
-        )
+        yield screen.unbroken(f"Try: lite6jax read --ip {ip}{other}")
+        yield screen.unbroken(f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")')
         if first.control_port != 502:
-            yield Text(
+            yield screen.unbroken(
                 "     and before it: from xarm.core.config.x_config import XCONF\n"
-                f"     XCONF.SocketConf.TCP_CONTROL_PORT = {first.control_port}",
-                no_wrap=True,
-                overflow="ignore",
+                f"     XCONF.SocketConf.TCP_CONTROL_PORT = {first.control_port}"
             )
         yield Text("Stop with Ctrl-C.")

@@ -35,8 +35,7 @@ from lite6jax.estimation.terms import Terms, join
 from lite6jax.model import ArmModel
 from lite6jax.recordings.files import recording_file
 from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
-from lite6jax.schema import Count, NonNegative, Number, Strict, check
-from lite6jax.storage import exists, read_text, write_atomically
+from lite6jax.storage import Count, NonNegative, Number, Strict, check, exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
@@ -176,8 +175,8 @@ class TorqueDocument(msgspec.Struct, kw_only=True):
     against: Reference | None = None
 
 
-SCHEMA = "lite6jax/diagnosis/3"
-_BEFORE = "lite6jax/diagnosis/2"
+_FAMILY = "lite6jax/diagnosis/"
+SCHEMA = f"{_FAMILY}3"
 DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
 _ROUNDING = 1e-9
@@ -270,8 +269,9 @@ def model_from_document(
     Raises:
         InputError: not a diagnosis of the domain, or something in it is missing or not possible.
     """
+    read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"), source)
     with _refuse_damage(source):
-        return _model(_read(document, domain or ("torques" if is_of_torques(document) else "poses")), effects)
+        return _model(read, effects)
 
 
 def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> DiagnosedArm | DiagnosedMotors:
@@ -334,8 +334,6 @@ def _refuse_damage(source: str) -> Iterator[None]:
     try:
         yield
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        if isinstance(error, _NoDiagnosisError):
-            raise InputError(f"{source}: {error}") from error
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
 
 
@@ -471,7 +469,8 @@ def parse_document(path: str | Path) -> Any:
     """A document as JSON holds it.
 
     Raises:
-        InputError: no such file, no JSON, or a recording, with the command that diagnoses it.
+        InputError: no such file, no JSON, a diagnosis of another schema, or a recording, with the command that
+            diagnoses it.
     """
     if recording_file(path) is not None and exists(path):
         made = command_line("diagnose", path, "--out", Path(path).with_suffix(".json"))
@@ -481,69 +480,12 @@ def parse_document(path: str | Path) -> Any:
         document = msgspec.json.decode(text)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
-    with _refuse_damage(str(path)):
-        return _upgraded(document)
-
-
-def _upgraded(document: Any) -> Any:
-    """A document of the schema before as one of this; any other as it is.
-
-    There each domain had a form of its own: units in other keys, and lists of joints in place of groups.
-    """
-    if not isinstance(document, dict) or document.get("schema") != _BEFORE:
-        return document
-    torques, left, model = document.get("domain") == "torque", document["left"], dict(document["model"])
-    noise: dict[str, dict[str, Any]] = {"declared": {}, "estimated": {}}
-    for name, size in document["noise"].items():
-        said, _, of = name.partition("_")
-        noise[said] |= {of: size} if of != "orientation_rad" or model["orientation"] else {}
-    known, withdrawn, against = model.get("uncertainty"), document["withdrawn"], document.get("against")
-    if torques:
-        del model["domain"]
-        joints = range(len(model["kinematics"]))
-        over_noise = {f"joint{j + 1}": left["torque_over_noise"] and left["torque_over_noise"][j] for j in joints}
-        withdrawn = {"effects": withdrawn, "before": {}, "after": {}} if withdrawn else None
-        if known is not None:
-            sites = [("inertia", j, k) for j in joints for k in range(10)] if known.pop("inertial") else []
-            known = {"sites": sites} | {name.removesuffix("_Nm"): part for name, part in known.items()}
-    else:
-        over_noise = {what: left[f"{what}_over_noise"] for what in ("position", "orientation")}
-        if withdrawn is not None:
-            rms = withdrawn["heldout_position_rms_m"]
-            errors = {stage: {"heldout_position_rms_m": rms[stage]} for stage in ("before", "after")}
-            withdrawn = {"effects": withdrawn["effects"], **errors}
-        if known is not None:
-            per_axis = {name: known[name] for name in ("left", "unseen", "noise", "typical")}
-            known |= {name: part and list(part.values()) for name, part in per_axis.items()}
-    if against is not None:
-        against = {**against, "basis": against.get("by") or ("rigid" if against["rigid"] else "flexible")}
-        if against["basis"] == "effects":
-            pairs = ((one, one["differs"]) for one in against["differences"])
-            against["differences"] = [
-                {**one, "agree": None if differs is None else not differs} for one, differs in pairs
-            ]
-    return {
-        "separating_poses": [],
-        **document,
-        "schema": SCHEMA,
-        "domain": "torques" if torques else "poses",
-        "source": document["torque_source" if torques else "pose_source"],
-        "heldout_rows": document["kept_samples" if torques else "heldout_rows"],
-        "left": {"over_noise": over_noise, "white": left["white"], "acts_at": left.get("acts_at")},
-        "noise": noise,
-        "withdrawn": withdrawn,
-        "findings": list(map(_upgraded_finding, document["findings"])),
-        "model": model | {"uncertainty": known},
-        **({} if against is None else {"against": against}),
-        **({"torques": _upgraded(document["torques"])} if "torques" in document else {}),
-    }
-
-
-def _upgraded_finding(finding: Mapping[str, Any]) -> dict[str, Any]:
-    sizes = {name: {"value": size, "std": 0.0} for name, size in finding.items() if name.startswith("peak_to_peak_")}
-    rivals = [{k: part for k, part in rival.items() if part is not None} for rival in finding["confusable_with"]]
-    kept = {name: part for name, part in finding.items() if part is not None and name not in sizes}
-    return kept | ({"peak_to_peak": sizes} if sizes else {}) | {"confusable_with": rivals}
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if str(schema).startswith(_FAMILY) and schema != SCHEMA:
+        raise InputError(
+            f"{path}: is a diagnosis of the schema {schema}, and {SCHEMA} is read; diagnose the recording again"
+        )
+    return document
 
 
 def check_document(document: Any, path: str | Path) -> None:
@@ -552,11 +494,10 @@ def check_document(document: Any, path: str | Path) -> None:
     Raises:
         InputError: as `model_from_document`.
     """
-    with _refuse_damage(str(path)):
-        if not is_of_torques(document):
-            _read(document, "poses")
-        if is_of_torques(document) or "torques" in document:
-            _read(document, "torques")
+    if not is_of_torques(document):
+        _read(document, "poses", str(path))
+    if is_of_torques(document) or "torques" in document:
+        _read(document, "torques", str(path))
 
 
 def is_of_torques(document: Any) -> bool:
@@ -572,17 +513,14 @@ def find_torques(document: Any) -> dict[str, Any] | None:
     return inside if is_of_torques(inside) else None
 
 
-class _NoDiagnosisError(InputError):
-    """What is no diagnosis at all."""
-
-
-def _read(document: Any, domain: Domain) -> PoseDocument | TorqueDocument:
+def _read(document: Any, domain: Domain, source: str) -> PoseDocument | TorqueDocument:
     """A document of a domain by its schema; of torques also that in one of poses."""
     torques = domain == "torques"
     part = find_torques(document) if torques else document
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
         what, wrote = ("of torques", " of one") if torques else (f"({SCHEMA} with a model)", "")
-        raise _NoDiagnosisError(f"is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
+        raise InputError(f"{source}: is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
     if is_of_torques(part) is not torques:
-        raise _NoDiagnosisError("is a diagnosis of torques; give one of poses")
-    return check(part, TorqueDocument if torques else PoseDocument)
+        raise InputError(f"{source}: is a diagnosis of torques; give one of poses")
+    with _refuse_damage(source):
+        return check(part, TorqueDocument if torques else PoseDocument)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -156,9 +157,20 @@ _VISIBLE = 1e-3
 show it."""
 
 
-def compare_effects(
-    found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]
-) -> tuple[Agreement, ...]:
+@final
+@dataclass(frozen=True, eq=False)
+class EffectComparison:
+    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
+
+    file: str
+    effects: tuple[Agreement, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Codes and numbers."""
+        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
+
+
+def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]) -> EffectComparison:
     """Each effect that either of two recordings shows, as both do; p-values are family-wise over all."""
     shown: dict[tuple[object, ...], Effect] = {}
     for finding in (*found.findings, *other.findings):
@@ -172,7 +184,7 @@ def compare_effects(
         else:
             here, there = estimate_effect(found, effect), estimate_effect(other, effect)
         compared.append(compare_estimates(of, {"recording": here, "reference": there}, compared=len(shown)))
-    return tuple(compared)
+    return EffectComparison(Path(other.recording.source).name, tuple(compared))
 
 
 def _function(effect: Effect) -> tuple[object, ...]:

@@ -13,7 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
-from lite6jax.diagnosis.document import SCHEMA, find_torques, model_from_document, parse_document
+from lite6jax.diagnosis.document import find_torques, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
 from lite6jax.effects.deflection import Deflection, dense
@@ -41,18 +41,6 @@ _SPEEDS = 200
 """From the fastest one way to the fastest the other, an even number: at rest friction has no direction."""
 _SAME = 1e-9
 """m and rad by which a measured point is the flange."""
-
-
-def is_diagnosis(path: str | Path) -> bool:
-    """Whether a file is a diagnosis, by its suffix and schema.
-
-    Raises:
-        InputError: no such file, or no JSON.
-    """
-    if Path(path).suffix.lower() != ".json":
-        return False
-    document = parse_document(path)
-    return isinstance(document, dict) and document.get("schema") == SCHEMA
 
 
 def read_diagnosed_arm(

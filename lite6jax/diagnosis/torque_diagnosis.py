@@ -4,9 +4,8 @@ Its result has what a diagnosis of poses has, some of it in another form.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -16,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.document import Domain, model_entry
-from lite6jax.diagnosis.estimates import Agreement, compare_effects
+from lite6jax.diagnosis.estimates import compare_effects
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
@@ -152,19 +151,6 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         }
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class EffectComparison:
-    """How a recording was compared with a reference of another motion: effect by effect, each as both show it."""
-
-    file: str
-    effects: tuple[Agreement, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
-
-
 # ------------------------------------------------------------------ the diagnosis
 
 
@@ -199,8 +185,8 @@ def diagnose_torques(
     by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
     if by_rows is not None:  # both are of one motion: their difference is diagnosed
         return replace(alone(by_rows.recording, arm), against=by_rows)
-    found, other = alone(recording, arm), alone(reference, arm)
-    return replace(found, against=EffectComparison(Path(reference.source).name, compare_effects(found, other)))
+    found = alone(recording, arm)
+    return replace(found, against=compare_effects(found, alone(reference, arm)))
 
 
 def _diagnose_alone(

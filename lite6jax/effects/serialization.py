@@ -13,7 +13,7 @@ from lite6jax.arms.arm import joint_unit
 from lite6jax.effects.catalogue import POSE_EFFECTS
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.schema import NonNegative, Strict, check
+from lite6jax.storage import NonNegative, Strict, check
 
 _TYPES = {
     int: "a whole number",

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.fleet import FLEET
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import Reduced, Search, Weighed
 from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
-from lite6jax.schema import FLEET
 
 Array = NDArray[np.floating]
 

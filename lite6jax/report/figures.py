@@ -232,7 +232,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def parameter_differences(comparison: Comparison) -> Figure:
+def parameter_differences(comparison: Comparison, title: str) -> Figure:
     """The difference of each arm's parameters from nominal: lengths in the upper panel, angles in the lower."""
     form, count = comparison.arm.form, len(comparison.names)
     units = np.array(form.units)
@@ -255,11 +255,11 @@ def parameter_differences(comparison: Comparison) -> Figure:
         panel.set_xlim(-0.6, len(chosen) - 0.4)
     if figure.axes[0].get_legend_handles_labels()[0]:
         legend_below(figure, figure.axes[0], 2)
-    return titled(figure, f"{count} × {comparison.arm.name}: parameters minus nominal")
+    return titled(figure, f"{title}: parameters minus nominal")
 
 
 @rc_context(FRAMED)
-def distance_between(comparison: Comparison) -> Figure:
+def distance_between(comparison: Comparison, title: str) -> Figure:
     """The largest distance between the flanges of each two arms, and of each from nominal."""
     count = len(comparison.names)
     table = np.zeros((count + 1, count + 1))
@@ -279,7 +279,7 @@ def distance_between(comparison: Comparison) -> Figure:
     else:
         panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
     figure.colorbar(image, label="largest distance of the flanges (mm)")
-    return titled(figure, f"{count} × {comparison.arm.name}: largest distance")
+    return titled(figure, f"{title}: largest distance")
 
 
 def _short(name: str, k: int) -> str:

@@ -5,7 +5,6 @@ Nothing here takes JAX.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,12 +16,12 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.quality import Result
+from lite6jax.fleet import FLEET
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.words import capital, chance, counted, fill, listing, number, quantity, read_texts, say
-from lite6jax.schema import FLEET
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
@@ -128,13 +127,6 @@ def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
     if groups:
         yield from ("By type of arm; position errors in mm", table, _TEXTS["folder"])
     yield from headed(f"{len(bad)} of {count} files have no usable fit:", bad)
-
-
-def read_diagnoses(path: Path) -> list[dict[str, Any]]:
-    """The rows of a table of diagnoses."""
-    import pyarrow.parquet as pq
-
-    return pq.read_table(path).to_pylist()
 
 
 def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:

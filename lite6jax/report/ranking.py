@@ -41,21 +41,17 @@ def units(document: Document) -> tuple[str, ...]:
     return torque_units(sliding(document), len(document["model"]["kinematics"]))
 
 
-def is_computed(document: Document) -> bool:
-    """Whether no sensor measured the poses: the controller computed them from the joints."""
-    found = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
-    return found or document.get("source") == "controller_fk"
-
-
 def fill_about(text: str, document: Document, **more: object) -> str:
     """A text of `templates/diagnosis.yaml` about a document, and `more` numbers."""
     torques, near, declared = is_of_torques(document), document["nearest"], document["noise"]["declared"]
+    of_controller = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
     missing = [f"no {name.replace('_', '_noise_')}" for name, size in declared.items() if size is None]
     about: dict[str, object] = {
         "torques": torques,
         "sensor": "sensors'" if torques else "sensor's",
         "times": 0.0 if torques else max(ratio or 0.0 for ratio in document["left"]["over_noise"].values()),
-        "computed": not torques and is_computed(document),
+        # no sensor measured the poses: the controller computed them from the joints
+        "computed": not torques and (of_controller or document.get("source") == "controller_fk"),
         "size_declared": bool(next(iter(declared.values()))),
         "undeclared": " and ".join(missing),
         # documents do not hold the threshold below which the nearest effect leaves a verdict open

@@ -223,89 +223,79 @@ def _diagnosis(found: DomainDiagnosis) -> Description:
 # ------------------------------------------------------------------ figures
 
 
-_DRAWINGS: dict[type, dict[str, tuple[str, str]]] = {
-    Recording: {
-        "joints": (r"q\d+_(rad|m)", "joint positions"),
-        "positions": (r"[xyz]_m", "measured positions"),
-    },
-    FleetSolution: {"errors": (r"(position|orientation)_rms_(m|rad)", "errors of the fits")},
-    Prediction: {
-        "positions": (r"[xyz]_m", "predicted positions"),
-        "std": (r"[xyz]_std_m", "standard deviation of a position"),
-    },
-    TorquePrediction: {"torques": (r"tau\d+_Nm?", "predicted torques")},
-    Compensation: {
-        "error": (r"position_error_mm", "distance from the target"),
-        "joints": (r"q\d+_(rad|m)", "joint positions"),
-    },
-    Registration: {"error": (r"distance_m", "distance from the model")},
-}
-"""Of results that are tables of rows, the figures by name: an expression that matches their columns, and a title."""
 _MARKED = {"outside": "outside what was recorded", "outlier": "outlier"}
 """Columns that are not zero in rows that have another colour, and what these are."""
 
 
-@rc_context(STYLE)
-def _draw_rows(found: PublicResult, title: str) -> Figures:
-    """Columns of the table, a panel each, in mm and deg."""
-    table, drawn, across = tabulate(found), {}, "arm" if isinstance(found, FleetSolution) else "row"
-    row, source = np.arange(1, len(next(iter(table.values()))) + 1), type(found).__name__
-    if isinstance(found, Recording):
-        row, source = np.asarray(found.row), Path(found.source).name
-    marked = next((name for name in _MARKED if name in table), "")
-    other = np.asarray(table.get(marked, np.zeros(len(row)))) > 0
-    for name, (matching, what) in _DRAWINGS[type(found)].items():
+def _over_rows(matching: str, what: str) -> Callable[[PublicResult, str], Figure | None]:
+    """How the columns of a table that match an expression are drawn, a panel each, in mm and deg, if there are any."""
+
+    @rc_context(STYLE)
+    def drawn(found: PublicResult, title: str) -> Figure | None:
+        table = tabulate(found)
         columns = [column for column in table if re.fullmatch(matching, column)]
         if not columns:
-            continue
+            return None
+        row = found.row if isinstance(found, Recording) else np.arange(1, len(table[columns[0]]) + 1)
+        marked = next((name for name in _MARKED if name in table), "")
+        other = np.asarray(table.get(marked, np.zeros(len(row)))) > 0
         figure, axes = panels_in_rows(len(columns), wide=len(columns) == 1)
         for axis, column in zip(axes, columns, strict=True):
             of, _, unit = column.rpartition("_")
             scale, shown = SCREEN.get(unit, (1.0, unit))
             for rows, color in ((~other, AFTER), (other, BEFORE)):
                 dots(axis, row[rows].astype(float), scale * np.asarray(table[column])[rows], color)
+            across = "arm" if isinstance(found, FleetSolution) else "row"
             axis.set(xlabel=across, ylabel=f"{of.replace('_', ' ')} ({shown})")
             axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         if other.any():
             axes[0].plot([], [], "o", color=BEFORE, label=_MARKED[marked])
             figure.legend(loc="outside lower center", frameon=False)
-        drawn[name] = titled(figure, f"{title or source}: {what}")
-    return Figures(drawn)
+        return titled(figure, f"{title}: {what}")
+
+    return drawn
 
 
-for kind in _DRAWINGS:
-    draw.register(kind, _draw_rows)
-
-
-_FIGURES: dict[type, dict[str, Callable[[Any, str], Figure]]] = {
+_JOINTS = _over_rows(r"q\d+_(rad|m)", "joint positions")
+_FIGURES: dict[type, dict[str, Callable[[Any, str], Figure | None]]] = {
+    Recording: {"joints": _JOINTS, "positions": _over_rows(r"[xyz]_m", "measured positions")},
+    FleetSolution: {"errors": _over_rows(r"(position|orientation)_rms_(m|rad)", "errors of the fits")},
+    Prediction: {
+        "positions": _over_rows(r"[xyz]_m", "predicted positions"),
+        "std": _over_rows(r"[xyz]_std_m", "standard deviation of a position"),
+    },
+    TorquePrediction: {"torques": _over_rows(r"tau\d+_Nm?", "predicted torques")},
+    Compensation: {"error": _over_rows(r"position_error_mm", "distance from the target"), "joints": _JOINTS},
+    Registration: {"error": _over_rows(r"distance_m", "distance from the model")},
     Solution: {"error_by_joint": figures.error_by_joint},
+    Comparison: {"parameters": figures.parameter_differences, "distances": figures.distance_between},
     Identification: {"deviations": figures.deviations},
     Plan: {"accuracy": figures.accuracy_by_count},
     DiscriminationPlan: {"distance": figures.accuracy_by_count},
     Sensitivity: {"by_joint": figures.sensitivity_by_joint, "workspace": figures.sensitivity_over_workspace},
 }
-"""Of other results, the figures by name."""
+"""The figures of each kind of result by name; those of what there is not are None."""
 
 
-def _draw_each(found: Any, title: str) -> Figures:
-    own = "Tolerances"
-    if isinstance(found, Solution):
+def _draw(found: Any, title: str) -> Figures:
+    own = type(found).__name__
+    if isinstance(found, Recording):
+        own = Path(found.source).name
+    elif isinstance(found, Solution):
         own = found.arm.name if found.recording is None else Path(found.recording.source).name
-    elif not isinstance(found, Sensitivity):
+    elif isinstance(found, Comparison):
+        own = f"{len(found.names)} × {found.arm.name}"
+        title = title and f"{title}: {own}"
+    elif isinstance(found, Sensitivity):
+        own = "Tolerances"
+    elif isinstance(found, Identification | Plan | DiscriminationPlan):
         own = found.experiment.arm.name
-    return Figures({name: figure(found, title or own) for name, figure in _FIGURES[type(found)].items()})
+    drawn = {name: figure(found, title or own) for name, figure in _FIGURES[type(found)].items()}
+    return Figures({name: figure for name, figure in drawn.items() if figure is not None})
 
 
 for kind in _FIGURES:
-    draw.register(kind, _draw_each)
-
-
-@draw.register
-def _draw_comparison(found: Comparison, title: str) -> Figures:
-    drawn = {"parameters": figures.parameter_differences(found), "distances": figures.distance_between(found)}
-    for figure in drawn.values() if title else ():
-        figure.suptitle(f"{title}: {figure.get_suptitle()}", fontsize=15)
-    return Figures(drawn)
+    draw.register(kind, _draw)
 
 
 @draw.register

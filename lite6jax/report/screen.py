@@ -4,7 +4,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console, RenderableType
@@ -98,45 +98,27 @@ def repeated(line: Callable[[], str]) -> Iterator[None]:
 
 
 @contextmanager
-def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """How much of an amount of work is done, on stderr.
+def progress(total: int | None, what: str) -> Iterator[Callable[..., None]]:
+    """How much of an amount of work is done, on stderr; None of work whose amount is known only once it has begun.
 
     Yields:
-        a thread-safe function that advances it.
+        a thread-safe function that advances it by so many, of so many where that is given.
     """
     began, lock, done = time.monotonic(), threading.Lock(), 0
 
-    def advance(more: int) -> None:
-        nonlocal done
+    def advance(more: int, of: int | None = None) -> None:
+        nonlocal done, total
         with lock:
-            done += more
+            done, total = done + more, of or total
 
     def line() -> str:
         so_far = time.monotonic() - began
-        ahead = f", about {minutes(so_far * (total - done) / done)} to go" if done else ""
-        return f"{what}: {done} of {total}, {minutes(so_far)} so far{ahead}"
+        share = "" if total is None else f"{done} of {total}, "
+        ahead = f", about {minutes(so_far * (total - done) / done)} to go" if total and done else ""
+        return f"{what}: {share}{minutes(so_far)} so far{ahead}"
 
     with repeated(line):
         yield advance
-
-
-@contextmanager
-def progress_of_many(what: str) -> Iterator[Callable[[int, int], None]]:
-    """As `progress`, of work whose amount is known only once it has begun.
-
-    Yields:
-        a function that advances it by so many of so many.
-    """
-    with ExitStack() as stack:
-        advance: Callable[[int], None] | None = None
-
-        def first_or_next(done: int, total: int) -> None:
-            nonlocal advance
-            if advance is None:
-                advance = stack.enter_context(progress(total, what))
-            advance(done)
-
-        yield first_or_next
 
 
 # ------------------------------------------------------------------ the stages of a diagnosis

@@ -116,7 +116,8 @@ def parts_of(
     """
     parts = [("", sections_of(document, files, details, pictures[0]))]
     if "torques" in document:
-        shared = Section("What poses and torques both depend on", [("bullets", statements.shared_statements(document))])
+        said = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
+        shared = Section("What poses and torques both depend on", [("bullets", said)])
         torques = sections_of(document["torques"], None, details, pictures[1], "torque-")
         parts = [("Poses", parts[0][1]), ("Torques", torques), ("Both", [shared])]
     elif "torques_refused" in document:

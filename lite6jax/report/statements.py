@@ -51,6 +51,7 @@ Entry = Mapping[str, Any]
 
 _TEXTS = read_texts("diagnosis.yaml")
 NOT_CHECKED: str = _TEXTS["not_checked"]
+NOTHING_SHARED = "No finding concerns a quantity on which both poses and torques depend."
 _STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
@@ -399,10 +400,3 @@ def agreement_statement(entry: Entry) -> str:
     over = f" over {entry['driver']}" if "driver" in entry else ""
     title = f"Unnamed effect at {entry['site']}{over}" if over else capital(effect_title(entry))
     return fill(_TEXTS["against"]["effect"], entry, title=title, said=said)
-
-
-def shared_statements(document: Document) -> list[str]:
-    """What poses and torques say of each quantity on which both depend, and whether they agree."""
-    return [agreement_statement(entry) for entry in document["shared"]] or [
-        "No finding concerns a quantity on which both poses and torques depend."
-    ]

@@ -252,7 +252,7 @@ def test_a_fit_has_a_panel_for_each_joint(solution):
 
 
 def test_the_distances_between_arms(comparison):
-    panel, bar = figures.distance_between(comparison).axes
+    panel, bar = figures.distance_between(comparison, "arms").axes
     assert bar.get_ylabel() == "largest distance of the flanges (mm)"
     table = np.asarray(panel.images[0].get_array())
     np.testing.assert_allclose(table[1:, 1:], 1e3 * comparison.between)

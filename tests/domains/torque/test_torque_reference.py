@@ -12,8 +12,8 @@ from typed import flat, run
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms.description import write_arm
 from lite6jax.diagnosis import torque_diagnosis
+from lite6jax.diagnosis.estimates import EffectComparison
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.torque_diagnosis import EffectComparison
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.errors import InputError
