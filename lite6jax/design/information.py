@@ -25,7 +25,7 @@ from lite6jax.design.determination import accumulate_root, each_block
 from lite6jax.design.sensor import AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.motion import Motion, motion_of
+from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
@@ -57,15 +57,21 @@ def _tool_motions(
     physics: Physics,
     model: ArmModel,
     values: jax.Array,
-    motion: Motion,
     kinematics: jax.Array,
     statics: Inertia | Loads | None,
+    payload: float,
+    q: jax.Array,
+    direction: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The tools `(sample, 4, 4)`, and how they shift and turn with the parameters, `(parameter, 6, sample)`.
 
-    Both are in the sensor's coordinates. The masses `statics` are in the frames of the six-parameter chain
-    `kinematics`, which are not those of another chain: of that the loads stay as they are.
+    Both are in the sensor's coordinates, at rest at joint positions `q` `(sample, joint)` rad, each of which was
+    approached in a `direction`. The masses `statics` are in the frames of the six-parameter chain `kinematics`, which
+    are not those of another chain: of that the loads stay as they are.
     """
+    run = jnp.zeros((2, len(q)), int).at[1].set(len(q) - 1)
+    payloads, sliding = jnp.full(len(q), payload), Sliding(form.chain.sliding)
+    motion = Motion(q.T, None, direction.T, None, run, temperature_rise=None, payload=payloads, sliding=sliding)
     if isinstance(statics, Inertia) and not isinstance(form.chain, SixParameterForm):
         joint = joint_motion(motion.chain, motion.joint_position)
         statics = loads(motion.chain, kinematics, joint, motion.payload, statics)
@@ -180,20 +186,17 @@ class Experiment:
         precision = np.concatenate([self.precision, own, np.zeros(self.physics.size)])
         return np.diag(precision[self.unknown] * self.unit**2)
 
+    @cached_property
+    def _numbers(self) -> tuple[Any, ...]:
+        """What `_tool_motions` takes beside the joints."""
+        inertia = inertia_of_arm(self.arm, RecordingSettings()) if self.physics.effects else None
+        return self.model, np.array(self.values, float), self.arm.kinematics.ravel(), inertia, self.payload
+
     def direction(self, joint_position: Array) -> Array:
         """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached positions `(sample, joint)`."""
         if self.approach == "zero":
             return np.sign(joint_position)
         return np.sign(np.diff(joint_position, axis=0, prepend=np.zeros((1, joint_position.shape[1]))))
-
-    def _tool_motions(self, q: Array, direction: Array) -> tuple[Array, Array]:
-        """`_tool_motions` of joints `(sample, joint)` that come from there."""
-        arm, physics = self.arm, self.physics
-        motion = motion_of(q, direction=direction, payload=np.full(len(q), self.payload), sliding=arm.sliding)
-        statics = inertia_of_arm(arm, RecordingSettings()) if physics.effects else None
-        values, kinematics = np.array(self.values, float), arm.kinematics.ravel()
-        tool, motions = _tool_motions(self.form, physics, self.model, values, motion, kinematics, statics)  # type: ignore[arg-type]
-        return np.asarray(tool), np.asarray(motions)
 
     def rows(self, joint_position: ArrayLike) -> Array:
         """How readings at `(sample, joint)` rad change with the parameters.
@@ -217,7 +220,7 @@ class Experiment:
 
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
-        tool, motions = self._tool_motions(q, direction)
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, direction))
         slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
         columns = np.einsum("rks,pks->prs", slopes, motions)
         columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.unknown]
@@ -235,7 +238,7 @@ class Experiment:
         moves the positions as nearly alike.
         """
         q = check_joints(self, joint_position)
-        tool, motions = self._tool_motions(q, self.direction(q))
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, self.direction(q)))
         motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.unknown]
         J = np.transpose(motions, (2, 1, 0)) * self.unit
         if not self.own:
