@@ -155,16 +155,6 @@ def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
     return turn(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
 
 
-def joint_rate(joint: Turn, direction: Array, sliding: tuple[int, ...]) -> Turn:
-    """The derivative of `joint_turn` along `direction` `(joint,)`, of joints at `joint` `(joint, sample)`."""
-    d = direction[:, None]
-    if joint.shift is None:
-        return Turn(-d * joint.sin, d * joint.cos)
-    slides = np.isin(np.arange(len(direction)), sliding)[:, None]
-    turning = Turn(jnp.where(slides, 0.0, -d * joint.sin), jnp.where(slides, 0.0, d * joint.cos))
-    return turning._replace(shift=jnp.where(slides, d, jnp.zeros_like(joint.shift)))
-
-
 def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
     """The frame rotated about its own axis."""
     axes = [frame.x, frame.y, frame.z]

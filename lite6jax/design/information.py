@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import compress
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, Literal, final
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
-from lite6jax.arms.se3 import Frame, Turn, Twist, cross, joint_rate
+from lite6jax.arms.se3 import Frame, Twist, cross, frame_transform
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
 from lite6jax.design.determination import accumulate_root, each_block
@@ -26,10 +26,11 @@ from lite6jax.design.sensor import AnySensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion, Sliding
-from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
+from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
-from lite6jax.recordings import Recording, require_radians
+from lite6jax.recordings import Recording, RecordingSettings, require_radians
+from lite6jax.recordings.motion import inertia_of_arm
 from lite6jax.recordings.units import real_array
 from lite6jax.sensors.sensor import OwnNumber
 
@@ -43,65 +44,46 @@ WITHIN_REACH = {"m": 0.3, "rad": 0.5}
 """One standard deviation of a place that is planned about where it will be."""
 
 
-class Numbers(NamedTuple):
-    """What readings depend on beside the joints. A pytree.
-
-    Attributes:
-        model: of the rigid arm.
-        values: of its effects.
-        kinematics: `(6 n,)` of the nominal six-parameter chain, whose frames the masses are given in.
-        inertia: its masses, or None where they are not known.
-        payload: kg.
-    """
-
-    model: ArmModel
-    values: jax.Array
-    kinematics: jax.Array
-    inertia: Inertia | None
-    payload: float | jax.Array
-
-
-def _move_tool(
-    form: ModelForm, physics: Physics, numbers: Numbers, q: jax.Array, direction: jax.Array, step: jax.Array
-) -> Frame:
-    """The tool's frame in the sensor's coordinates, at rest, a step `(form's and physics' number,)` away; plain JAX.
-
-    `q` are joint positions `(sample, joint)` rad, and `direction` is that in which each pose was approached.
-    """
-    chain, samples = form.chain, len(q)
-    model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
-    if not physics.effects:
-        return predict_frames(form, model, joint_motion(chain, q.T))[1]
-    motion = Motion(
-        joint_position=q.T,
-        joint_velocity=None,
-        direction=direction.T,
-        time=None,
-        run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
-        temperature_rise=None,
-        payload=jnp.full(samples, numbers.payload),
-        sliding=Sliding(chain.sliding),
-    )
-    statics: Inertia | Loads | None = numbers.inertia
-    if statics is not None and not isinstance(chain, SixParameterForm):  # its frames are not those of the masses
-        nominal = SixParameterForm(chain.dof, chain.sliding)
-        statics = loads(nominal, numbers.kinematics, joint_motion(nominal, q.T), motion.payload, statics)
-    return predict_frames_with(chain, physics, model, values, motion, statics)[1]
+def _displacement(frame: Frame, moved: Frame) -> jax.Array:
+    """The shift and the turn `(6, sample)` of a frame whose derivative is `moved`."""
+    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
+    turn = [sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))]
+    return jnp.concatenate([moved.origin, jnp.stack(turn)])
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _tool_motions(
-    form: ModelForm, physics: Physics, numbers: Numbers, q: jax.Array, direction: jax.Array
+    form: ModelForm,
+    physics: Physics,
+    model: ArmModel,
+    values: jax.Array,
+    kinematics: jax.Array,
+    statics: Inertia | Loads | None,
+    payload: float,
+    q: jax.Array,
+    direction: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The tools `(sample, 4, 4)`, and how they shift and turn with the parameters, `(parameter, 6, sample)`.
 
-    Arguments are those of `_move_tool`.
+    Both are in the sensor's coordinates, at rest at joint positions `q` `(sample, joint)` rad, each of which was
+    approached in a `direction`. The masses `statics` are in the frames of the six-parameter chain `kinematics`, which
+    are not those of another chain: of that the loads stay as they are.
     """
+    run = jnp.zeros((2, len(q)), int).at[1].set(len(q) - 1)
+    payloads, sliding = jnp.full(len(q), payload), Sliding(form.chain.sliding)
+    motion = Motion(q.T, None, direction.T, None, run, temperature_rise=None, payload=payloads, sliding=sliding)
+    if isinstance(statics, Inertia) and not isinstance(form.chain, SixParameterForm):
+        joint = joint_motion(motion.chain, motion.joint_position)
+        statics = loads(motion.chain, kinematics, joint, motion.payload, statics)
+
+    def moved(step: jax.Array) -> Frame:
+        arm, numbers = form.retract(model, step[: form.size]), values + step[form.size :]
+        return predict_frames_with(form.chain, physics, arm, numbers, motion, statics)[1]
+
     zero = jnp.zeros(form.size + physics.size)
-    moved = partial(_move_tool, form, physics, numbers, q, direction)
     tool = moved(zero)
     if physics.effects:  # they have no closed form in common
-        motions = jax.lax.map(lambda step: _displacement(tool, jax.jvp(moved, (zero,), (step,))[1]), jnp.eye(len(zero)))
+        motions = jax.lax.map(lambda step: _displacement(*jax.jvp(moved, (zero,), (step,))), jnp.eye(len(zero)))
     else:
 
         def displace(twist: Twist) -> jax.Array:
@@ -109,31 +91,20 @@ def _tool_motions(
                 return jnp.concatenate([twist.linear, jnp.zeros_like(twist.linear)])
             return jnp.concatenate([twist.linear + cross(twist.angular, tool.origin), twist.angular])
 
-        motions = twist_columns(form, numbers.model, joint_motion(form.chain, q.T), displace)[step_order(form)]
-    T = jnp.zeros((len(q), 4, 4)).at[:, 3, 3].set(1.0)
-    return T.at[:, :3].set(jnp.moveaxis(jnp.stack(tool, 1), -1, 0)), motions
+        joint = joint_motion(form.chain, motion.joint_position)
+        motions = twist_columns(form, model, joint, displace)[step_order(form)]
+    return frame_transform(tool), motions
 
 
 @partial(jax.jit, static_argnums=0)
 def _joint_motions(form: ModelForm, model: ArmModel, q: jax.Array) -> jax.Array:
     """How the rigid arm's tool shifts and turns with the revolute joints, `(joint, 6, sample)`."""
-    chain, joint = form.chain, joint_motion(form.chain, q.T)
 
-    def frame(joint: Turn) -> Frame:
-        return predict_frames(form, model, joint)[1]
+    def moved(shift: jax.Array) -> Frame:
+        return predict_frames(form, model, joint_motion(form.chain, q.T + shift[:, None]))[1]
 
-    def motion(direction: jax.Array) -> jax.Array:
-        return _displacement(frame(joint), jax.jvp(frame, (joint,), (joint_rate(joint, direction, chain.sliding),))[1])
-
-    turning = np.array([joint for joint in range(chain.dof) if joint not in chain.sliding], int)
-    return jax.vmap(motion)(jnp.eye(chain.dof)[turning])
-
-
-def _displacement(frame: Frame, moved: Frame) -> jax.Array:
-    """The shift and the turn `(6, sample)` of a frame whose derivative is `moved`."""
-    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
-    turn = [sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))]
-    return jnp.concatenate([moved.origin, jnp.stack(turn)])
+    still, turning = jnp.zeros(form.chain.dof), np.delete(np.eye(form.chain.dof), form.chain.sliding, axis=0)
+    return jax.vmap(lambda direction: _displacement(*jax.jvp(moved, (still,), (direction,))))(turning)
 
 
 @final
@@ -216,13 +187,10 @@ class Experiment:
         return np.diag(precision[self.unknown] * self.unit**2)
 
     @cached_property
-    def numbers(self) -> Numbers:
-        """What readings depend on beside the joints."""
-        arm = self.arm
-        inertia = None
-        if arm.mass is not None and arm.center_of_mass is not None:
-            inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
-        return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
+    def _numbers(self) -> tuple[Any, ...]:
+        """What `_tool_motions` takes beside the joints."""
+        inertia = inertia_of_arm(self.arm, RecordingSettings()) if self.physics.effects else None
+        return self.model, np.array(self.values, float), self.arm.kinematics.ravel(), inertia, self.payload
 
     def direction(self, joint_position: Array) -> Array:
         """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached positions `(sample, joint)`."""
@@ -252,14 +220,14 @@ class Experiment:
 
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
-        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, direction))  # type: ignore[arg-type]
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, direction))
         slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
         columns = np.einsum("rks,pks->prs", slopes, motions)
         columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.unknown]
         if not self.sensor.joint_noise:
             return columns
         # with J the change of whitened readings per rad of the joints, and I + σ² J Jᵀ = L Lᵀ, L⁻¹ whitens them again
-        J = np.einsum("rks,jks->srj", slopes, np.asarray(_joint_motions(self.form, self.numbers.model, q)))  # type: ignore[arg-type]
+        J = np.einsum("rks,jks->srj", slopes, np.asarray(_joint_motions(self.form, self.model, q)))  # type: ignore[arg-type]
         L = np.linalg.cholesky(np.eye(len(slopes)) + self.sensor.joint_noise**2 * J @ np.swapaxes(J, 1, 2))
         return np.transpose(np.linalg.solve(L, np.transpose(columns)), (2, 1, 0))
 
@@ -270,7 +238,7 @@ class Experiment:
         moves the positions as nearly alike.
         """
         q = check_joints(self, joint_position)
-        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, self.numbers, q, self.direction(q)))  # type: ignore[arg-type]
+        tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, self.direction(q)))
         motions = np.insert(motions, [self.form.size] * len(self.own), 0.0, axis=0)[self.unknown]
         J = np.transpose(motions, (2, 1, 0)) * self.unit
         if not self.own:

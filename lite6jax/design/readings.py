@@ -24,6 +24,7 @@ from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings.readings import Kind, Readings, readings_from_arrays
 from lite6jax.recordings.settings import BoardSettings, KnownDistance, PoseSource, RecordingSettings
+from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
 
 Array = NDArray[np.floating]
 
@@ -136,32 +137,37 @@ def plan_reading(
         return Experiment(arm, ModelForm(form, True, True), model, view)
     angles = np.linspace(-1.2, 1.2, places) if places > 1 else [0.0]
     points = [draw_place(rng, arm, float(angle)) for angle in angles]
-    normals: list[Array] = []
-    rods: tuple[tuple[int, float], ...] = ()
     if name == "contact":
         along = rng.standard_normal((places, 3)) * [1, 1, 0.2]
         along = SOCKETS_APART * along / np.linalg.norm(along, axis=1, keepdims=True)
         points = [one for at, shift in zip(points, along, strict=True) for one in (at, at + shift)]
-        rods = tuple((2 * k + 1, SOCKETS_KNOWN) for k in range(places))
-    elif name == "plane":
-        tilted = np.array([[0.0, 0.0, 1.0], [1.0, 0.1, 0.1], [0.1, 1.0, 0.2]])
-        normals = [tilted[k % 3] / np.linalg.norm(tilted[k % 3]) for k in range(places)]
-    else:
+    elif name != "plane":
         points = [1.6 * draw_place(rng, arm, 2.5)]
-        normals = [np.array([0.0, 0.0, 1.0])]
-    names = [f"plate{k // 2 + 1}_{'ab'[k % 2]}" if rods else f"plate{k + 1}" for k in range(len(points))]
-    placed = tuple((one, _point(at)) for one, at in zip(names, points, strict=True))
-    sensor = PlacedReading(reader.kind, sigma, placed, tuple(map(_point, normals)), rods, joint_noise)  # type: ignore[arg-type]
-    whole = ModelForm(form, False, True)
+    at, count = np.array(points).T, len(points)
+    ends = ("_a", "_b") if name == "contact" else ("",)
+    names = tuple(f"plate{k // len(ends) + 1}{ends[k % len(ends)]}" for k in range(count))
+    group, whitener, zeros, free = np.arange(count), np.full(2, 1 / sigma), np.zeros(count), (True,) * count
+    if name == "contact":
+        rods = tuple(Rod(k, k + 1, SOCKETS_APART, SOCKETS_KNOWN) for k in range(0, count, 2))
+        reading = Contact(group, whitener, at, names, free, rods)
+    elif name == "plane":
+        tilted = np.array([[0.0, 0.0, 1.0], [1.0, 0.1, 0.1], [0.1, 1.0, 0.2]])[group % 3].T
+        reading = Plane(group, whitener, tilted / np.linalg.norm(tilted, axis=0), at, zeros, names, free)
+    elif name == "distance":
+        reading = Distance(group, whitener, zeros, at, np.zeros(1), names, free)
+    else:
+        reading = Axis(group, whitener, zeros, np.array([0.0, 0.0, 1.0]), np.zeros(1), True)
+    placed = tuple((one, (float(x), float(y), float(z))) for one, (x, y, z) in zip(names, points, strict=True))
     known = np.array([TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.units])
-    movable = np.arange(whole.size) >= 6
-    model = ArmModel(arm.kinematics.ravel(), np.eye(4), T_tool)  # type: ignore[arg-type]
-    return Experiment(arm, whole, model, sensor, movable, np.concatenate([known, np.zeros(6)]))
-
-
-def _point(at: Array) -> Point:
-    x, y, z = map(float, at)
-    return x, y, z
+    whole = ModelForm(form, False, True)
+    return Experiment(
+        arm,
+        whole,
+        ArmModel(arm.kinematics.ravel(), np.eye(4), T_tool),  # type: ignore[arg-type]
+        PlacedReading(reading, placed, sigma, joint_noise),
+        movable=np.arange(whole.size) >= 6,
+        precision=np.concatenate([known, np.zeros(6)]),
+    )
 
 
 # ------------------------------------------------------------------ its poses
@@ -211,9 +217,10 @@ def _targets(of: Experiment, rng: np.random.Generator, count: int) -> Target | N
         return Target(T[:, :3, 3].T, np.moveaxis(T[:, :3, :3], 0, -1))  # type: ignore[arg-type]
     if not isinstance(sensor, PlacedReading) or sensor.quantity in ("distance", "axis"):
         return None
-    at = np.array([point for _, point in sensor.places])[np.arange(count) % len(sensor.places)]
-    if sensor.quantity == "plane":
-        normal = np.array(sensor.normals)[np.arange(count) % len(sensor.places)]
+    place = np.arange(count) % len(sensor.places)
+    at = np.array([point for _, point in sensor.places])[place]
+    if isinstance(sensor.reading, Plane):
+        normal = sensor.reading.normal.T[place]
         aside = rng.uniform(-_PLATE, _PLATE, (count, 3))
         at = at + aside - normal * np.sum(aside * normal, 1, keepdims=True)
     return Target(at.T, None)  # type: ignore[arg-type]
@@ -240,8 +247,8 @@ def planned_readings(
     names = [name for name, _ in sensor.places]
     labels = [names[k] for k in read_places(of, joint_position)]
     noise = {f"{sensor.quantity}_noise_m": sensor.position_noise}
-    if sensor.rods:
-        said = (KnownDistance((names[k - 1], names[k]), SOCKETS_APART, std) for k, std in sensor.rods)
-        noise["contact_distances"] = tuple(said)  # type: ignore[assignment]
+    if isinstance(sensor.reading, Contact):
+        said = ((names[rod.parent], names[rod.child], rod) for rod in sensor.reading.rods)
+        noise["contact_distances"] = tuple(KnownDistance((a, b), rod.length, rod.noise) for a, b, rod in said)  # type: ignore[assignment]
     settings = replace(settings, pose_source="touch", tool="unknown", **noise)  # type: ignore[arg-type]
     return settings, readings_from_arrays(sensor.quantity, labels=labels)

@@ -2,19 +2,17 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.sensors.camera import Lens, Mounted, seen_corners
-from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
+from lite6jax.sensors.camera import Lens, Mounted, linearise_corners
+from lite6jax.sensors.points import Plane, PointSensor
 from lite6jax.sensors.sensor import OwnNumber
-from lite6jax.sensors.sensor import Sensor as ReadingSensor
 
 Array = NDArray[np.floating]
 Quantity = Literal["position", "pose", "axis", "distance"]
@@ -149,31 +147,32 @@ class Sensor(AnySensor):
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlacedReading(AnySensor):
-    """A reading that is no pose, with unknowns of its own, as a `sensors.Sensor` of places that are planned.
+    """A reading that is no pose, with unknowns of its own: a sensor of `sensors.points` whose places are planned.
 
     A sample is of the place that the tool's point is nearest to.
 
     Attributes:
-        quantity: `contact`, `plane`, `distance` or `axis`, as in `sensors.points`.
-        position_noise: one standard deviation of what is read, m.
+        reading: with one sample of each place, all of which are unknown.
         places: the name and the point, m in the base's frame: of a socket, in a plate, the anchor; one of an axis.
-        normals: of each plate, or the axis.
-        rods: of contacts whose distance is known, each with the one before it: its standard deviation, m.
+        position_noise: one standard deviation of what is read, m.
         joint_noise: as of `Sensor`.
     """
 
-    quantity: Literal["contact", "plane", "distance", "axis"]
-    position_noise: float
+    reading: PointSensor
     places: tuple[tuple[str, Point], ...]
-    normals: tuple[Point, ...] = ()
-    rods: tuple[tuple[int, float], ...] = ()
+    position_noise: float
     joint_noise: float = 0.0
 
     @property
+    def quantity(self) -> str:
+        """`contact`, `plane`, `distance` or `axis`."""
+        return type(self.reading).__name__.lower()
+
+    @property
     def rows(self) -> int:
-        return 3 if self.quantity == "contact" else 1
+        return self.reading.rows
 
     @property
     def phrase(self) -> str:
@@ -188,41 +187,24 @@ class PlacedReading(AnySensor):
 
     @cached_property
     def own(self) -> tuple[OwnNumber, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        found = self._at(np.zeros(1, int)).own
-        names = [one.name for one in found]
+        names = [one.name for one in self.reading.own]
         return tuple(
             one._replace(name=f"{one.name} {names[:k].count(one.name) + 1}") if names.count(one.name) > 1 else one
-            for k, one in enumerate(found)
+            for k, one in enumerate(self.reading.own)
         )
 
     def nearest(self, tool: Array) -> NDArray[np.integer]:
         """The place `(sample,)` of tools `(sample, 4, 4)`."""
         apart = tool[:, None, :3, 3] - np.array([at for _, at in self.places])
-        if self.quantity == "plane":
-            return np.argmin(np.abs(np.sum(apart * np.array(self.normals), 2)), 1)
+        if isinstance(self.reading, Plane):
+            return np.argmin(np.abs(np.sum(apart * self.reading.normal.T, 2)), 1)
         return np.argmin(np.sum(apart**2, 2), 1)
 
-    def _at(self, group: Any) -> ReadingSensor:
-        """The sensor of samples at some places, all of which are unknown."""
-        names, points = zip(*self.places, strict=True)
-        places, free, unit = np.array(points).T, (True,) * len(names), np.full(2, 1 / self.position_noise)
-        if self.quantity == "contact":
-            rods = tuple(
-                Rod(k - 1, k, float(np.linalg.norm(places[:, k] - places[:, k - 1])), std) for k, std in self.rods
-            )
-            return Contact(group, unit, places, names, free, rods)
-        if self.quantity == "plane":
-            return Plane(group, unit, np.array(self.normals).T, places, np.zeros(len(names)), names, free)
-        value = np.zeros(len(group))
-        if self.quantity == "distance":
-            return Distance(group, unit, value, places, np.zeros(1), names, free)
-        return Axis(group, unit, value, np.array(self.normals[0]), np.zeros(1), True)
-
     def slopes(self, tool: Array) -> Array:
-        return self._at(self.nearest(tool)).slopes(tool) / self.position_noise
+        return self.reading.select(self.nearest(tool)).slopes(tool) / self.position_noise
 
     def by_own(self, tool: Array) -> Array:
-        return self._at(self.nearest(tool)).by_numbers(tool) / self.position_noise
+        return self.reading.select(self.nearest(tool)).by_numbers(tool) / self.position_noise
 
     def to_dict(self) -> dict[str, Any]:
         return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)}
@@ -264,7 +246,7 @@ class BoardView(AnySensor):
         R, p = tool[:, :3, :3], tool[:, None, :3, 3]
         fixed = self.mounted == "fixed"
         depth = (corners @ np.swapaxes(R, 1, 2) + p if fixed else (corners - p) @ R)[..., 2]
-        at, J = map(np.asarray, _corner_slopes(self.mounted, lens, corners, tool))
+        at, J = map(np.asarray, linearise_corners(self.mounted, lens, corners, np.zeros((*depth.shape, 2)), tool))
         seen = (depth > 0) & ((at > 0) & (at < 2 * lens.pinhole[2:])).all(2)
         J = np.where(seen[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)
         U = np.asarray(jnp.linalg.cholesky(np.swapaxes(J, 1, 2) @ J, upper=True))
@@ -273,17 +255,6 @@ class BoardView(AnySensor):
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self) | {"quantity": self.quantity}
-
-
-@partial(jax.jit, static_argnums=0)
-def _corner_slopes(mounted: Mounted, lens: Lens, corners: Array, tool: Array) -> tuple[jax.Array, jax.Array]:
-    """The pixels `(sample, corner, 2)` and their slopes `(sample, corner, 2, 6)`, turns in the moved axes."""
-
-    def pixels(T: Any, twist: jax.Array) -> jax.Array:
-        return seen_corners(mounted, lens, corners, T, twist)
-
-    still = jnp.zeros(6)
-    return jax.vmap(pixels, (0, None))(tool, still), jax.vmap(jax.jacfwd(pixels, 1), (0, None))(tool, still)
 
 
 SENSORS = {

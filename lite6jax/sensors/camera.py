@@ -84,7 +84,9 @@ def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any)
 
 
 @partial(jit, static_argnums=0)
-def _linearised(mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
+def linearise_corners(
+    mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any
+) -> tuple[DeviceArray, DeviceArray]:
     """Residuals `(image, corner, 2)`, zero where a corner was not seen, and their slopes `(image, corner, 2, 6)`."""
 
     def one(T: Any, pixels: Any, twist: Any) -> DeviceArray:
@@ -139,9 +141,9 @@ def board_poses(
     solved = [_solved(mounted, lens, corners, seen, T, 1.0) for T in starts]
     better = np.argmin([cost for _, cost in solved], 0)
     T = np.stack([T for T, _ in solved])[better, np.arange(len(seen))]
-    r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
+    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, seen, T))
     T, _ = _solved(mounted, lens, corners, seen, T, _weights(r, there[good])[1])
-    r, J = map(np.asarray, _linearised(mounted, lens, corners, seen, T))
+    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, seen, T))
     weight, shown = _weights(r, there[good])
     sigma = noise or shown
     root = np.sqrt(weight)[..., None] / sigma
@@ -203,7 +205,7 @@ def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Arra
     damping = np.full(len(T), 1e-3)
 
     def cost_at(T: Array) -> tuple[Array, Array, Array]:
-        r, J = map(np.asarray, _linearised(mounted, lens, corners, pixels, T))
+        r, J = map(np.asarray, linearise_corners(mounted, lens, corners, pixels, T))
         squares = np.nan_to_num(np.sum(r**2, 2), nan=1e12, posinf=1e12)
         return r, J, np.sum(np.where(there, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
 

@@ -33,11 +33,11 @@ def read(experiment, at, point):
     if sensor.quantity == "contact":
         reading = point - places[group] - at  # the second socket of a plate moves with the first
     elif sensor.quantity == "plane":
-        reading = (np.sum(np.array(sensor.normals)[group] * (point - places[group]), 1) - at[0])[:, None]
+        reading = (np.sum(sensor.reading.normal.T[group] * (point - places[group]), 1) - at[0])[:, None]
     elif sensor.quantity == "distance":
         reading = np.linalg.norm(point - places[0] - at[:3], axis=1)[:, None]
     else:
-        reading = (point @ np.array(sensor.normals[0]) + at[0])[:, None]
+        reading = (point @ sensor.reading.direction + at[0])[:, None]
     return reading / sensor.position_noise
 
 
