@@ -389,12 +389,8 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     winsorised = _winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training
     freedom = max(n - fit.parameters, 1.0)
     # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
-    rms = np.array(
-        [
-            np.sqrt(max(np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) * n / freedom, 1e-300))
-            for g in range(len(fit.scale))
-        ]
-    )
+    mean = [np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) for g in range(len(fit.scale))]
+    rms = np.sqrt([one * n / freedom or 1.0 for one in mean])  # of residuals that are exactly zero the fit's scale
     scale = rms * fit.scale
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
