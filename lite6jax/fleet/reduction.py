@@ -47,6 +47,7 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     units = [problem.process(one, quantities[:1], "line", 1.0).coordinates[0].unit for one in components]
     phrases = {one.driver.phrase for one in quantities}
     waves = [family.term(1.0) for family in problem.periodic if family.whole]  # of a slide, along its own stroke
+    sites = {one.site for one in components}  # a point on the last axis does not show the turns of its joint
     return ReducedArm(
         heading=Heading(
             about={
@@ -62,7 +63,7 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
             families=tuple(
                 _candidate(wave, f"waves:{wave.site}", problem)
                 for wave in waves
-                if isinstance(wave, Effect) and wave.drivers[0].phrase in phrases
+                if isinstance(wave, Effect) and wave.drivers[0].phrase in phrases and wave.site in sites
             ),
             places=tuple(Place(one.site, one.name, unit) for one, unit in zip(components, units, strict=True)),
             quantities=tuple(map(Varied.of, quantities)),

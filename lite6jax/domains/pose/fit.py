@@ -168,15 +168,15 @@ def fit_touches(begun: RigidArm) -> Solution:
     # without a frame of the sensor's own, displacements of the base are of the chain
     kept = [name != "link" and (name != "base" or begun.form.frame) for name, _, _ in begun.unknown]
     nominal = relinearise(begun.keeping(kept), DEFAULTS)
-    J = (arm.nuisance * np.sqrt(known.residuals.row_weight)).reshape(len(arm.unknown), -1)
+    J = (arm.frame_columns * np.sqrt(known.residuals.row_weight)).reshape(len(arm.unknown), -1)
     factor = variance_factor(known.residuals.squares, arm.rows, FREEDOM, 0)
     covariance = scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
     form, q, of_steps = begun.form, recording.joint_position, _by_unknowns(arm)
     tolerance = np.zeros(form.size)
     if recording.settings.factory_calibration is None:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
-    noise, own = float(known.scale[0] * arm.noise[0]), len(arm.unknown) - arm.sensor.numbers
-    assert isinstance(arm.sensor, PointSensor)
+    noise, own = float(known.scale[0] * arm.noise[0]), len(arm.unknown) - arm.measured.numbers
+    assert isinstance(arm.measured, PointSensor)
     return Solution(
         arm=arm.arm,
         form=form,
@@ -194,7 +194,7 @@ def fit_touches(begun: RigidArm) -> Solution:
         tolerance=tolerance,
         notes=recording.notes,
         recording=recording,
-        places=_places_of(arm.sensor, covariance[own:, own:]),
+        places=_places_of(arm.measured, covariance[own:, own:]),
     )
 
 

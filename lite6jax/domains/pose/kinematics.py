@@ -102,7 +102,7 @@ def site_columns(
     rigid = rigid_frames(model, joint_position, sliding)
     dof = len(joint_position)
     sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
-    twists, stretches, scale = frame_columns(rigid._replace(frames=np.concatenate([sensor, rigid.frames])), measured)
+    twists, stretches, scale = rigid_columns(rigid._replace(frames=np.concatenate([sensor, rigid.frames])), measured)
     stretches = stretches[1:]
     columns = whitened(
         np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
@@ -172,7 +172,7 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     )
 
 
-def frame_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
+def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)

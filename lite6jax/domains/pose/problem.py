@@ -1,10 +1,10 @@
 """Measured poses as an estimation problem: one arm, its unknown frames and geometry, and the columns of effects."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -18,17 +18,14 @@ from lite6jax.domains.pose import columns
 from lite6jax.domains.pose.columns import Deflections, MassErrors, mass_errors, physics_of
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
-    RigidFrames,
     Site,
     bent_residual,
-    displaced,
-    rigid_frames,
     rigid_tool,
     site_columns,
     unwhitened,
     whitened,
 )
-from lite6jax.domains.pose.rigid_arm import rigid_arm
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
@@ -59,24 +56,16 @@ lazy = property if TYPE_CHECKING else cached_property
 
 @final
 @dataclass(frozen=True, eq=False)
-class PoseProblem:
+class PoseProblem(RigidArm):
     """A recording of poses, linearised about a rigid arm; `estimation.problem.Problem` describes the members it shares.
 
+    Of a `RigidArm` it has all attributes: the recording, as screened, has a pose in every row. Further unknowns stand
+    after the sensor's own: what encoders do once a turn; displacements after frame jumps, what is left of them in the
+    recording; and errors of masses.
+
     Attributes:
-        recording: as screened; every row has a pose.
-        arm: the nominal arm.
-        start: the rigid arm of the linearisation, a six-parameter chain.
-        unknown: the nuisance, each a `Site`: constant displacements of frames, which to first order span the same
-            changes of poses as a chain's numbers, without the singularities of angles; the sensor's own unknowns;
-            displacements after frame jumps, what is left of them in the recording; and errors of masses.
-        precision: `(unknown,)`, one over the variance of their prior.
-        offset: `(unknown,)`, from the prior's mean to `start`, and to the masses of the linearisation.
-        informative: `(unknown,)` bool, of masses, and of frames where the sidecar declares the chain's uncertainty.
         motion: of the whole recording, as declared.
         inertia: the arm's masses as declared, or None where they are not known.
-        measured: the poses, or the sensor of touches.
-        noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
-        declared_noise: the same, each None where the sidecar does not declare it.
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
         clock_offset: s, from a pose's stamp to the instant at which it shows the arm, if set before the search; or 0.
@@ -86,29 +75,14 @@ class PoseProblem:
         after: `(jump, sample)` bool, the samples after each frame jump.
     """
 
-    recording: Recording
-    arm: Arm
-    start: ArmModel
-    unknown: tuple[Site, ...]
-    precision: Array
-    offset: Array
-    informative: Mask
     motion: Motion
     inertia: Inertia | None
-    measured: Sensor
-    noise: tuple[float, float | None]
-    declared_noise: tuple[float | None, float | None]
     candidates: tuple[Effect, ...]
     untestable: tuple[Untestable, ...]
     after: Mask
     clock_offset: float = 0.0
     thinned_from: tuple[Motion, NDArray[np.integer]] | None = None
     units: dict[Hashable, Any] = field(default_factory=dict)
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.motion.samples
 
     @property
     def frames(self) -> tuple[Site, ...]:
@@ -125,11 +99,6 @@ class PoseProblem:
     def masses(self) -> tuple[Site, ...]:
         """The errors of masses, the last of `unknown`."""
         return tuple(site for site in self.unknown if site[0] in ("mass", "payload"))
-
-    @property
-    def rows(self) -> int:
-        """Numbers that a sample has: 3 or 6, of some touches 1."""
-        return self.measured.rows
 
     @property
     def groups(self) -> NDArray[np.integer]:
@@ -189,16 +158,15 @@ class PoseProblem:
         """The loads on the rigid arm; None where its masses are not known."""
         return self.deflections.loads
 
-    @cached_property
-    def rigid(self) -> RigidFrames:
-        """The rigid arm's frames, on the host."""
-        return rigid_frames(self.start, np.asarray(self.time_shifted.joint_position), self.motion.sliding.joints)
+    @property
+    def joint_position(self) -> Array:
+        """`(joint, sample)` rad, m of prismatic joints, of the time-shifted motion."""
+        return np.asarray(self.time_shifted.joint_position)
 
     @cached_property
     def sites(self) -> dict[Site, Array]:
         """How residuals change with a deflection at each site, `(row, sample)`."""
-        q = np.asarray(self.time_shifted.joint_position)
-        return site_columns(self.start, q, self.measured, self.motion.sliding.joints)
+        return site_columns(self.start, self.joint_position, self.measured, self.motion.sliding.joints)
 
     @lazy
     def frame_columns(self) -> Array:
@@ -333,17 +301,13 @@ class PoseProblem:
         motion, deflection = self._deflection(nuisance, terms, values)
         form = self.motion.chain
         start, measured = self._on_device
-        if len(own := self._own(nuisance)):
+        if len(own := self.own_numbers(nuisance)):
             measured = measured.displaced(own)
         return np.asarray(bent_residual(form, start, motion.joint_position, deflection, measured))
 
     def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Predicted minus measured positions `(3, sample)` m; of touches what is read, `(row, sample)` m."""
         return unwhitened(self.residual(nuisance, terms, values), self.measured.whitener)[:3]
-
-    def _own(self, nuisance: Array) -> Array:
-        """The sensor's own unknowns in a nuisance."""
-        return nuisance[[k for k, site in enumerate(self.unknown) if site[0] == "reading"]]
 
     def once_per_turn(self, nuisance: Array) -> Array:
         """The sine and cosine of each joint's error once a turn, `(joint, 2)` rad, by the nuisance `(unknown,)`."""
@@ -356,35 +320,17 @@ class PoseProblem:
     @cached_property
     def _waves(self) -> Array:
         """`(2, joint, sample)`, sine and cosine of the joints' positions."""
-        q = np.asarray(self.time_shifted.joint_position)
-        return np.stack([np.sin(q), np.cos(q)])
+        return np.stack([np.sin(self.joint_position), np.cos(self.joint_position)])
 
     def mass_errors(self, nuisance: Array) -> MassErrors | None:
         """By how much the masses differ from those declared, by the nuisance `(unknown,)`; None where they do not."""
         return mass_errors(self.unknown, self.offset + nuisance, self.motion.dof)
 
-    def relinearised(self, nuisance: Array) -> "PoseProblem":
-        """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
-        own = self._own(nuisance)
-        measured = self.measured.displaced(own) if len(own) else self.measured
-        return replace(self, start=self.displaced(nuisance), measured=measured, offset=self.offset + nuisance)
-
-    def displaced(self, nuisance: Array) -> ArmModel:
-        """The arm `start` with its frames displaced by the nuisance `(unknown,)`."""
-        return displaced(self.start, self.unknown, nuisance)
-
-    def selected(self, chosen: NDArray[np.integer]) -> "PoseProblem":
+    def select(self, rows: NDArray[np.integer]) -> Self:
         """Some of the samples, each a run of its own."""
-        whole, rows = self.thinned_from or (self.motion, np.arange(self.samples))
-        return replace(
-            self,
-            recording=self.recording.select(chosen),
-            motion=select(self.motion, chosen),
-            measured=self.measured.select(chosen),
-            thinned_from=(whole, rows[chosen]),
-            units={},
-            after=self.after[:, chosen],
-        )
+        whole, at = self.thinned_from or (self.motion, np.arange(self.samples))
+        own = {"motion": select(self.motion, rows), "after": self.after[:, rows]}
+        return replace(super().select(rows), **own, thinned_from=(whole, at[rows]), units={})
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
         """Those of the effect; a payload is not less than nothing."""
@@ -394,7 +340,7 @@ class PoseProblem:
 
     def thinned(self, every: int) -> "PoseProblem":
         """One in `every` rows."""
-        return self if every == 1 else self.selected(np.arange(self.samples)[::every])
+        return self if every == 1 else self.select(np.arange(self.samples)[::every])
 
     def alternative(self, terms: Terms) -> "PoseProblem | None":
         """As `with_other_loads`; None also where none of the terms depends on loads."""
@@ -507,32 +453,28 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    touched = not isinstance(rigid.sensor, Measured)
+    touched = not isinstance(rigid.measured, Measured)
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
     known = np.full(len(waves), ONCE_PER_TURN**-2.0)
     free, none = np.zeros(len(moved)), np.zeros(len(masses))
-    stated = [rigid.informative or site[0] == "reading" for site in rigid.unknown]
     every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
     if touched:  # sockets, plates and anchors have no frame of their own that could move
         every = tuple(effect for effect in every if effect.site != "sensor")
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}
+    with_more = {
+        "unknown": (*rigid.unknown, *waves, *moved, *masses),
+        "precision": np.concatenate([rigid.precision, known, free, deviations**-2.0]),
+        "offset": np.concatenate([rigid.offset, 0 * known, free, none]),
+        "informative": np.concatenate([rigid.informative, known > 0, free == 0, none == 0]),
+    }
     return PoseProblem(
-        recording=recording,
-        arm=rigid.arm,
-        start=rigid.start,
-        unknown=(*rigid.unknown, *waves, *moved, *masses),
-        precision=np.concatenate([rigid.precision, known, free, deviations**-2.0]),
-        offset=np.concatenate([rigid.offset, 0 * known, free, none]),
-        informative=np.concatenate([np.array(stated, bool), known > 0, free == 0, none == 0]),
+        **{own.name: getattr(rigid, own.name) for own in fields(rigid)} | with_more,
         after=np.array([rigid.recording.row >= row for row, _ in jumps]).reshape(len(jumps), rigid.samples),
         motion=motion,
         inertia=inertia,
-        measured=rigid.sensor,
-        noise=rigid.noise,
-        declared_noise=rigid.declared_noise,
         candidates=tuple(effect for effect in every if effect not in lacking),
         untestable=missing,
     )

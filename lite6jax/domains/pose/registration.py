@@ -14,7 +14,7 @@ from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
     Site,
-    frame_columns,
+    rigid_columns,
     small_displacement,
     whitened,
 )
@@ -121,7 +121,7 @@ def register(
     lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
     found = [None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)]
     assert found[0] is not None
-    determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
+    determined = rank(problem.frame_columns.reshape(parameters, count), _DETERMINED) == parameters
     fitted = problem.T_sensor_base, problem.T_flange_tool
     return Registration(*fitted, missed, turned, weight, (found[0], found[1]), determined)
 
@@ -200,7 +200,7 @@ class _Frames(NuisanceProblem):
     """
 
     flange: Array
-    sensor: Measured
+    measured: Measured
     T_sensor_base: Array
     T_flange_tool: Array
     unknown: NDArray[np.integer]
@@ -218,9 +218,9 @@ class _Frames(NuisanceProblem):
         return RigidFrames(np.stack([base, flange]), flange @ self.T_flange_tool)
 
     @property
-    def nuisance(self) -> Array:
-        twists = frame_columns(self.rigid, self.sensor)[0].reshape(12, self.rows, -1)
-        return whitened(twists[self.unknown], self.sensor.whitener)
+    def frame_columns(self) -> Array:
+        twists = rigid_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
+        return whitened(twists[self.unknown], self.measured.whitener)
 
     def relinearised(self, nuisance: Array) -> "_Frames":
         change = np.zeros(12)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
-from typing import Any, Self, final
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,8 @@ from lite6jax.domains.pose.kinematics import (
     RigidFrames,
     Site,
     displaced,
-    frame_columns,
     measured_poses,
+    rigid_columns,
     rigid_frames,
     rigid_residuals,
     whitened,
@@ -32,8 +32,9 @@ from lite6jax.domains.pose.kinematics import (
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
@@ -51,18 +52,19 @@ _TOOL_M = 0.15
 class NuisanceProblem:
     """A `LinearisedProblem` without terms: some frames are displaced, and the noise is what is left.
 
-    What derives from it has `rigid`, the frames, `sensor`, what was measured, `nuisance` and `relinearised`.
+    What derives from it has `rigid`, the frames, `measured`, the poses or the sensor, `frame_columns`, how residuals
+    change with its unknowns, and `relinearised`.
     """
 
     rigid: Any
-    sensor: Any
+    measured: Any
     preset = Terms(), np.zeros(0)
     floored = False
 
     @property
     def rows(self) -> int:
         """Numbers that a sample has: 3 or 6, of some touches 1."""
-        return self.sensor.rows
+        return self.measured.rows
 
     @property
     def samples(self) -> int:
@@ -72,12 +74,12 @@ class NuisanceProblem:
     @cached_property
     def differences(self) -> Array:
         """Predicted minus measured `(row, sample)`: m in sensor axes, and rotation vectors in tool axes."""
-        return self.sensor.differences(self.rigid.tool)
+        return self.measured.differences(self.rigid.tool)
 
     @cached_property
     def residuals(self) -> Array:
         """`(row, sample)`, the differences over the declared noise."""
-        return whitened(self.differences, self.sensor.whitener)
+        return whitened(self.differences, self.measured.whitener)
 
     @property
     def groups(self: Any) -> NDArray[np.integer]:
@@ -85,8 +87,8 @@ class NuisanceProblem:
         return np.zeros(self.rows, int)
 
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
-        """`nuisance`, whatever terms are beside it."""
-        return self.nuisance
+        """`frame_columns`, whatever terms are beside them."""
+        return self.frame_columns
 
     def residual(self: Any, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` with the unknowns displaced."""
@@ -98,7 +100,7 @@ class NuisanceProblem:
         """Of no terms."""
         return np.zeros((0, self.rows, self.samples))
 
-    def factored(self, term: Term) -> None:
+    def factored(self, term: Term) -> Factored | None:
         """None, of no terms."""
         return
 
@@ -107,23 +109,25 @@ class NuisanceProblem:
         return []
 
 
-@final
 @dataclass(frozen=True, eq=False)
 class RigidArm(NuisanceProblem):
     """A rigid arm and its measured poses, a problem of the unknown displacements of its frames.
+
+    A `PoseProblem` is one whose effects are sought.
 
     Attributes:
         recording: joints and poses.
         arm: the nominal arm.
         start: the six-parameter chain, sensor frame and tool of the linearisation.
-        unknown: the constant displacements of frames that are fitted, each a `Site`. To first order they span the same
-            changes of poses as a chain's numbers, without the singularities of angles.
+        unknown: the nuisance, each a `Site`: the constant displacements of frames that are fitted, which to first order
+            span the same changes of poses as a chain's numbers, without the singularities of angles; and then the
+            sensor's own unknowns.
         precision: `(unknown,)`, one over the variance of their prior.
         offset: `(unknown,)`, from the prior's mean to `start`.
-        informative: whether the sidecar declares the chain's uncertainty.
+        informative: `(unknown,)` bool, where the sidecar declares the chain's uncertainty, and of the sensor's own.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared_noise: the same, each None where the sidecar does not declare it.
-        sensor: what was measured, with the sensor's own unknowns, the last of `unknown`.
+        measured: the poses, or the sensor of touches.
         exact: whether the sidecar declares the chain.
         form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
@@ -134,10 +138,10 @@ class RigidArm(NuisanceProblem):
     unknown: tuple[Site, ...]
     precision: Array
     offset: Array
-    informative: bool
+    informative: Mask
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    sensor: Sensor
+    measured: Sensor
     exact: bool
     form: ModelForm
 
@@ -170,30 +174,25 @@ class RigidArm(NuisanceProblem):
         rows[0] = frames.row_from_transform(self.T_sensor_base @ frames.transform_from_row(rows[0]))
         return ArmModel(rows.ravel(), np.eye(4), self.start.T_flange_tool)  # type: ignore[arg-type]
 
+    @property
+    def joint_position(self) -> Array:
+        """`(joint, sample)` rad, m of prismatic joints, at the instants of the poses."""
+        return self.recording.joint_position.T
+
     @cached_property
     def rigid(self) -> RigidFrames:
-        """The arm's frames in the sensor's."""
-        return rigid_frames(self.start, self.recording.joint_position.T, self.recording.sliding)
-
-    @property
-    def frames(self) -> Array:
-        """`(joint + 1, sample, 4, 4)`, the base and the frame after each joint's rotation, in the sensor's frame."""
-        return self.rigid.frames
-
-    @property
-    def tool(self) -> Array:
-        """`(sample, 4, 4)`, in the sensor's frame."""
-        return self.rigid.tool
+        """The arm's frames in the sensor's, on the host."""
+        return rigid_frames(self.start, self.joint_position, self.recording.sliding)
 
     @cached_property
     def differences(self) -> Array:
         """Predicted minus measured poses `(row, sample)`, m and rad."""
-        return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.sensor)
+        return rigid_residuals(self.start, self.joint_position, self.recording.sliding, self.measured)
 
     @cached_property
     def plain_twists(self) -> Array:
-        """`((joint + 1) 6, row, sample)`: how differences change with a twist of each of `frames`, in its own axes."""
-        twists = frame_columns(self.rigid, self.sensor)[0]
+        """`((joint + 1) 6, row, sample)`: how differences change with a twist of each frame, in its own axes."""
+        twists = rigid_columns(self.rigid, self.measured)[0]
         return twists.reshape(-1, self.rows, self.samples)
 
     @cached_property
@@ -207,13 +206,13 @@ class RigidArm(NuisanceProblem):
         return self.twists[11::6]
 
     @property
-    def nuisance(self) -> Array:
+    def frame_columns(self) -> Array:
         """`(unknown, row, sample)`: how residuals change with the unknowns."""
         first = {"base": 0, "link": 6, "tool": 6 * len(self.links)}
         moved = self.twists[[first[name] + 6 * j + k for name, j, k in self.unknown if name in FRAMES]]
-        if not self.sensor.numbers:
+        if not self.measured.numbers:
             return moved
-        return np.concatenate([moved, self.whitened(self.sensor.by_numbers(self.tool))])
+        return np.concatenate([moved, self.whitened(self.measured.by_numbers(self.rigid.tool))])
 
     @cached_property
     def squares(self) -> Array:
@@ -237,36 +236,42 @@ class RigidArm(NuisanceProblem):
 
     def whitened(self, columns: Array) -> Array:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
-        return whitened(columns, self.sensor.whitener)
+        return whitened(columns, self.measured.whitener)
+
+    def displaced(self, nuisance: Array) -> ArmModel:
+        """The arm `start` with its frames displaced by the nuisance `(unknown,)`."""
+        return displaced(self.start, self.unknown, nuisance)
+
+    def own_numbers(self, nuisance: Array) -> Array:
+        """The sensor's own unknowns in a nuisance `(unknown,)`."""
+        return nuisance[[k for k, site in enumerate(self.unknown) if site[0] == "reading"]]
 
     def relinearised(self, nuisance: Array) -> Self:
-        """The arm with the unknowns `(unknown,)` displaced."""
-        sensor = self.sensor
-        if sensor.numbers:
-            sensor = sensor.displaced(nuisance[len(nuisance) - sensor.numbers :])
-        start = displaced(self.start, self.unknown, nuisance)
-        return replace(self, start=start, sensor=sensor, offset=self.offset + nuisance)
+        """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
+        own = self.own_numbers(nuisance)
+        measured = self.measured.displaced(own) if len(own) else self.measured
+        return replace(self, start=self.displaced(nuisance), measured=measured, offset=self.offset + nuisance)
 
     def with_poses(self, recording: Recording) -> Self:
         """The arm with other poses of the same sensor, weighed as these are."""
-        sensor = self.sensor.reading_as(measured_poses(recording, self.sensor.whitener))
-        return replace(self, recording=recording, sensor=sensor)
+        sensor = self.measured.reading_as(measured_poses(recording, self.measured.whitener))
+        return replace(self, recording=recording, measured=sensor)
 
-    def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
+    def select(self, rows: NDArray[np.integer]) -> Self:
         """Some of the samples."""
-        return replace(self, recording=self.recording.select(rows), sensor=self.sensor.select(rows))
+        return replace(self, recording=self.recording.select(rows), measured=self.measured.select(rows))
 
     def keeping(self, kept: Sequence[bool]) -> Self:
         """The arm with some of its unknowns; all others stay where they are."""
-        unknown = tuple(compress(self.unknown, kept))
-        return replace(self, unknown=unknown, precision=self.precision[kept], offset=self.offset[kept])
+        parts = {name: getattr(self, name)[kept] for name in ("precision", "offset", "informative")}
+        return replace(self, unknown=tuple(compress(self.unknown, kept)), **parts)
 
     def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(spread_rows(self.samples, most)).fitted(most)
-        return replace(self, start=few.start, sensor=few.sensor.reading_as(self.sensor), offset=few.offset)
+        return replace(self, start=few.start, measured=few.measured.reading_as(self.measured), offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
@@ -303,7 +308,7 @@ def require_determined(arm: RigidArm) -> None:
         return
     if arm.samples < _FEWEST_READINGS:
         raise InputError(f"{arm.recording.source}: its {arm.samples} readings are too few; {_REMEDIES[readings.kind]}")
-    own = iter(arm.sensor.own)
+    own = iter(arm.measured.own)
     numbers = []
     for k, (name, _, axis) in enumerate(arm.unknown):
         if name == "reading":
@@ -316,7 +321,7 @@ def require_determined(arm: RigidArm) -> None:
     if not numbers:
         return
     at, names, sizes = zip(*numbers, strict=True)
-    J = (arm.nuisance[list(at)] * np.array(sizes)[:, None, None]).reshape(len(at), -1)
+    J = (arm.frame_columns[list(at)] * np.array(sizes)[:, None, None]).reshape(len(at), -1)
     eigenvalues, V = np.linalg.eigh(J @ J.T)
     if eigenvalues[0] >= 1.0:
         return
@@ -382,6 +387,7 @@ def rigid_arm(
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
     own = sensor.own
+    stated = [uncertainty is not None or touches is not None] * len(unknown) + [True] * len(own)
     unknown += [("reading", k, 0) for k in range(len(own))]
     begun = RigidArm(
         recording=recording,
@@ -390,10 +396,10 @@ def rigid_arm(
         unknown=tuple(unknown),
         precision=np.array([*precision, *(one.precision for one in own)]),
         offset=np.array([*np.zeros(len(precision)), *(one.offset for one in own)]),
-        informative=uncertainty is not None or touches is not None,
+        informative=np.array(stated, bool),
         noise=noise,
         declared_noise=declared,
-        sensor=sensor,
+        measured=sensor,
         exact=exact,
         form=form,
     )
@@ -410,16 +416,16 @@ def _locate_tool(arm: RigidArm) -> RigidArm:
     for point in _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])[: 7 if arm.form.tool else 1]:
         T_flange_tool = arm.T_flange_tool @ frames.transform_from_row([*point, 0, 0, 0])
         begun = replace(few, start=arm.start._replace(T_flange_tool=T_flange_tool))  # type: ignore[arg-type]
-        assert isinstance(arm.sensor, PointSensor)
-        found.append(relinearise(_with_sensor(begun, arm.sensor.shown(begun.tool)), DEFAULTS))
+        assert isinstance(arm.measured, PointSensor)
+        found.append(relinearise(_with_sensor(begun, arm.measured.shown(begun.rigid.tool)), DEFAULTS))
     best = min(found, key=lambda one: float(np.median(one.squares)))
-    return _with_sensor(replace(arm, start=best.start), best.sensor)
+    return _with_sensor(replace(arm, start=best.start), best.measured)
 
 
 def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
     """The arm with another sensor of its kind, and its own frames at the mean of their prior."""
     offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
-    return replace(arm, sensor=sensor, offset=offset)
+    return replace(arm, measured=sensor, offset=offset)
 
 
 def touch_sensor(recording: Recording, noise: float) -> PointSensor:

@@ -450,7 +450,7 @@ class TorqueProblem:
         of_arm = declared(self.data.arm, term) if term.chosen is None else 0.0  # another curve than the declared one
         return [(less[0] - of_arm, less[1]), *others]
 
-    def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
+    def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
         return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=Known())
 
@@ -458,7 +458,7 @@ class TorqueProblem:
         """One in `every` samples."""
         if every == 1:
             return self
-        return replace(self.selected(np.arange(self.samples)[::every]), known=self.known.of_every(every))
+        return replace(self.select(np.arange(self.samples)[::every]), known=self.known.of_every(every))
 
     def alternative(self, terms: Terms) -> None:
         """None: there is one model of the inputs."""

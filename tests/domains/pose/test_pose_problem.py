@@ -312,7 +312,7 @@ def test_what_is_left_of_a_frame_jump_is_fitted(arm, motions):
     np.testing.assert_allclose(
         there.residual(at_start(case), NOTHING, none), case.residual(moved, NOTHING, none), rtol=0, atol=1e-9
     )
-    later = case.selected(np.arange(3, SAMPLES))
+    later = case.select(np.arange(3, SAMPLES))
     np.testing.assert_allclose(
         later.residual(moved, NOTHING, none), case.residual(moved, NOTHING, none)[:, 3:], rtol=0, atol=1e-9
     )

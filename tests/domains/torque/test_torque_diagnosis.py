@@ -14,9 +14,8 @@ from lite6jax.diagnosis.document import model_from_document, read_model, write_d
 from lite6jax.diagnosis.heldout import Judgement
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
-from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques, linearised, with_likely_prior
 from lite6jax.domains.predict import predict
-from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction

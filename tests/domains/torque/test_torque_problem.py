@@ -9,8 +9,8 @@ from domains.torque.moved import hidden, motion_of, recorded, setup_of
 from scipy.signal import lfilter
 
 from lite6jax.arms.dynamics import link_parameters
+from lite6jax.diagnosis.torque_diagnosis import linearised, with_likely_prior
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import torque_problem, uncertain
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
 from lite6jax.effects.dynamic import (

@@ -198,7 +198,7 @@ def without_jump(
     twist = small_displacement(jump.twist)
     if jump.part == "base" and jump.displacement > options.large_jump_noise * arm.noise[0]:
         assert arm.recording.position is not None
-        points = arm.tool.copy()
+        points = arm.rigid.tool.copy()
         points[:, :3, :3] = np.eye(3)
         parts = (slice(0, jump.sample), slice(jump.sample, None))
         before, after = (
@@ -233,7 +233,7 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
         if R is not None:
             turned = np.where(after[:, None, None], back[:3, :3] @ R, R)
     else:
-        flange, tool = fitted.frames[-1], fitted.T_flange_tool
+        flange, tool = fitted.rigid.frames[-1], fitted.T_flange_tool
         position[after] -= (flange @ T @ tool - flange @ tool)[after, :3, 3]
         if R is not None:
             turned = np.where(after[:, None, None], R @ np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3], R)

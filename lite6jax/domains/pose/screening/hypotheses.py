@@ -288,7 +288,8 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[own]]
     offset, last = np.r_[np.zeros(len(unknown)), arm.offset[own]], len(unknown)
     unknown += [arm.unknown[k] for k in own]
-    fit = replace(arm, unknown=tuple(unknown), precision=precision, offset=offset).fitted(few.samples)
+    numbers = {"precision": precision, "offset": offset, "informative": precision > 0}
+    fit = replace(arm, unknown=tuple(unknown), **numbers).fitted(few.samples)
     off = fit.offset[last - len(zeros) : last]
     total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
     for change in (c for c in hypothesis if c.code == "joint_turns"):

@@ -38,7 +38,7 @@ class Projected:
     @cached_property
     def basis(self) -> Array:
         """`(rank, row sample)`, orthonormal, of the known columns."""
-        columns = np.concatenate([self.arm.nuisance, self.known]) * self.weight
+        columns = np.concatenate([self.arm.frame_columns, self.known]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
         return orthonormal(unit_rows(flat), DEFAULTS.rounding)
 
@@ -134,7 +134,7 @@ def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
     along = np.concatenate([arm.links[:, :3, 3], arm.T_flange_tool[None, :3, 3]])
     stretch = np.einsum("jk,jkrs->jrs", along, twists.reshape(len(along), 6, arm.rows, -1)[:, :3])
     seen = np.zeros((1, arm.rows, arm.samples))
-    seen[0, :3] = arm.tool[:, :3, 3].T
+    seen[0, :3] = arm.rigid.tool[:, :3, 3].T
     stretch = stretch.sum(0, keepdims=True) if "links" in skip else stretch
     scale = np.concatenate([stretch, arm.whitened(seen)])
     out += [scale, scale * warmth]
@@ -145,7 +145,7 @@ def _moments(arm: RigidArm) -> Array | None:
     """`(dof + 1, 3, sample)` gravity's moment about the base's and each frame's origin, in its axes."""
     if arm.arm.mass is None or arm.arm.center_of_mass is None:
         return None
-    recording, F = arm.recording, arm.frames
+    recording, F = arm.recording, arm.rigid.frames
     g = arm.T_sensor_base[:3, :3] @ np.array(recording.settings.gravity_m_per_s2)
     center = arm.arm.T_joint_flange[:3, :3] @ np.array(recording.settings.payload_com_m) + arm.arm.T_joint_flange[:3, 3]
     R, o = F[..., :3, :3], F[..., :3, 3]
