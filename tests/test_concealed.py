@@ -23,14 +23,14 @@ PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-def a_setup(rng, arm=None):
+def a_setup(rng):
     sensor, tool = views.transform(rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)), np.eye(4)
     tool[:3, 3] = 0.02, 0.0, 0.06
-    return Setup((arm or lite6()).moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
+    return Setup(lite6().moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
 
 
-def a_motion(rng, setup, moving=False, rows=60, load=True):
-    return trials.draw_motion(rng, setup.chain, moving, rows, warming=True, loading=load, fixed_load=True)
+def a_motion(rng, setup, moving=False, rows=60):
+    return trials.draw_motion(rng, setup.chain, moving, rows, warming=True, loading=True, fixed_load=True)
 
 
 def rms(points):
@@ -275,9 +275,9 @@ def test_sites_that_move_what_is_seen_alike_are_one(scene):
     assert not {"joint2", "base"} & set(hiding.equal_sites(view, bump))
 
 
-def nearest(scene, effect, rows=60):
+def nearest(scene, effect):
     setup, motion = scene
-    view = View(setup, Open(frame=True, tool=3, geometry=False), motion.thinned(rows), (2e-5, 1e-4))
+    view = View(setup, Open(frame=True, tool=3, geometry=False), motion.thinned(60), (2e-5, 1e-4))
     drivers = FAMILIES[effect.name].drivers(effect.fixed)
     return hiding.nearest_to_outside(view, effect, hiding.equal_sites(view, effect), drivers)
 
