@@ -264,13 +264,6 @@ def test_the_factory_file_of_the_demo_says_that_it_is_simulated():
 # ------------------------------------------------------------------ fit: what is refused
 
 
-def damaged(path, edit):
-    content = yaml.safe_load(path.read_text())
-    edit(content["kinematics"])
-    path.write_text(yaml.safe_dump(content))
-    return path
-
-
 @pytest.mark.parametrize("name", ["missing.yaml", "missing.csv", "missing.json"])
 def test_a_missing_file_is_named(capsys, tmp_path, name):
     assert refused(capsys, "fit", tmp_path / name) == f"{tmp_path / name}: no such file; check the name"
@@ -415,7 +408,10 @@ def test_a_fleet_has_a_row_a_file(capsys, tmp_path):
     rng = np.random.default_rng(2)
     for i in range(3):
         write_factory(perturbed(rng, LITE6), inputs / f"lite{i}.yaml")
-    damaged(write_factory(perturbed(rng, LITE6), inputs / "flawed.yaml"), lambda k: k.pop("joint2"))
+    flawed = write_factory(perturbed(rng, LITE6), inputs / "flawed.yaml")
+    content = yaml.safe_load(flawed.read_text())
+    del content["kinematics"]["joint2"]
+    flawed.write_text(yaml.safe_dump(content))
     (inputs / "settings.yaml").write_text("ros: {rate: 100}\n")
     (inputs / "notes.txt").write_text("not read")
     (inputs / "broken.csv").write_text("q1_rad\n")
@@ -595,12 +591,8 @@ def test_the_distance_from_nominal_is_one_number_in_every_command(capsys, calibr
     assert [f"{1e3 * most:.3f}" for most in rows] == [shown, shown]
 
 
-def needs(path):
-    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is not here")
-
-
 @pytest.mark.long
-@needs(REAL / "ur10")
+@pytest.mark.skipif(not (REAL / "ur10").exists(), reason="ur10 is not here")
 def test_the_ur10_recording(capsys):
     code, said, err = run(capsys, "fit", REAL / "ur10" / "ur10_series_b.csv")
     assert (code, err) == (0, "")

@@ -196,10 +196,6 @@ def test_the_rows_repeated_in_a_file_are_those_that_are_sealed():
 # ------------------------------------------------------------------ physics outside the catalogue
 
 
-def torque(setup, motion, joint):
-    return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[0][:, joint - 1]
-
-
 @pytest.fixture(scope="module")
 def scene():
     """A Lite 6 that moves and warms up and down, seen from a sensor somewhere."""
@@ -307,7 +303,8 @@ def test_play_and_compliance_of_one_joint_of_mujoco_add_up():
     for hidden in ((play, spring), (spring, play)):
         found = Arm(setup, hidden, 0.5).at_rest(motion)
         shown = poses(setup, hidden, found.motion)[1]
-        clear = np.abs(torque(setup, found.motion, 2)[:, 2]) > 1
+        torque = moments(setup.chain, found.motion.q, found.motion.payload, PAYLOAD_CENTER)[0][:, 1, 2]
+        clear = np.abs(torque) > 1
         off = np.linalg.norm(found.position - shown, axis=1)[clear]
         for alone in hidden:
             missing = np.linalg.norm(poses(setup, (alone,), found.motion)[1] - shown, axis=1)[clear]
