@@ -15,13 +15,10 @@ from tests.oracles.chains import seed_poses, six_parameter_poses
 RNG_SEED = 11
 
 
-def some_parameters(rng):
-    return seed_way.NOMINAL + 2e-3 * rng.standard_normal(28)
-
-
 def test_the_rivals_chains_are_those_of_the_oracle():
     rng = np.random.default_rng(RNG_SEED)
-    kinematics, parameters = fits.simulated_arms(1, RNG_SEED)[0], some_parameters(rng)
+    kinematics = fits.simulated_arms(1, RNG_SEED)[0]
+    parameters = seed_way.NOMINAL + 2e-3 * rng.standard_normal(28)
     q = seed_way.sample_joints(20, rng)
     np.testing.assert_allclose(
         [seed_way.factory_pose(kinematics, each) for each in q], six_parameter_poses(kinematics, q), atol=1e-14

@@ -1,6 +1,5 @@
 """The commands as a person meets them: what is printed, what is written, what is refused and how."""
 
-import ast
 import json
 import re
 import signal
@@ -34,19 +33,14 @@ REAL = ROOT / "../shared/real"
 LITE6 = load_bundled("lite6").kinematics
 
 
-@pytest.fixture(autouse=True)
-def _terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-
-
 @pytest.fixture
 def calibration(tmp_path):
     return write_factory(perturbed(np.random.default_rng(5), LITE6), tmp_path / "arm.yaml")
 
 
-def write_recording_file(path, seed=0, samples=120, tool=(0, 0, 0), sidecar=None):
+def write_recording_file(path, samples=120, tool=(0, 0, 0)):
     """Joints and noisy flange poses of a perturbed Lite 6, in its base frame."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     q = random_positions(rng, samples, 6) * [1, 0.6, 0.5, 1, 0.6, 1] + [0, 0, 1.6, 0, 0, 0]
     poses = six_parameter_poses(perturbed(rng, LITE6), q)
     poses[:, :3, 3] += poses[:, :3, :3] @ np.array(tool)
@@ -56,7 +50,7 @@ def write_recording_file(path, seed=0, samples=120, tool=(0, 0, 0), sidecar=None
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.17g")
     settings = {"arm": "lite6", "motion": "static", "pose_frame": "base", "tool": "none"}
     settings |= {"position_noise_m": 2.0e-5, "orientation_noise_rad": 1.0e-4, "pose_source": "laser_tracker"}
-    path.with_suffix(".yaml").write_text(yaml.safe_dump({"recording": settings | (sidecar or {})}))
+    path.with_suffix(".yaml").write_text(yaml.safe_dump({"recording": settings}))
     return path
 
 
@@ -81,15 +75,6 @@ def test_arguments_are_refused_in_tyros_style(capsys):
     assert "--samples" in err
     assert run(capsys)[0] == 2
     assert "FILE" in run(capsys, "fit")[2]
-
-
-def test_help_needs_no_library_that_computes():
-    code = (
-        "import sys; from lite6jax import cli; cli.main(['fit', '--help']);"
-        "sys.exit(sum(name in sys.modules for name in ('jax', 'matplotlib', 'optimistix', 'scipy', 'rich.table')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
@@ -152,18 +137,6 @@ def test_the_documented_table_is_that_of_the_code():
     named = [value for name, value in vars(commands).items() if name.isupper() and type(value) is int]
     assert len(rows) == len(named)
     assert sorted(named) == sorted(commands.MEANINGS)
-
-
-def test_commands_return_named_codes_only():
-    for path in (ROOT / "lite6jax/cli").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef) and node.name in ("run", "main"):
-                returned = [child.value for child in ast.walk(node) if isinstance(child, ast.Return)]
-                for value in filter(None, returned):
-                    numbers = [
-                        leaf for leaf in ast.walk(value) if isinstance(leaf, ast.Constant) and type(leaf.value) is int
-                    ]
-                    assert not numbers, ast.unparse(value)
 
 
 # ------------------------------------------------------------------ fit: a calibration
@@ -289,13 +262,6 @@ def test_the_factory_file_of_the_demo_says_that_it_is_simulated():
 
 
 # ------------------------------------------------------------------ fit: what is refused
-
-
-def damaged(path, edit):
-    content = yaml.safe_load(path.read_text())
-    edit(content["kinematics"])
-    path.write_text(yaml.safe_dump(content))
-    return path
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", "missing.csv", "missing.json"])
@@ -442,7 +408,10 @@ def test_a_fleet_has_a_row_a_file(capsys, tmp_path):
     rng = np.random.default_rng(2)
     for i in range(3):
         write_factory(perturbed(rng, LITE6), inputs / f"lite{i}.yaml")
-    damaged(write_factory(perturbed(rng, LITE6), inputs / "flawed.yaml"), lambda k: k.pop("joint2"))
+    flawed = write_factory(perturbed(rng, LITE6), inputs / "flawed.yaml")
+    content = yaml.safe_load(flawed.read_text())
+    del content["kinematics"]["joint2"]
+    flawed.write_text(yaml.safe_dump(content))
     (inputs / "settings.yaml").write_text("ros: {rate: 100}\n")
     (inputs / "notes.txt").write_text("not read")
     (inputs / "broken.csv").write_text("q1_rad\n")
@@ -622,12 +591,8 @@ def test_the_distance_from_nominal_is_one_number_in_every_command(capsys, calibr
     assert [f"{1e3 * most:.3f}" for most in rows] == [shown, shown]
 
 
-def needs(path):
-    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is not here")
-
-
 @pytest.mark.long
-@needs(REAL / "ur10")
+@pytest.mark.skipif(not (REAL / "ur10").exists(), reason="ur10 is not here")
 def test_the_ur10_recording(capsys):
     code, said, err = run(capsys, "fit", REAL / "ur10" / "ur10_series_b.csv")
     assert (code, err) == (0, "")

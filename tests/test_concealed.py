@@ -12,8 +12,8 @@ from benchmarks.concealed import hiding, plans, trials
 from benchmarks.concealed import view as views
 from benchmarks.concealed.chain import MADE, lite6, rotation_from_vector, seven
 from benchmarks.concealed.mujoco_physics import Arm
-from benchmarks.concealed.outside import FAMILIES, families
-from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, Setup, moments, poses
+from benchmarks.concealed.outside import FAMILIES, draw_form, families
+from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, Setup, loaded, moments, poses
 from benchmarks.concealed.view import Open, View
 from lite6jax.domains.pose.fit import fit
 from lite6jax.recordings import read_recording
@@ -23,14 +23,14 @@ PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-def a_setup(rng, arm=None):
+def a_setup(rng):
     sensor, tool = views.transform(rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)), np.eye(4)
     tool[:3, 3] = 0.02, 0.0, 0.06
-    return Setup((arm or lite6()).moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
+    return Setup(lite6().moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
 
 
-def a_motion(rng, setup, moving=False, rows=60, load=True):
-    return trials.draw_motion(rng, setup.chain, moving, rows, warming=True, loading=load, fixed_load=True)
+def a_motion(rng, setup, moving=False, rows=60):
+    return trials.draw_motion(rng, setup.chain, moving, rows, warming=True, loading=True, fixed_load=True)
 
 
 def rms(points):
@@ -196,98 +196,13 @@ def test_the_rows_repeated_in_a_file_are_those_that_are_sealed():
 # ------------------------------------------------------------------ physics outside the catalogue
 
 
-def rise(motion):
-    return (motion.temperature.mean(1) - 25) / 10
-
-
-def torque(setup, motion, joint):
-    return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[0][:, joint - 1]
-
-
-def base_moment(setup, motion):
-    return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[1]
-
-
-def beyond(load, preload):
-    """What is left of a load when a preload has taken its share, whichever way it acts; of a turn, beyond a slack."""
-    return load - load.clip(-preload, preload)
-
-
-def played(values, half):
-    """What is pushed along stays behind by no more than the play."""
-    behind, gap = [], 0.0
-    for step in np.diff(values, prepend=values[0]):
-        gap = np.clip(gap + step, -half, half)
-        behind.append(gap)
-    return values - behind
-
-
-def latched(values, level):
-    """The sign of the last value beyond a level."""
-    known = np.abs(values) > level
-    return np.sign(values[np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))])
-
-
-def faded(start, aims, path):
-    """What goes from a start to one aim after the other along a path: every aim, as far as the path since left it."""
-    way = np.cumsum(np.append(0.0, path))
-    kicks = np.append(0.0, aims * (1 - np.exp(-path)))
-    return start * np.exp(-way) + np.tril(np.exp(way[None] - way[:, None])) @ kicks
-
-
-def late(values, motion, constant):
-    """Values as they are followed with a time constant."""
-    return faded(values[0], values[1:], np.diff(motion.time) / constant)
-
-
 @pytest.fixture(scope="module")
 def scene():
     """A Lite 6 that moves and warms up and down, seen from a sensor somewhere."""
     rng = np.random.default_rng(41)
     setup = a_setup(rng)
-    motion = trials.draw_motion(rng, setup.chain, True, 60, warming=True, wandering=True)
+    motion = trials.draw_motion(rng, setup.chain, True, 60, warming=True, wandering=True, loading=True)
     return setup, motion
-
-
-# name: where, what is drawn, and the formula of its signal, written down a second time: a family of every site and of
-# every kind of signal
-FORMULAS = {
-    "joint_bump": ("joint3", {"centre": 1.0, "width": 0.3}, lambda s, m: np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18)),
-    "link_tilt_by_time": ("link3", {"axis": 4.0, "span_s": 2.0}, lambda s, m: m.time / 2),
-    "base_yaw_by_moment": ("base", {"axis": 5.0, "base_moment_Nm": 2.0}, lambda s, m: base_moment(s, m)[:, 0] / 2),
-    "tool_turn_by_joint": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1]),
-    "sensor_shift_by_warmth": ("sensor", {"axis": 0.0}, lambda s, m: rise(m)),
-    "dragging_gear": ("joint3", {"torque_Nm": 3.0}, lambda s, m: -np.sign(m.dq[:, 2]) * abs(torque(s, m, 3)[:, 2]) / 3),
-    "loose_clip": ("tool", {"axis": 1.0, "instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
-    "preloaded_base": (
-        "base",
-        {"axis": 3.0, "base_moment_Nm": 2.0},
-        lambda s, m: beyond(base_moment(s, m)[:, 0], 1.0) / 2,
-    ),
-    "shaken_tripod": (
-        "sensor",
-        {"axis": 4.0, "by": 5.0, "and": 2.0},
-        lambda s, m: np.sum(m.dq[:, [1, 4]] ** 2, axis=1),
-    ),
-    "lost_motion": ("joint3", {"by": 5.0, "width": 0.3}, lambda s, m: played(m.q[:, 4], 0.3) - m.q[:, 4]),
-    "dragged_boot": (
-        "joint3",
-        {"width": 0.2},
-        lambda s, m: -faded(0.0, np.sign(np.diff(m.q[:, 2])), np.abs(np.diff(m.q[:, 2])) / 0.6),
-    ),
-    "nylon_wheel": (
-        "joint3",
-        {"torque_Nm": 3.0, "relaxes_s": 0.5},
-        lambda s, m: late(torque(s, m, 3)[:, 2] / 3, m, 0.5),
-    ),
-    "flopping_loom": ("link3", {"axis": 3.0, "moment_Nm": 0.2}, lambda s, m: latched(torque(s, m, 3)[:, 0], 0.1)),
-}
-IMAGES = {
-    "lens_distortion": lambda p, m: p * np.sum(p**2, 1, keepdims=True),
-    "stretched_axis": lambda p, m: p[:, [0]] * [1.0, 0.0, 0.0],
-    "eccentric_circle": lambda p, m: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
-    "drifting_clock": lambda p, m: np.einsum("sa,s->sa", p, 0.5 * m.time),
-}
 
 
 def displaced(setup, motion, site, twist):
@@ -309,33 +224,29 @@ def displaced(setup, motion, site, twist):
     return seen[:3, :3] @ turn @ tip[1], position @ seen[:3, :3].T + seen[:3, 3]
 
 
-@pytest.mark.parametrize("name", FORMULAS)
-def test_a_family_shows_what_its_formula_says(name, scene):
-    setup, motion = scene
-    site, fixed, formula = FORMULAS[name]
-    number = float(site[-1]) if site[-1].isdecimal() else 0.0
-    hidden = Hidden(name, site, (3e-4,), {"joint": number} | fixed)
-    signal = 3e-4 * formula(setup, motion)
-    assert np.ptp(signal) > 1e-6
-    twist = np.zeros((len(motion.q), 6))
-    if site.startswith("joint"):
-        # an angle of a joint turns its link about its own axis
-        twist[:, 5], site = signal, f"link{site[5:]}"
-    else:
-        twist[:, int(fixed["axis"])] = signal
-    rotation, position = poses(setup, (hidden,), motion)
-    expected = displaced(setup, motion, site, twist)
-    np.testing.assert_allclose(position, expected[1], atol=1e-12)
-    np.testing.assert_allclose(rotation, expected[0], atol=1e-12)
-
-
-@pytest.mark.parametrize("name", IMAGES)
-def test_an_image_shifts_points_and_turns_nothing(name, scene):
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_family_moves_its_own_site_in_proportion_to_its_number(name, scene):
     setup, motion = scene
     rotation, position = poses(setup, (), motion)
-    moved = poses(setup, (Hidden(name, "sensor", (3e-4,), {"span_s": 2.0}),), motion)
-    np.testing.assert_allclose(moved[1] - position, 3e-4 * IMAGES[name](position, motion), atol=1e-15)
-    np.testing.assert_array_equal(moved[0], rotation)
+    forms = (draw_form(name, np.random.default_rng(seed), loaded(setup, motion)) for seed in range(20))
+    for site, fixed in filter(None, forms):  # until one that this motion shows
+        single, double = (poses(setup, (Hidden(name, site, (size,), fixed),), motion) for size in (1e-6, 2e-6))
+        shift, turn = single[1] - position, single[0] @ np.swapaxes(rotation, 1, 2)
+        if rms(shift) > 1e-10:
+            break
+    assert rms(shift) > 1e-10
+    np.testing.assert_allclose(double[1] - position, 2 * shift, atol=1e-4 * np.abs(shift).max())
+    if "axis" not in fixed and not site.startswith("joint"):  # an image turns nothing
+        np.testing.assert_allclose(turn, np.broadcast_to(np.eye(3), turn.shape), atol=1e-15)
+        return
+    # an angle of a joint turns its link about its own axis
+    axis = 5 if site.startswith("joint") else int(fixed["axis"])
+    twist = np.eye(6)[axis] * np.ones((len(position), 1))
+    unit = displaced(setup, motion, site.replace("joint", "link"), 1e-6 * twist)[1] - position
+    signal = np.sum(shift * unit, 1, keepdims=True) / np.sum(unit**2, 1, keepdims=True)
+    expected = displaced(setup, motion, site.replace("joint", "link"), 1e-6 * signal * twist)
+    np.testing.assert_allclose(single[1], expected[1], atol=1e-4 * np.abs(shift).max() + 1e-13)
+    np.testing.assert_allclose(single[0], expected[0], atol=1e-4 * np.abs(signal).max() * 1e-6 + 1e-13)
 
 
 @pytest.mark.parametrize("seed", [5, 2381])
@@ -360,9 +271,9 @@ def test_sites_that_move_what_is_seen_alike_are_one(scene):
     assert not {"joint2", "base"} & set(hiding.equal_sites(view, bump))
 
 
-def nearest(scene, effect, rows=60):
+def nearest(scene, effect):
     setup, motion = scene
-    view = View(setup, Open(frame=True, tool=3, geometry=False), motion.thinned(rows), (2e-5, 1e-4))
+    view = View(setup, Open(frame=True, tool=3, geometry=False), motion.thinned(60), (2e-5, 1e-4))
     drivers = FAMILIES[effect.name].drivers(effect.fixed)
     return hiding.nearest_to_outside(view, effect, hiding.equal_sites(view, effect), drivers)
 
@@ -392,7 +303,8 @@ def test_play_and_compliance_of_one_joint_of_mujoco_add_up():
     for hidden in ((play, spring), (spring, play)):
         found = Arm(setup, hidden, 0.5).at_rest(motion)
         shown = poses(setup, hidden, found.motion)[1]
-        clear = np.abs(torque(setup, found.motion, 2)[:, 2]) > 1
+        torque = moments(setup.chain, found.motion.q, found.motion.payload, PAYLOAD_CENTER)[0][:, 1, 2]
+        clear = np.abs(torque) > 1
         off = np.linalg.norm(found.position - shown, axis=1)[clear]
         for alone in hidden:
             missing = np.linalg.norm(poses(setup, (alone,), found.motion)[1] - shown, axis=1)[clear]

@@ -18,11 +18,6 @@ from tests.corpus import COMPLIANCE
 SAMPLES = 300
 
 
-@pytest.fixture(autouse=True)
-def _terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-
-
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     return Made(tmp_path_factory.mktemp("arm"), seed=1)

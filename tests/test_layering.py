@@ -1,6 +1,7 @@
-"""Each part of the package imports only parts above it."""
+"""Each part of the package imports only parts above it, and the engine names no joint, no pose and no effect."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,26 @@ def test_imports_go_upwards_only(path):
     assert violations(path.read_text(), part, package) == []
 
 
-def test_diagnosis_never_imports_simulation():
-    for path in (PACKAGE / "diagnosis").rglob("*.py"):
-        assert "simulation" not in imported_parts(path.read_text(), path.relative_to(PACKAGE.parent).parts[:-1])
+# ------------------------------------------------------------------ the engine, which other domains use as it is
+
+ENGINE = sorted([*(PACKAGE / "estimation").glob("*.py"), *(PACKAGE / "search").glob("*.py")])
+EFFECTS = {
+    node.name
+    for path in (PACKAGE / "effects").rglob("*.py")
+    for node in ast.walk(ast.parse(path.read_text()))
+    if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+}
+WORDS = re.compile(r"\b(joints?|poses?|robots?|arms?|links?|encoders?|trackers?)\b", re.IGNORECASE)
+GENERIC = {"Basis", "Domain", "Coordinate", "Estimate"}
+"""Words of English as well."""
+
+
+def named(source):
+    """What a module names of robots: in identifiers, texts and comments alike."""
+    classes = {name for name in EFFECTS - GENERIC if re.search(rf"\b{name}\b", source)}
+    return {word.lower() for word in WORDS.findall(source)} | classes
+
+
+@pytest.mark.parametrize("path", ENGINE, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_the_engine_names_no_robot(path):
+    assert named(path.read_text()) == set()

@@ -19,11 +19,9 @@ from lite6jax import InputError
 from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.fleet import compare
 from lite6jax.design.poses import plan_discrimination
-from lite6jax.report import results
 from lite6jax.results import Figures, PublicResult
 
 LITE6 = lite6jax.read_arm("lite6")
-GENERIC = {name: getattr(results, name) for name in ("describe", "draw", "tabulate", "write")}
 LONGEST = 2500
 """Characters of a printed result: less than a screen."""
 HOUSEHOLD = re.compile(r"\b(told|tells|felt|feels|asks|lived|plain|remembers|sure|hidden|they stand)\b", re.IGNORECASE)
@@ -67,13 +65,6 @@ def kinds_of(kind):
 
 KINDS = sorted(kinds_of(PublicResult), key=lambda kind: kind.__name__)
 each = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-
-
-@each
-def test_each_kind_is_described_drawn_tabulated_and_saved(kind):
-    for name, function in GENERIC.items():
-        missing = function.dispatch(kind) is function.dispatch(object)
-        assert not missing, f"{kind.__name__} has no {name}"
 
 
 @each

@@ -1,8 +1,6 @@
 """Simulated recordings against an independent generator, their noise against its statistics, and the command."""
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -656,13 +654,3 @@ def test_what_the_command_refuses(capsys, tmp_path, monkeypatch, arguments, mess
     said = command_refused(capsys, "lite6", "--out", "run.csv", *arguments)
     assert re.fullmatch(message, said), said
     assert list(Path().iterdir()) == []
-
-
-def test_help_does_not_load_the_simulation():
-    code = (
-        "import sys; from lite6jax import cli; cli.main(['simulate', '--help']);"
-        "sys.exit(sum(name in sys.modules for name in ('lite6jax.simulation.measurement', 'scipy')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert f"    lite6jax simulate lite6 --effect {COMPLIANCE} --tolerance" in done.stdout

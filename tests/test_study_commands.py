@@ -18,11 +18,6 @@ from tests.oracles.chains import six_parameter_poses
 LITE6 = load_bundled("lite6")
 
 
-@pytest.fixture(autouse=True)
-def _terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-
-
 @pytest.fixture
 def measured(tmp_path):
     q = random_positions(np.random.default_rng(0), 50, 6)
@@ -95,15 +90,6 @@ def test_identify_takes_noise_that_is_not_declared_from_a_fit(capsys, tmp_path):
     document = json.loads(run(capsys, "identify", path, "--json")[1])
     assert document["sensor"]["position_noise"] == pytest.approx(4e-5, rel=0.2)
     assert "does not declare the noise of all that is measured" in document["notes"][-1]
-
-
-def test_identify_a_list_of_joint_positions(capsys, tmp_path):
-    q = random_positions(np.random.default_rng(0), 30, 6)
-    q[:, 4] = 0.3 + 0.01 * np.arange(30) / 30
-    path = write_recording(Recording.from_arrays(q, arm="lite6"), tmp_path / "poses.csv")
-    text = flat(run(capsys, "identify", path, "--sensor", "tracker_6d", "--frame", "known")[1])
-    found = identify(plan_experiment("lite6", "tracker_6d", frame=False), q)
-    assert f"These poses determine {found.determination.rank} of 28" in text if found.missed else "all 28" in text
 
 
 def test_identify_names_a_joint_that_hardly_moves(capsys, tmp_path):

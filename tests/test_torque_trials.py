@@ -14,9 +14,9 @@ from benchmarks.campaigns.campaign import write_files
 from benchmarks.campaigns.rounds import KINDS
 from benchmarks.concealed.chain import Chain, rotation_from_vector
 from benchmarks.torque_trials import faults, hiding, mujoco_arm, plans, trials
-from benchmarks.torque_trials.effects import FAMILIES, OPEN, SEALED, Hidden
+from benchmarks.torque_trials.effects import FAMILIES, OPEN, SEALED, Hidden, draw_family
 from benchmarks.torque_trials.hiding import View
-from benchmarks.torque_trials.physics import Arm, Setup, draw_arm, draw_motion, inverse_dynamics, torques
+from benchmarks.torque_trials.physics import Arm, Setup, draw_arm, draw_motion, inverse_dynamics, rigid, torques
 from lite6jax.arms.description import read_description
 from lite6jax.arms.dynamics import inverse_dynamics as library_torques
 from lite6jax.arms.dynamics import link_parameters
@@ -123,67 +123,7 @@ def test_the_torque_of_one_joint_belongs_to_the_motion_before():
     np.testing.assert_array_equal(np.delete(late, 2, 1), np.delete(plain, 2, 1))
 
 
-# family: numbers of its form, and its formula written down a second time, of (motion, rigid load, torque)
-OUTSIDE = {
-    "sticky_zone": (
-        {"centre": 2.5, "width": 0.2},
-        lambda m, load: np.exp(-((m.q[:, 2] - 2.5) ** 2) / 0.08) * np.tanh(m.dq[:, 2] / 0.002),
-    ),
-    "squared_load_friction": (
-        {"load_Nm": 2.0},
-        lambda m, load: load[:, 2] ** 2 / 4 * np.tanh(m.dq[:, 2] / 0.002),
-    ),
-    "cross_load_friction": (
-        {"by": 2.0, "other_load_Nm": 4.0},
-        lambda m, load: abs(load[:, 1]) / 4 * np.tanh(m.dq[:, 2] / 0.002),
-    ),
-    "loaded_ripple": (
-        {"order": 3.0, "second": 8.0, "load_Nm": 2.0},
-        lambda m, load: load[:, 2] / 2 * (np.sin(3 * m.q[:, 2]) + np.sin(8 * m.q[:, 2])),
-    ),
-    "soft_stop": ({"at": 2.6}, lambda m, load: np.where(m.q[:, 2] > 2.6, (m.q[:, 2] - 2.6) ** 2, 0)),
-    "asymmetric_viscous": ({}, lambda m, load: abs(m.dq[:, 2])),
-    "squared_speed": ({}, lambda m, load: np.sign(m.dq[:, 2]) * m.dq[:, 2] ** 2),
-    "saturation": ({"knee_Nm": 1.0}, lambda m, load: np.clip(load[:, 2], -1, 1) - load[:, 2]),
-    "gain_drift": ({}, lambda m, load: (m.time / m.time[-1] - 0.5) * load[:, 2]),
-    "hardening_cable": ({"rest": 2.0}, lambda m, load: np.sign(m.q[:, 2] - 2) * (m.q[:, 2] - 2) ** 2),
-    "warming_coulomb": ({}, lambda m, load: (m.temperature[:, 2] - 25) / 10 * np.tanh(m.dq[:, 2] / 0.002)),
-    "uneven_viscous": ({"centre": 2.0}, lambda m, load: np.sin(m.q[:, 2] - 2) * m.dq[:, 2]),
-    "running_in": ({}, lambda m, load: np.exp(-3 * m.time / m.time[-1]) * np.tanh(m.dq[:, 2] / 0.002)),
-}
-
-
-@pytest.mark.parametrize("name", OUTSIDE)
-def test_families_outside_add_what_their_formula_says(name):
-    setup, motion = a_scene(warming=True)
-    fixed, formula = OUTSIDE[name]
-    base = torques(setup, (), motion)
-    added = torques(setup, (Hidden(name, "joint3", {"size": 0.3}, fixed),), motion) - base
-    np.testing.assert_allclose(added[:, 2], 0.3 * formula(motion, base), atol=1e-12)
-    assert not np.delete(added, 2, 1).any()
-    assert added.any()
-
-
-def test_families_with_a_memory_or_steps_do_what_they_say():
-    setup, motion = a_scene()
-    base = torques(setup, (), motion)
-
-    def added(name, size, **fixed):
-        return (torques(setup, (Hidden(name, "joint2", {"size": size}, fixed),), motion) - base)[:, 1]
-
-    rounded = added("quantised", 1.0, step_Nm=0.25) + base[:, 1]
-    np.testing.assert_allclose(rounded / 0.25, np.round(rounded / 0.25), atol=1e-9)
-    bent = added("presliding", 1.0, bristle_rad=0.05)
-    assert np.abs(bent).max() <= 1
-    # Dahl's equation: bending grows by the way, less what has slid already
-    way = np.diff(motion.q[:, 1])
-    slope = (1 - np.sign(way) * (bent[1:] + bent[:-1]) / 2) / 0.05
-    np.testing.assert_allclose(np.diff(bent), slope * way, atol=4e-3)
-
-
-def test_every_family_has_a_formula_here_and_a_third_of_them_are_sealed():
-    assert set(FAMILIES) == {*OUTSIDE, "quantised", "presliding"}
-    assert len(FAMILIES) >= 8
+def test_a_third_of_the_families_are_sealed_and_drawn_on_request_only():
     assert {*OPEN} | {*SEALED} == set(FAMILIES)
     assert not {*OPEN} & {*SEALED}
     assert 0.2 <= len(SEALED) / len(FAMILIES) <= 0.45
@@ -194,23 +134,32 @@ def test_every_family_has_a_formula_here_and_a_third_of_them_are_sealed():
         assert all(plan.sealed == chosen for plan in drawn)
 
 
-@pytest.mark.parametrize("name", [name for name, family in FAMILIES.items() if family.positive])
-def test_what_physics_gives_a_sign_is_drawn_with_it(name):
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_family_adds_to_its_own_joint_in_proportion_and_with_the_sign_that_physics_gives_it(name):
     """Friction that drives an arm on, or a stop that draws it in, is no physics that a library has to tell apart."""
     setup, motion = a_scene(warming=True)
-    view = View(setup, motion, setup.arm.noise)
-    drawn = [hiding._drawn(name, np.random.default_rng(seed), view, (), 0) for seed in range(12)]
-    assert {effect.values["size"] for effect in drawn if effect} == {1.0}
-    effect = next(filter(None, drawn))
-    joint = effect.number - 1
-    added = (torques(setup, (effect,), motion) - torques(setup, (), motion))[:, joint]
-    velocity = motion.dq[:, joint]
+    plain = torques(setup, (), motion)
+    drawn = (
+        draw_family(name, np.random.default_rng(seed), rigid(setup, (), motion), setup.arm.noise) for seed in range(9)
+    )
+    number, fixed = next(filter(None, drawn))
+    joint = number - 1
+    one, two = (
+        torques(setup, (Hidden(name, f"joint{number}", {"size": size}, fixed),), motion) - plain for size in (1.0, 2.0)
+    )
+    assert one.any()
+    assert not np.delete(one, joint, 1).any()
+    np.testing.assert_allclose(two, 2 * one, atol=1e-12)
+    added, velocity = one[:, joint], motion.dq[:, joint]
     if name in ("soft_stop", "hardening_cable"):
-        rest = effect.fixed.get("at", effect.fixed.get("rest"))
+        rest = fixed.get("at", fixed.get("rest"))
         assert np.all(added * (motion.q[:, joint] - rest) >= 0)
     elif name == "presliding":  # bristles store energy, and give back less
         assert np.sum(added * velocity) > 0
-    elif name not in ("saturation", "quantised"):
+    elif name == "quantised":
+        steps = (plain[:, joint] + added) / fixed["step_Nm"]
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    elif FAMILIES[name].positive and name != "saturation":
         assert np.all(added * velocity >= 0)
 
 

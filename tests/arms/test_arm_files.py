@@ -28,9 +28,9 @@ def vendor(rows):
     return {f"joint{i + 1}": dict(zip(SIX, map(float, row), strict=True)) for i, row in enumerate(rows)}
 
 
-def calibrated(name, size=1e-3, seed=0):
+def calibrated(name):
     rows = load_bundled(name).kinematics
-    return rows + np.random.default_rng(seed).normal(0, size, rows.shape)
+    return rows + np.random.default_rng(0).normal(0, 1e-3, rows.shape)
 
 
 @pytest.fixture
@@ -316,8 +316,8 @@ def test_dynamics_that_no_joint_has_are_unknown(save):
     np.testing.assert_array_equal(arm.coulomb_friction, [0.3])
 
 
-def with_tensor(*six, mass=1):
-    return {"inertial": {"link1": {"mass_kg": mass, "com_m": [0, 0, 0], "inertia_kg_m2": list(six)}}}
+def with_tensor(*six):
+    return {"inertial": {"link1": {"mass_kg": 1, "com_m": [0, 0, 0], "inertia_kg_m2": list(six)}}}
 
 
 ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
@@ -493,9 +493,9 @@ def seed_table(parameters):
     return {"units": "mm and deg", "base": base, "dh": rows, "beta_joint2": np.rad2deg(x[27])}
 
 
-def lite6_parameters(seed=0):
+def lite6_parameters():
     nominal = load_bundled("lite6")
-    return nominal.form, nominal.hayati + np.random.default_rng(seed).normal(0, 1e-3, nominal.hayati.shape)
+    return nominal.form, nominal.hayati + np.random.default_rng(0).normal(0, 1e-3, nominal.hayati.shape)
 
 
 def test_the_table_is_the_seeds_both_ways(save, tmp_path):

@@ -36,14 +36,8 @@ def joint(name, parent, child, kind="revolute", xyz="0 0 0", rpy="0 0 0", axis="
     )
 
 
-def link(name, mass=None, com="0 0 0", rpy="0 0 0"):
-    if mass is None:
-        return f'<link name="{name}"/>'
-    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>{inertia}'
-        "</inertial></link>"
-    )
+def link(name):
+    return f'<link name="{name}"/>'
 
 
 def write(tmp_path, *parts, name="arm.urdf", robot="arm"):

@@ -53,7 +53,7 @@ def recording(
     )
 
 
-def cramer_rao(x, q, noise, rows=6):
+def cramer_rao(x, q, noise):
     """Standard deviations no unbiased estimator beats, by central differences of the plain NumPy chain."""
     columns = []
     for k in range(28):
@@ -64,7 +64,7 @@ def cramer_rao(x, q, noise, rows=6):
         relative = np.swapaxes(lo[:, :3, :3], 1, 2) @ hi[:, :3, :3]
         spin = np.stack([relative[:, 2, 1] - relative[:, 1, 2], relative[:, 0, 2] - relative[:, 2, 0],
                          relative[:, 1, 0] - relative[:, 0, 1]], -1) / 4e-6  # fmt: skip
-        columns.append(np.concatenate([shift / noise[0], spin / noise[1]], 1)[:, :rows].ravel())
+        columns.append(np.concatenate([shift / noise[0], spin / noise[1]], 1).ravel())
     J = np.array(columns)
     return np.sqrt(np.diag(np.linalg.inv(J @ J.T)))
 

@@ -41,10 +41,6 @@ def random_truths(seed, count=ARMS):
     return NOMINAL + TOLERANCE * np.random.default_rng(seed).uniform(-1, 1, (count, FORM.size))
 
 
-def stacked(models):
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
-
-
 def observe(measured, positions=POSITIONS, weight=None, blocks=1):
     """A chunk's observations of poses `(arm, sample, 4, 4)` in so many blocks."""
     arms, samples = measured.shape[:2]
@@ -63,22 +59,19 @@ def observe(measured, positions=POSITIONS, weight=None, blocks=1):
 
 
 def models(start):
-    return stacked([arm_model(row) for row in np.broadcast_to(start, (ARMS, FORM.size))])
+    rows = np.broadcast_to(start, (ARMS, FORM.size))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(arm_model, rows))
 
 
 def fit(measured, start=NOMINAL, max_steps=MAX_STEPS):
     return solve(FORM, models(start), observe(measured), max_steps)
 
 
-def noisy(truths, seed):
-    rng = np.random.default_rng(seed)
-    return np.array([perturb_poses(rng, poses_of(truth), POSITION, ORIENTATION) for truth in truths])
-
-
 @pytest.fixture(scope="module")
 def measured():
     """Four arms of the seed's size, their poses read by a noisy sensor."""
-    return noisy(random_truths(1), 2)
+    rng = np.random.default_rng(2)
+    return np.array([perturb_poses(rng, poses_of(truth), POSITION, ORIENTATION) for truth in random_truths(1)])
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import resource
 import signal
 from contextlib import contextmanager
-from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.csv
@@ -11,9 +10,7 @@ import pyarrow.parquet
 import pytest
 from typed import refusal
 
-from benchmarks import commands
 from lite6jax.controller.recorder import TableWriter, check_targets
-from lite6jax.recordings import Recording, write_recording
 
 
 def rows(count, seed=0, columns=20):
@@ -126,18 +123,3 @@ def test_it_replaces_nothing_unasked(tmp_path):
     table.append(rows(3))
     table.close()
     assert (table.waiting, table.refusal, path.read_text()) == (3, "File exists", "mine")
-
-
-def test_the_soak_benchmark_sees_rows_that_are_lost_or_doubled(tmp_path):
-    out, steps = tmp_path / "run.csv", np.arange(250)
-    done = SimpleNamespace(unwritten=0, runs=1)
-    for rows, said in (
-        (steps, ""),
-        (steps[:-1], "249 rows, not 250"),
-        (np.r_[0, steps[:-1]], "from 0 to 4000"),
-        (np.r_[steps[:7], steps[8:], 250], "from 4000 to 8000"),
-    ):
-        write_recording(Recording.from_arrays(np.zeros((len(rows), 6)), time=rows * 0.004), out, overwrite=True)
-        found = commands.wrong_rows(done, out, 250)
-        assert found == said if not said else said in found
-    assert commands.wrong_rows(SimpleNamespace(unwritten=3, runs=2), out, 250) == "3 rows unwritten, 2 runs"

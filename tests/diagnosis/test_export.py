@@ -23,6 +23,7 @@ from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.simulation import simulate
 from tests.oracles.chains import six_parameter_poses
+from tests.oracles.pinocchio_arm import urdf_link_pose
 
 
 def model_with(*texts):
@@ -166,14 +167,7 @@ def measured(made, q):
 
 
 def pinocchio_tip(path, q):
-    import pinocchio as pin
-
-    model = pin.buildModelFromUrdf(str(path))
-    data, frame, poses = model.createData(), model.getFrameId("flange"), []
-    for row in q:
-        pin.framesForwardKinematics(model, data, row)
-        poses.append(data.oMf[frame].homogeneous)
-    return np.array(poses)
+    return np.array([*map(urdf_link_pose(path, "flange"), q)])
 
 
 def mujoco_tip(path, q):

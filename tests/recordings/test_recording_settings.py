@@ -114,12 +114,6 @@ def test_what_a_sidecar_must_not_say(tmp_path, text, message):
     assert message in unread(sidecar(tmp_path, text), read_settings)
 
 
-def test_an_alias_bomb_is_refused(tmp_path):
-    lines = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    assert "aliases expand" in unread(sidecar(tmp_path, "\n".join([*lines, "recording: *a11"])), read_settings)
-
-
 def test_a_sidecar_of_the_other_suffix_is_not_passed_over(tmp_path):
     (tmp_path / "run7.yml").write_text(FULL)
     with pytest.raises(InputError, match=r"run7\.yml: a sidecar ends in \.yaml; rename it to run7\.yaml"):

@@ -33,11 +33,6 @@ STATIC = (
 MOVING = ("joint_lag:joint=2,lag_s=2e-3", "time_offset:offset_s=0.006")
 
 
-@pytest.fixture(autouse=True)
-def _terminal(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-
-
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     return Made(tmp_path_factory.mktemp("arm"), STATIC, seed=1, frame=True, tool=True)

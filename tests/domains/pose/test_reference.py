@@ -302,11 +302,8 @@ def test_poses_taken_twice_are_matched_by_their_row(arm):
     other = with_effects(arm).recording(twice, seed=9)
     seen = compare(arm.recording(twice), other)
     assert seen.matched == 60
-    np.testing.assert_allclose(seen.distance, np.linalg.norm(other.position - arm_at(arm, twice), axis=1), atol=1e-12)
-
-
-def arm_at(arm, motion):
-    return six_parameter_poses(arm.kinematics, motion["joint_position"])[:, :3, 3]
+    model = six_parameter_poses(arm.kinematics, twice["joint_position"])[:, :3, 3]
+    np.testing.assert_allclose(seen.distance, np.linalg.norm(other.position - model, axis=1), atol=1e-12)
 
 
 # ------------------------------------------------------------------ what has changed
@@ -398,15 +395,6 @@ def test_a_recording_without_positions_is_refused(arm):
 # ------------------------------------------------------------------ as it is typed
 
 
-@pytest.fixture(scope="module")
-def files(arm, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("typed")
-    ours = write_recording(arm.recording(STILL), folder / "run7.csv")
-    theirs = write_recording(simulator(rigid(LITE6.kinematics)), folder / "gazebo.csv")
-    theirs.with_suffix(".yaml").unlink()
-    return ours, theirs
-
-
 def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
     """Two recordings of an arm of unknown geometry with the same physics: nothing changed."""
     same = Made(folder, (HARMONIC, COMPLIANCE), seed=1, geometry="free", frame=True, tool=True)
@@ -426,8 +414,8 @@ def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
     assert document["against"]["left_position_rms_m"] > 4e-5  # the physics that both have
 
 
-def test_what_the_command_refuses(capsys, files, tmp_path):
-    ours, _ = files
+def test_what_the_command_refuses(capsys, arm, tmp_path):
+    ours = write_recording(arm.recording(STILL), tmp_path / "run7.csv")
     out = tmp_path / "d.json"
     calibration = write_factory(LITE6.kinematics, tmp_path / "factory.yaml")
     assert refused(capsys, "diagnose", ours, "--reference", calibration, "--out", out) == (

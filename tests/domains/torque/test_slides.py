@@ -344,21 +344,20 @@ def test_two_recordings_of_one_motion_are_compared_in_each_unit():
     one, other = slid.recorded(slid.friction), slid.recorded(lambda dq: slid.friction(dq, coulomb=16.0))
     found = compare_rows(one, other, slid.arm())
     np.testing.assert_allclose(found.apart, [0, 0, 10], atol=1e-9)
-    said = comparison_headline({"file": "b.csv", "basis": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
-    assert "by 0 Nm, 0 Nm, 10 N RMS" in said
-    late = replace(other, joint_position=other.joint_position + np.array([0, 0, 1e-3]))  # 1 mm is another state
-    assert compare_rows(one, late, slid.arm()) is None
-    late = replace(other, joint_position=other.joint_position + np.array([1e-3, 0, 0]))  # 1 mrad is none
-    assert compare_rows(one, late, slid.arm()) is not None
-
-
-def _numbers(found):
-    return {
+    document = {
+        "file": "b.csv",
+        "basis": "rows",
         "rows": found.rows,
         "matched_rows": found.matched,
         "apart_rms_by_joint_Nm": found.apart.tolist(),
         "reference_rms_by_joint_Nm": found.from_model.tolist(),
     }
+    said = comparison_headline(document, ("Nm", "Nm", "N"))
+    assert "by 0 Nm, 0 Nm, 10 N RMS" in said
+    late = replace(other, joint_position=other.joint_position + np.array([0, 0, 1e-3]))  # 1 mm is another state
+    assert compare_rows(one, late, slid.arm()) is None
+    late = replace(other, joint_position=other.joint_position + np.array([1e-3, 0, 0]))  # 1 mrad is none
+    assert compare_rows(one, late, slid.arm()) is not None
 
 
 @final

@@ -27,39 +27,24 @@ from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, par
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 
-CASES = [
-    ("viscous_friction:joint=2,viscous_Nm_s_per_rad=0.8", {"viscous_Nm_s_per_rad": 0.8}, "joint2"),
-    ("coulomb_friction:joint=3,coulomb_Nm=0.5", {"coulomb_Nm": 0.5}, "joint3"),
-    (
-        "stribeck_friction:joint=1,stribeck_Nm=0.4,velocity_rad_per_s=0.1",
-        {"stribeck_Nm": 0.4, "velocity_rad_per_s": 0.1},
-        "joint1",
-    ),
-    ("load_friction:joint=2,coefficient=0.05", {"coefficient": 0.05}, "joint2"),
-    ("friction_temperature:joint=4,viscous_Nm_s_per_rad_K=-0.02", {"viscous_Nm_s_per_rad_K": -0.02}, "joint4"),
-    (
-        "coupled_friction:joint=6,source_joint=5,viscous_Nm_s_per_rad=0.3,coulomb_Nm=0.2",
-        {"viscous_Nm_s_per_rad": 0.3, "coulomb_Nm": 0.2, "source_joint": 5.0},
-        "joint6",
-    ),
-    ("torque_offset:joint=5,offset_Nm=-0.3", {"offset_Nm": -0.3}, "joint5"),
-    ("torque_scale:joint=1,scale=0.12", {"scale": 0.12}, "joint1"),
-    ("rotor_inertia:joint=5,inertia_kg_m2=0.02", {"inertia_kg_m2": 0.02}, "joint5"),
-    (
-        "joint_spring:joint=3,stiffness_Nm_per_rad=1.5,rest_rad=0.4",
-        {"stiffness_Nm_per_rad": 1.5, "rest_rad": 0.4},
-        "joint3",
-    ),
-    (
-        "torque_ripple:joint=2,order=7.3,amplitude_Nm=0.2,phase_rad=1.1",
-        {"order": 7.3, "amplitude_Nm": 0.2, "phase_rad": 1.1},
-        "joint2",
-    ),
-    ("link_mass:link=3,mass_kg=0.2", {"mass_kg": 0.2}, "link3"),
-    ("link_com:link=2,x_m=0.001,y_m=-0.002,z_m=0.001", {"x_m": 0.001, "y_m": -0.002, "z_m": 0.001}, "link2"),
-    ("payload_error:mass_kg=0.25", {"mass_kg": 0.25}, "payload"),
-    ("base_tilt:tilt_x_rad=0.002,tilt_y_rad=-0.001", {"tilt_x_rad": 0.002, "tilt_y_rad": -0.001}, "base"),
-]
+CASES = """
+joint2 viscous_friction viscous_Nm_s_per_rad=0.8
+joint3 coulomb_friction coulomb_Nm=0.5
+joint1 stribeck_friction stribeck_Nm=0.4,velocity_rad_per_s=0.1
+joint2 load_friction coefficient=0.05
+joint4 friction_temperature viscous_Nm_s_per_rad_K=-0.02
+joint6 coupled_friction source_joint=5,viscous_Nm_s_per_rad=0.3,coulomb_Nm=0.2
+joint5 torque_offset offset_Nm=-0.3
+joint1 torque_scale scale=0.12
+joint5 rotor_inertia inertia_kg_m2=0.02
+joint3 joint_spring stiffness_Nm_per_rad=1.5,rest_rad=0.4
+joint2 torque_ripple order=7.3,amplitude_Nm=0.2,phase_rad=1.1
+link3 link_mass mass_kg=0.2
+link2 link_com x_m=0.001,y_m=-0.002,z_m=0.001
+payload payload_error mass_kg=0.25
+base base_tilt tilt_x_rad=0.002,tilt_y_rad=-0.001
+"""
+"""The site, the name and the numbers of effects that the generator has as well."""
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +70,13 @@ def test_the_rigid_arm_agrees(scene):
     np.testing.assert_allclose(dynamics.torque, torques(setup, [], motion).T, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("text", "values", "site"), CASES, ids=lambda case: case if isinstance(case, str) else "")
-def test_what_an_effect_adds_agrees(scene, text, values, site):
+@pytest.mark.parametrize("case", CASES.strip().splitlines())
+def test_what_an_effect_adds_agrees(scene, case):
     setup, motion, dynamics = scene
-    effect, numbers = parse_effect(text, TORQUE_EFFECTS)
-    name = text.split(":")[0]
+    site, name, text = case.split()
+    place = f"{site[:-1]}={site[-1]}," if site[-1].isdecimal() else ""
+    effect, numbers = parse_effect(f"{name}:{place}{text}", TORQUE_EFFECTS)
+    values = {key: float(value) for key, _, value in (each.partition("=") for each in text.split(","))}
     wanted = torques(setup, [hidden(name, site, **values)], motion).T - torques(setup, [], motion).T
     added = composed(Terms((effect,)), numbers, dynamics) - dynamics.torque
     # a shift of a centre and a tilt are taken to first order
