@@ -279,6 +279,13 @@ def test_what_both_share_cancels_whatever_its_size(arm):
     np.testing.assert_allclose(seen.recording.position, recording.position - shift, rtol=0, atol=1e-12)
 
 
+def test_a_recording_against_itself_has_no_finding(arm):
+    recording = arm.recording(STILL, noise=0.0)
+    found, _ = diagnose_against(recording, replace(recording, source="copy.csv"))
+    assert not found.findings
+    assert found.fit.scale.max() <= 1e-12
+
+
 def test_rows_are_matched_in_any_order(arm):
     """By the joints, to a thousandth of a radian, each row once; those that stand alone are left out."""
     rng = np.random.default_rng(4)
