@@ -25,7 +25,7 @@ from lite6jax.recordings.columns import (
     units_of,
 )
 from lite6jax.recordings.ros import UR_JOINTS
-from lite6jax.recordings.sizes import Array, Decision, by_name
+from lite6jax.recordings.sizes import Array, Decision, Sureness, by_name
 
 Role = Literal["controller", "sensor"]
 
@@ -127,7 +127,7 @@ _NUMBERS = "abcdefgh"
 """Letters that number joints."""
 _COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
-_TRIPLES = (
+_TRIPLES: tuple[tuple[tuple[str, ...], str, Sureness], ...] = (
     (("roll", "pitch", "yaw"), "roll", "likely"),
     (("rx", "ry", "rz"), "", "assumed"),
     (("alpha", "beta", "gamma"), "", "assumed"),
@@ -184,7 +184,8 @@ class Block:
     @property
     def units(self) -> dict[str, float]:
         """The units in which the columns may be, as `units_of`."""
-        return units_of(_OF_POSES.get(self.kind, self.kind), self.slides)
+        quantity = FORMS[self.form.choice][0] if self.form else _OF_POSES.get(self.kind, self.kind)
+        return units_of(quantity, self.slides)
 
     @property
     def forms(self) -> tuple[str, ...]:

@@ -205,7 +205,7 @@ def time_unit(time: Array, position: Array | None) -> Decision:
             moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
         usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
         speed = float(np.median(moved[usable] / steps[usable])) if usable.any() else 0.0
-    for unit, divisor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+    for unit, divisor in units_of("time").items():
         possible = _STEPS_S[0] <= step / divisor <= _STEPS_S[1]
         if possible and (not speed or _SLOW <= speed * divisor <= _FAST):
             sure: Sureness = "likely" if speed else "assumed"

@@ -288,11 +288,12 @@ def _recognised(
             f"{path}: what the angles {', '.join(turned.columns)} mean is not certain; say it: --column "
             f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
         )
+    assert place.unit is not None
     unit = place.unit.choice
     if place.unit.reason != "name":
         points = np.stack([np.asarray(columns[name], float) for name in place.columns], 1)
         T = np.asarray(model.model.T_sensor_base)
-        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
+        units = [name for name, size in place.units.items() if _can_be_reached(points / size, reach, T)]
         if len(units) != 1:
             name = place.columns[0]
             raise InputError(

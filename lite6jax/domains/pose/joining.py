@@ -16,7 +16,7 @@ from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_o
 from lite6jax.domains.pose.inspection import Inspection, inspect
 from lite6jax.domains.pose.readings import FEWEST, in_si
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import QUATERNION, known_column, with_quaternions
+from lite6jax.recordings.columns import FORMS, QUATERNION, spelled, with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -109,8 +109,7 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     others = turned.forms if turned.form.sure != "certain" else ()
     path, form = None, ""
     for form in dict.fromkeys([turned.form.choice, *others]):
-        told = {own: known_column(name) for own, name in turned.renamed(form=form).items()}
-        values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
+        values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
         path = joint_path(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
