@@ -30,6 +30,7 @@ from lite6jax.recordings.columns import (
     IGNORED,
     MATRIX,
     PLACE,
+    Column,
     differs_by_joint,
     is_no_rotation,
     is_per_joint,
@@ -216,13 +217,13 @@ def inspect(
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
-    said = {name: known_column(own) for name, own in given.items() if name in numbers and own != IGNORED}
-    slots = {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
-    said_joints = [name for (quantity, _), (name, _) in slots.items() if quantity == "q"]
+    said = {name: one for name, own in given.items() if name in numbers and (one := known_column(own))}
+    slots = {(one.quantity, one.joint): one._replace(name=name) for name, one in said.items()}
+    said_joints = [one.name for one in slots.values() if one.quantity == "q"]
     chosen = naming.choose(possible, dof, said_joints)
     blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
     whole = next((block for block in blocks if block.kind == "q"), None)
-    blocks = _split_by_joint(blocks, given, arm)
+    blocks = _split_by_joint(blocks, said, arm)
     unsaid = {*assumed} - given.keys()
     blocks = [replace(block, unit=None) if {*block.columns} <= unsaid else block for block in blocks]
     joints = {name for block in blocks for name in block.columns}
@@ -355,29 +356,27 @@ def _matrix(entries: Array) -> bool:
 
 _ENOUGH = 5000
 """Rows that show whether numbers are quaternions or rotations."""
-_Slots = Mapping[tuple[str, int], tuple[str, str]]
-"""Of quantities, and of which joint, the column that is given and its unit."""
+_Slots = Mapping[tuple[str, int], Column]
+"""The columns that are given, by quantity and joint."""
 
 
 def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
     """With the columns that are given in their places, of all but poses; those of all joints stand alone."""
     found = {block.kind: block for block in blocks}
-    own = {name for name, _ in slots.values()}
+    own = {one.name for one in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
-        told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
-        units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
-        first = 1 if is_per_joint(kind) else 0
+        told = {one.joint: one.name for one in slots.values() if one.quantity == kind}
+        first = int(is_per_joint(kind))
         before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
         columns = {joint: name for joint, name in before.items() if name not in own} | told
         whole = sorted(told) == [*range(first, first + len(told))]
         if whole and (len(told) == dof or not own & set(before.values())):
             columns = told
         if sorted(columns) == [*range(first, first + len(columns))]:
-            unit = found[kind].unit if kind in found else None
-            if len(units) == 1 and columns == told:
-                unit = sizes.by_name(said) if (said := units.pop()) else None
-            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit)
-    other = {kind: {name for (said, _), (name, _) in slots.items() if said != kind} for kind in found}
+            unit = "" if first else slots[kind, 0].unit  # those of joints may differ by joint
+            stated = sizes.by_name(unit) if unit else None
+            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), stated)
+    other = {kind: {one.name for one in slots.values() if one.quantity != kind} for kind in found}
     return [found[kind] for kind in naming.KINDS if kind in found and not other[kind] & {*found[kind].columns}]
 
 
@@ -397,7 +396,7 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     for form, parts in {"": PLACE, **FORMS}.items():
         if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
-        columns, units = zip(*(slots[part, 0] for part in parts), strict=True)
+        columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
         unit = sizes.by_name(units[0]) if units[0] and len({*units}) == 1 else None
         if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
@@ -409,12 +408,11 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     return found
 
 
-def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
+def _split_by_joint(blocks: Sequence[Block], said: Mapping[str, Column], arm: Arm | None) -> list[Block]:
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
-        said = known_column(given.get(name, ""))
-        return naming.unit_of(name) if said is None else said.unit
+        return said[name].unit if name in said else naming.unit_of(name)
 
     joints = next((block.columns for block in blocks if block.kind == "q"), ())
     dof = len(joints) if arm is None else arm.dof
@@ -435,8 +433,8 @@ def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm 
             if own:
                 columns = tuple(block.columns[joint] for joint in own)
                 units = {unit(name) for name in columns}
-                said = units.pop() if len(units) == 1 else None
-                stated = sizes.by_name(said) if said in naming.units_allowed(block.kind, slides) else None
+                one = units.pop() if len(units) == 1 else None
+                stated = sizes.by_name(one) if one in naming.units_allowed(block.kind, slides) else None
                 joints_of = tuple(joint + 1 for joint in own)
                 found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
     return found

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
@@ -17,7 +17,7 @@ from lite6jax.domains.pose.inspection import Inspection, inspect
 from lite6jax.domains.pose.readings import FEWEST, in_si
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import FORMS, QUATERNION, spelled, with_quaternions
-from lite6jax.recordings.streams import Joined, JointStream, join
+from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
 
 if TYPE_CHECKING:
@@ -172,11 +172,11 @@ def _joined_by_time(
     joints: File, poses: File, arm: Arm, q: Array, position: Array, clock: Array, at: Array
 ) -> JoinedFiles | None:
     """Joints and positions of rows at their times in s, joined by the motion; None of captures, which show none."""
-    states = _in_order(clock, np.isfinite(q).all(axis=1))
+    states = in_order(clock, np.isfinite(q).all(axis=1))
     if len(states) < FEWEST or not (stream := JointStream.of(clock[states] - clock[states[0]], q[states])).resolved:
         return None
     who = f"{joints.source} and {poses.source}"
-    placed = _in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    placed = in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     if len(placed) < FEWEST:
         raise InputError(f"{who}: {len(placed)} poses at different times are too few to find the offset of the clocks")
     first, start = clock[states[0]], at[placed[0]]
@@ -244,8 +244,3 @@ def _assumed(*files: File) -> str:
         remedies.append(f"--column {name}={block.renamed(unit=other)[name]}{of_all}")
     # files that have the column alike need one remedy
     return f"; {', '.join(said)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}" if said else ""
-
-
-def _in_order(time: Array, there: ArrayLike) -> Rows:
-    rows = np.flatnonzero(np.asarray(there) & np.isfinite(time))
-    return rows[np.unique(time[rows], return_index=True)[1]]
