@@ -12,6 +12,7 @@ from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.cli import init
+from lite6jax.domains.pose.inspection import inspect
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings
 from lite6jax.recordings.settings import OF_READINGS
 from lite6jax.report import inspection
@@ -122,6 +123,16 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
     assert "exists already" in refused(capsys, "init", recorded)
     assert sidecar.read_text() == before
     assert run(capsys, "init", recorded, "--force")[0] == 0
+
+
+def test_a_matrix_is_not_asked_for_another_form(monkeypatch):
+    rng = np.random.default_rng(0)
+    matrices = Rotation.random(20, random_state=rng).as_matrix().reshape(-1, 9)
+    columns = dict(zip(("x_m", "y_m", "z_m"), rng.normal(size=(3, 20)), strict=True))
+    found = inspect([*columns.items(), *((f"rotation_{k}", column) for k, column in enumerate(matrices.T))])
+    assert found.of("rotation").form[:2] == ("r11", "assumed")
+    monkeypatch.setattr("builtins.input", None)
+    assert init._ask_columns(found) == {}
 
 
 def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypatch):

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
+from lite6jax.domains.pose.inspection import inspect
+from lite6jax.domains.pose.joining import File, with_joints
 from lite6jax.recordings import read_recording
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.sliding_arms import ARMS
@@ -275,3 +277,16 @@ def test_joints_follow_from_the_poses_of_the_controller(tmp_path, capsys):
     distance = np.linalg.norm(found[:, None] - wanted, axis=2).min(1)
     assert np.quantile(distance, 0.9) < 2e-4
     assert np.quantile(np.abs(np.diff(recording.joint_position, axis=0)).max(1), 0.9) < 0.2
+
+
+def test_joints_follow_from_poses_as_matrices():
+    motion = path(9, 12.0)
+    t = np.arange(0, 12, 0.05)
+    flange = six_parameter_poses(LITE6, motion(t))
+    columns = {"t": t} | {f"O_T_EE_{k}": flange.swapaxes(1, 2).reshape(-1, 16)[:, k] for k in range(16)}
+    arm = load_bundled("lite6")
+    found = with_joints(File("robot.csv", "robot", columns, inspect(list(columns.items()), arm)), arm)
+    assert found.form == "r11"
+    assert found.path.reached.all()
+    reached = six_parameter_poses(LITE6, found.path.position)
+    np.testing.assert_allclose(reached, flange, atol=1e-6)

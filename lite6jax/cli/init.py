@@ -3,7 +3,6 @@
 Two files with clocks of their own, and points on one body, are joined to one table before.
 """
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,10 +28,11 @@ with import_lazily():
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
     from lite6jax.recordings import boards, fault, naming
+    from lite6jax.recordings import columns as table_columns
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
-    from lite6jax.report import faults, inspection, screen
+    from lite6jax.report import documents, faults, inspection, screen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -144,7 +144,7 @@ class Init:
         data_faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
             more = {"faults": [fault.to_dict() for fault in data_faults], "notes": notes, "sidecar": str(sidecar)}
-            print(json.dumps({**found.to_dict(), **more}, indent=1, allow_nan=False))
+            print(documents.text({**found.to_dict(), **more}, None))
             return command.DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
@@ -159,13 +159,13 @@ class Init:
 def _check(found: "pose_inspection.Inspection", table: "tabulation.RawTable", path: "Path", notes: list[str]) -> None:
     """Refuses what the other commands would refuse, before anything is written."""
     q = found.of("q")
-    if q is not None and q.unit.reason in ("percent", "ticks"):
+    if q is not None and q.unit and q.unit.reason in ("percent", "ticks"):
         raise InputError(f"{path}: {inspection.no_angles(q)}")
     if q is None and not any(name.startswith("q1_") for name in found.given.values()):
-        listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
         raise InputError(
             f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
-            f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
+            f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has "
+            f"{table_columns.list_names(table.names)}"
         )
     dof = None if found.arm is None else found.arm.dof
     tabulation.tabulate(table, str(path), notes, dof=dof, renamed=found.columns)
@@ -194,7 +194,7 @@ def _on_a_terminal() -> bool:
 def _leave_out_jaw(arm: str, found: "pose_inspection.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
     q = found.of("q")
-    if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.block.columns[-1]):
+    if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.columns[-1]):
         return None
     tip = urdf.tip_before_jaw(arm)
     return f"{arm}#{tip}" if tip else None
@@ -240,16 +240,16 @@ def _ask_pose(found: "pose_inspection.Inspection") -> dict[str, str]:
 def _ask_columns(found: "pose_inspection.Inspection") -> dict[str, str]:
     """The names of columns whose unit or form is only assumed."""
     given: dict[str, str] = {}
-    for meaning in found.meanings:
-        form, unit = meaning.form, meaning.unit
-        doubtful = form is not None and form.sure == "assumed"
-        if not doubtful and (unit.sure != "assumed" or len(meaning.units) < 2):
+    for block in found.blocks:
+        form, unit = (one if one and one.sure == "assumed" else None for one in (block.form, block.unit))
+        forms, units = block.forms if form else (), block.units if unit else ()
+        if not forms and len(units) < 2:
             continue
-        print(inspection.statement(meaning))
-        if form is not None and doubtful:
-            given |= meaning.renamed(form=_ask("Which form is it?", meaning.forms, form.choice))
-        if unit.choice and unit.sure == "assumed":
-            given |= meaning.renamed(unit=_ask("In which unit?", meaning.units, unit.choice))
+        print(inspection.statement(block))
+        if form and forms:
+            given |= block.renamed(form=_ask("Which form is it?", forms, form.choice))
+        if unit and unit.choice:
+            given |= block.renamed(unit=_ask("In which unit?", [*units], unit.choice))
     return given
 
 

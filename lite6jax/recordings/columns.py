@@ -41,6 +41,12 @@ ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz")
 VECTOR, RPY, XYZ, ZYZ = ANGLES
 MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
 """A rotation matrix, row by row."""
+FORMS: Mapping[str, tuple[str, ...]] = {
+    "scalar_first": QUATERNION,
+    "scalar_last": (*QUATERNION[1:], QUATERNION[0]),
+    **{form[0]: form for form in (MATRIX, *ANGLES)},
+}
+"""The parts of an orientation in the order of its columns, by the name of its form."""
 PLACE = ("x", "y", "z")
 LABELS = ("contact", "plane", "anchor", "image")
 """Columns of words that tell rows of one point, plane, anchor or image from the others."""
@@ -248,7 +254,7 @@ def recognise(
     found: dict[str, Column] = {}
     ignored: list[str] = []
     problems = [
-        f"column {name[:60]!r} of the sidecar is not in the table; it has {_list_names(names)}"
+        f"column {name[:60]!r} of the sidecar is not in the table; it has {list_names(names)}"
         for name in own
         if name.strip() not in there and name not in there
     ]
@@ -282,11 +288,11 @@ def recognise(
         else:
             problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
     for number, others in alike.values():
-        problems[number] += f" (and likewise {_list_names(others)})" if others else ""
+        problems[number] += f" (and likewise {list_names(others)})" if others else ""
     joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
     if not joints and not joints_optional and "q" not in unclear:
         problems.append(
-            f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_list_names(names)}"
+            f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {list_names(names)}"
         )
     given, joints = joints, joints or (dof or 0) * joints_optional
     if "q" not in unclear:
@@ -349,7 +355,8 @@ def _together(group: Iterable[str]) -> str:
     return " ".join(map(spelled, group))
 
 
-def _list_names(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
+    """The first of the names of a table, for messages."""
     return ", ".join(repr(name[:40]) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
 
 

@@ -6,7 +6,7 @@ Which blocks are taken is decided for the table as a whole (`domains.pose.inspec
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal, NamedTuple, final
@@ -16,16 +16,16 @@ import numpy as np
 
 from lite6jax.recordings.columns import (
     ANGLES,
+    FORMS,
     MATRIX,
-    QUATERNION,
-    RPY,
-    VECTOR,
+    PLACE,
     is_per_joint,
     is_standard,
+    spelled,
     units_of,
 )
 from lite6jax.recordings.ros import UR_JOINTS
-from lite6jax.recordings.sizes import Sureness
+from lite6jax.recordings.sizes import Array, Decision, Sureness, by_name
 
 Role = Literal["controller", "sensor"]
 
@@ -121,32 +121,33 @@ _ROBOTS = (
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
 KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "rotation", "time", "payload", "ambient", "run")
+_OF_POSES = {"position": "x", "rotation": "rx"}
+"""Quantities of the units of poses."""
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
 _COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
-_TRIPLES = (
-    (("roll", "pitch", "yaw"), RPY, "likely"),
-    (("rx", "ry", "rz"), None, "assumed"),
-    (("alpha", "beta", "gamma"), None, "assumed"),
-    (("w", "p", "r"), RPY, "likely"),
-    (("c", "b", "a"), RPY, "assumed"),
-    (("a", "b", "c"), RPY, "assumed"),
+_TRIPLES: tuple[tuple[tuple[str, ...], str, Sureness], ...] = (
+    (("roll", "pitch", "yaw"), "roll", "likely"),
+    (("rx", "ry", "rz"), "", "assumed"),
+    (("alpha", "beta", "gamma"), "", "assumed"),
+    (("w", "p", "r"), "roll", "likely"),
+    (("c", "b", "a"), "roll", "assumed"),
+    (("a", "b", "c"), "roll", "assumed"),
 )
-"""Components of three angles, what they usually are, and how sure that is: A B C is KUKA's order or Mitsubishi's."""
+"""Components of three angles, their usual form, and how sure that is: A B C is KUKA's order or Mitsubishi's."""
 
 
 @final
 @dataclass(frozen=True)
 class Block:
-    """Columns that belong together.
+    """Columns that belong together, and what they mean.
 
     Attributes:
         kind: one of `KINDS`; `position` and `rotation` of the tool, the others as in `columns.py`.
         columns: along the arm; x y z; the rotation's components, a quaternion's as `form` says, a matrix row by row.
-        unit: that the names say; None where they do not.
-        form: of a rotation, the names that it has in `columns.py`; None where names do not say it.
-        sure: how sure the form is.
+        unit: in which they are, and why; None before it is decided, where their names do not say it.
+        form: of a rotation, the name that it has in `columns.FORMS`, and why; None likewise.
         rank: 0 of what is called measured, 2 of what is called commanded, else 1.
         weak: how little the names say that it is of this kind.
         source: words that say whose a pose is, or which of several arms or legs.
@@ -158,9 +159,8 @@ class Block:
 
     kind: str
     columns: tuple[str, ...]
-    unit: str | None = None
-    form: tuple[str, ...] | None = None
-    sure: Sureness = "certain"
+    unit: Decision | None = None
+    form: Decision | None = None
     rank: int = 1
     weak: int = 0
     source: tuple[str, ...] = ()
@@ -168,6 +168,50 @@ class Block:
     rivals: tuple[str, ...] = ()
     joints: tuple[int, ...] = ()
     slides: bool = False
+
+    @property
+    def key(self) -> tuple[str, bool]:
+        """By which it is found: a recording has one of each kind, of revolute and of prismatic joints."""
+        return self.kind, self.slides
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those that the columns have in a recording, once unit and form are decided."""
+        parts = FORMS[self.form.choice] if self.form else PLACE if self.kind == "position" else (self.kind,)
+        unit = self.unit.choice if self.unit else ""
+        return tuple(spelled(part, joint, unit) for part in parts for joint in self.joints or (0,))
+
+    @property
+    def units(self) -> dict[str, float]:
+        """The units in which the columns may be, as `units_of`."""
+        quantity = FORMS[self.form.choice][0] if self.form else _OF_POSES.get(self.kind, self.kind)
+        return units_of(quantity, self.slides)
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """The forms of which a rotation may be; none where there is no choice."""
+        parts = len(self.columns) if self.kind == "rotation" else 0
+        return tuple(form for form, names in FORMS.items() if len(names) == parts) if parts in (3, 4) else ()
+
+    def renamed(self, unit: str = "", form: str = "") -> dict[str, str]:
+        """The columns with the names that they have in another of `units`, or as another of `forms`."""
+        of_unit = self.unit and self.unit._replace(choice=unit or self.unit.choice)
+        of_form = self.form and self.form._replace(choice=form or self.form.choice)
+        return dict(zip(self.columns, replace(self, unit=of_unit, form=of_form).names, strict=True))
+
+    def values(self, numbers: Mapping[str, Array]) -> Array:
+        """`(sample, column)` of the numbers of a table."""
+        return np.stack([numbers[name] for name in self.columns], 1)
+
+    def in_si(self, numbers: Mapping[str, Array]) -> Array:
+        """The same in SI units, once the unit is decided."""
+        return self.values(numbers) / self.units[self.unit.choice if self.unit else ""]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        unit, form = (None if one is None else one._asdict() for one in (self.unit, self.form))
+        said = {"kind": self.kind, "columns": self.renamed(), "unit": unit, "form": form}
+        return said | ({"commanded": True} if self.rank == 2 else {})
 
 
 class Source(NamedTuple):
@@ -268,8 +312,7 @@ def sources(found: Sequence[Block]) -> list[Source]:
 
 def units_allowed(kind: str, *slides: bool) -> set[str]:
     """The units that a kind of block may have, of revolute joints unless it is said of which."""
-    quantity = {"position": "x", "rotation": "rx"}.get(kind, kind)
-    return {unit for each in slides or (False,) for unit in units_of(quantity, each) if unit}
+    return {unit for each in slides or (False,) for unit in units_of(_OF_POSES.get(kind, kind), each) if unit}
 
 
 def unit_of(name: str) -> str | None:
@@ -350,8 +393,8 @@ def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: ob
         return
     present = set(said)
     rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
-    unit = unit if unit in units_allowed(kind) else None
-    options = {"rank": rank, "unit": unit, "source": _side(said)} | options
+    stated = by_name(unit) if unit in units_allowed(kind) else None
+    options = {"rank": rank, "unit": stated, "source": _side(said)} | options
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
 
 
@@ -366,11 +409,11 @@ def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
     return tuple(sorted(set(words) - _SHARED - {*letters}))
 
 
-def _form(words: Iterable[str]) -> dict[str, object]:
+def _form(words: Iterable[str]) -> Decision | None:
     """The form of three numbers of a rotation that words say, and how sure that is."""
     if {"rotvec", "rvec"} & {*words}:
-        return {"form": VECTOR}
-    return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
+        return by_name("rx")
+    return by_name("roll", "likely") if "rpy" in words else None
 
 
 def _grouped(words: Sequence[_Word], index: Literal["number", "component"]) -> dict[tuple[str, ...], dict[Any, _Word]]:
@@ -436,9 +479,9 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
         grid = grid.reshape(shape[::-1]).T if turned else grid.reshape(shape)
         source = (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3)))
         sure = sure if shape == (3, 3) else "certain"  # of others the numbers show the order
-        same = {"source": source, "weak": int(turned), "unit": None, "sure": sure}
+        same = {"source": source, "weak": int(turned), "unit": None}
         same |= {"matrix": tuple(word.name for word in grid.ravel())} | ({"rank": 2} if said[-1:] == ("c",) else {})
-        yield from _block("rotation", [*grid[:3, :3].ravel()], said, form=MATRIX, **same)
+        yield from _block("rotation", [*grid[:3, :3].ravel()], said, form=by_name(MATRIX[0], sure), **same)
         if shape[1] == 4:
             yield from _block("position", [*grid[:3, 3]], said, **same)
 
@@ -469,9 +512,9 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
-            yield from _block("rotation", members, said, form=QUATERNION, source=source)
+            yield from _block("rotation", members, said, form=by_name("scalar_first"), source=source)
         elif turned and len(place) == 3:
-            yield from _block("rotation", place, said, source=source, **_form(said))
+            yield from _block("rotation", place, said, source=source, form=_form(said))
         elif len(place) == 3 and not _JOINT & {*said}:
             weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)
@@ -479,8 +522,8 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
             if {*parts} <= {*group}:
                 members = [group[part] for part in parts]
                 if all(is_standard(word.name) for word in members):
-                    form, sure = next((form for form in ANGLES if form == parts), form), "certain"
-                yield from _block("rotation", members, said, form=form, sure=sure, source=source)
+                    form, sure = parts[0] if parts in ANGLES else form, "certain"
+                yield from _block("rotation", members, said, form=by_name(form, sure) if form else None, source=source)
 
 
 def _unnumbered(words: Sequence[_Word]) -> list[Block]:
@@ -501,7 +544,7 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
         if turned and count in (3, 4):
-            yield from _block("rotation", members, said, **same, **(_form(said) if count == 3 else {}))
+            yield from _block("rotation", members, said, **same, form=_form(said) if count == 3 else None)
             continue
         if count == 4 and present <= {"q"} | _TURNED:
             yield from _block("rotation", members, said, weak=1, **same)  # if of unit length

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import MATRIX, QUATERNION, units_of
+from lite6jax.recordings.columns import MATRIX, units_of
 
 Array = NDArray[np.floating]
 Sureness = Literal["certain", "likely", "assumed"]
@@ -47,9 +47,10 @@ class Decision(NamedTuple):
     numbers: dict[str, Any]
 
 
-def by_name(unit: str) -> Decision:
-    """What the columns' names say."""
-    return Decision(unit, "certain", "name", {})
+def by_name(choice: str, sure: Sureness = "certain") -> Decision:
+    """The unit or the form that the columns' names say; which way a matrix is written, its numbers say for certain."""
+    orthogonal = choice == MATRIX[0] and sure == "certain"
+    return Decision(choice, sure, "usual_name" if sure == "assumed" else "orthogonal" if orthogonal else "name", {})
 
 
 def increases(time: Array, run: Array | None = None) -> bool:
@@ -69,16 +70,21 @@ def has_unit_length(quaternion: Array) -> bool:
     return bool(length.size) and float(np.mean(np.abs(length - 1) < 0.01)) > 0.9
 
 
-def angle_unit(position: Array, servo: bool = False) -> Decision:
+def angle_unit(position: Array, servo: bool = False, endless: Sequence[int] = ()) -> Decision:
     """`deg` or `rad` of joint positions `(sample, joint)`; numbers that are not finite are ignored.
 
     Args:
         position: the numbers.
         servo: whether they are named as LeRobot names them, which writes percent of each joint's range too. What may
             be none of both has the reason `percent` or `ticks`.
+        endless: joints, from 0, that turn without end: the others decide whether what is beyond turns is degrees. Where
+            there are no others it is radians, as robots' descriptions have them.
     """
-    columns = [column[np.isfinite(column)] for column in position.T]
     largest = _largest(position)
+    if endless and largest > WIDE_RAD:
+        others = np.delete(position, list(endless), axis=1)
+        return angle_unit(others) if others.size else Decision("rad", "assumed", "endless", {"largest": largest})
+    columns = [column[np.isfinite(column)] for column in position.T]
     spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
     said = {"largest": largest}
     there = position[np.isfinite(position)]
@@ -123,17 +129,19 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
     return by_name(best) if unit else Decision(best, "certain", "follows", {})
 
 
-def rate_unit(rate: Array, position: Array, usual: str, time: Array | None, units: Mapping[str, float]) -> Decision:
+def rate_unit(
+    rate: Array, position: Array | None, usual: str, time: Array | None, units: Mapping[str, float]
+) -> Decision:
     """The unit of velocities or accelerations: that of the positions per second, unless their change says otherwise.
 
     Args:
         rate: velocities `(sample, joint)`, in an unknown unit.
-        position: joint positions `(sample, joint)` in rad, or m of prismatic joints.
+        position: joint positions `(sample, joint)` in rad, or m of prismatic joints; None where unknown.
         usual: the unit in which they were given, such as `deg`.
         time: `(sample,)` s, or None.
         units: of positions, each with what to divide by to get to the first.
     """
-    if time is None or len(time) < 3:
+    if position is None or time is None or len(time) < 3:
         return Decision(usual, "assumed", "as_positions", {})
     step = np.diff(time)
     with np.errstate(all="ignore"):
@@ -177,17 +185,6 @@ def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision
     return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
-def angle_unit_with_endless(position: Array, endless: Sequence[int]) -> Decision | None:
-    """As `angle_unit`, where some joints, from 0, turn without end: the others decide; None where all would say rad.
-
-    Where there are no others, radians are assumed, as robots' descriptions have them.
-    """
-    others, largest = np.delete(position, list(endless), axis=1), _largest(position)
-    if largest <= WIDE_RAD:
-        return None
-    return angle_unit(others) if others.size else Decision("rad", "assumed", "endless", {"largest": largest})
-
-
 def time_unit(time: Array, position: Array | None) -> Decision:
     """`s`, `ms`, `us` or `ns`: of a clock by its size, else by the speed that joints would have.
 
@@ -208,7 +205,7 @@ def time_unit(time: Array, position: Array | None) -> Decision:
             moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
         usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
         speed = float(np.median(moved[usable] / steps[usable])) if usable.any() else 0.0
-    for unit, divisor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+    for unit, divisor in units_of("time").items():
         possible = _STEPS_S[0] <= step / divisor <= _STEPS_S[1]
         if possible and (not speed or _SLOW <= speed * divisor <= _FAST):
             sure: Sureness = "likely" if speed else "assumed"
@@ -216,33 +213,25 @@ def time_unit(time: Array, position: Array | None) -> Decision:
     return Decision("s", "assumed", "step", {"step_s": step, "speed": speed})
 
 
-def rotation_form(
-    rotation: Array, unit: str | None, form: tuple[str, ...] | None, sure: Sureness
-) -> tuple[Decision, Decision]:
+def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None) -> tuple[Decision, Decision]:
     """The form and the unit of a rotation of which no arm tells more.
 
     Args:
         rotation: `(sample, 3)` numbers, `(sample, 4)` of a quaternion or `(sample, 9)` of a matrix.
-        unit: of three numbers, where their names say it.
-        form: where their names say it, as in `columns.py`.
-        sure: how sure the form is by the names.
+        unit, form: where their names say it.
 
     Returns:
-        the first name of a form in `columns.ANGLES` or of `MATRIX`, `scalar_first` or `scalar_last`; and `rad`, `deg`
-        or nothing.
+        the name of a form in `columns.FORMS`; and `rad`, `deg` or nothing.
     """
-    named = None if form is None else "scalar_first" if form == QUATERNION else form[0]
-    reason = "usual_name" if sure == "assumed" else "orthogonal" if form == MATRIX and sure == "certain" else "name"
-    by_names = None if named is None else Decision(named, sure, reason, {})
     if rotation.shape[1] in (4, len(MATRIX)):
-        return by_names or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
+        return form or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
     there = rotation[np.isfinite(rotation).all(1)]
     largest = _largest(there)
-    angle = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
-    angle = by_name(unit) if unit else angle
+    by_size = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
+    angle = unit or by_size
+    if form:
+        return form, angle
     norm = np.linalg.norm(there, axis=1) * (np.pi / 180 if angle.choice == "deg" else 1.0)
-    if by_names:
-        return by_names, angle
     if np.mean(norm > 1.01 * np.pi) > 0.01:
         return Decision("roll", "likely", "beyond_half_turn", {"largest": float(norm.max())}), angle
     if angle.choice == "deg":

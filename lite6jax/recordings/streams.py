@@ -187,7 +187,7 @@ def merge(
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
         return None
     clock = _clock_of_runs(columns, time)
-    states = _in_order(clock, moved)
+    states = in_order(clock, moved)
     if len(states) < 2:
         return None
     start = clock[states[0]]
@@ -201,7 +201,7 @@ def merge(
         )
     found = {}
     for name, column in columns.items():
-        own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
+        own = in_order(clock, np.isfinite(column))
         elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
         found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
     first, *dropped = said_of(joined)
@@ -253,9 +253,9 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     return clock + run_segments(np.unique(run, return_inverse=True)[1]) * (10 * width + 1.0)
 
 
-def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:
+def in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:
     """Rows in order of time, of those at one time the first."""
-    rows = np.flatnonzero(there)
+    rows = np.flatnonzero(np.asarray(there) & np.isfinite(clock))
     return rows[np.unique(clock[rows], return_index=True)[1]]
 
 

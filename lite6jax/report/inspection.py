@@ -11,14 +11,13 @@ import numpy as np
 import yaml
 from rich.console import RenderableType
 
-from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
+from lite6jax.domains.pose.inspection import Inspection, Pose, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
-from lite6jax.domains.pose.readings import Meaning
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.naming import Role, says_torque, unit_of, units_allowed
+from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
 from lite6jax.report.screen import indented, unbroken
@@ -36,15 +35,14 @@ KEYS: Mapping[str, tuple[str, str]] = {key: (one["meaning"], one["example"]) for
 
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
-    used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
+    used = len({column for block in found.blocks for column in block.columns} | set(found.given))
     unused = len(found.unused) + len(found.texts)
     yield unbroken(path)
     yield from (fill(_TEXTS["rows"], {"found": found, "used": used, "unused": unused}), "")
-    for meaning in found.meanings:
-        yield indented(statement(meaning))
-    recognised = {
-        own: name for meaning in found.meanings for own, name in zip(meaning.block.columns, meaning.names, strict=True)
-    }
+    recognised: dict[str, str] = {}
+    for block in found.blocks:
+        yield indented(statement(block))
+        recognised |= block.renamed()
     for own, name in found.given.items():
         if recognised.get(own) != name:
             yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
@@ -61,15 +59,14 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     yield f"Motion: {found.motion[0]}; {found.motion[1]}."
 
 
-def no_angles(joints: Meaning) -> str:
+def no_angles(joints: Block) -> str:
     """Joint positions that may be no angles, and what to do."""
-    columns = joints.block.columns
-    degrees = [_column_option(own, f"q{k}_deg") for k, own in enumerate(columns, 1)]
-    wrong = _TEXTS["angles"]["ticks" if joints.unit.reason == "ticks" else "percent"]
-    return fill(_TEXTS["no_angles"], {"columns": _columns(columns), "wrong": wrong, "degrees": degrees})
+    degrees = [_column_option(own, f"q{k}_deg") for k, own in enumerate(joints.columns, 1)]
+    wrong = _TEXTS["angles"]["ticks" if joints.unit and joints.unit.reason == "ticks" else "percent"]
+    return fill(_TEXTS["no_angles"], {"columns": _columns(joints.columns), "wrong": wrong, "degrees": degrees})
 
 
-def source_statement(source: PoseSource) -> str:
+def source_statement(source: Pose) -> str:
     """One of several poses: whose it is, and how well the arm reproduces it."""
     more = {"columns": _columns(source.columns), "role": _TEXTS["roles"][source.role or "unknown"]}
     return fill(_TEXTS["source"], {"computed": source.computed, "error": source.error, **more})
@@ -101,31 +98,31 @@ def _column_option(name: str, meaning: str) -> str:
     return command_line("--column", f"{name}={meaning}").partition(" ")[2]
 
 
-def statement(meaning: Meaning) -> str:
+def statement(block: Block) -> str:
     """A block in one or two sentences."""
-    block, form, unit = meaning.block, meaning.form, meaning.unit.choice
-    if unit:
+    form, unit = block.form, block.unit.choice if block.unit else ""
+    if block.unit and unit:
         unit = _TEXTS["units"].get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
-        unit = f"{'in ' if form is None else ''}{unit} ({_sure(meaning.unit)})"
+        unit = f"{'in ' if form is None else ''}{unit} ({_sure(block.unit)})"
     facts = {
-        "kind": _kind(meaning),
+        "kind": _kind(block),
         "columns": _columns(block.columns),
         "form": form and f"{_TEXTS['forms'][form.choice]} ({_sure(form)})",
         "unit": unit,
         "commanded": block.kind == "cmd",
-        "assumed": _commanded(meaning),
+        "assumed": _commanded(block),
         "rivals": _listed(block.rivals) if block.rivals else "",
     }
     return fill(_TEXTS["block"], facts)
 
 
-def _commanded(meaning: Meaning) -> bool:
+def _commanded(block: Block) -> bool:
     """Whether joint columns are taken for measured ones that by name were commanded or computed."""
-    return meaning.block.rank == 2 and bool(meaning.block.joints) and meaning.block.kind != "cmd"
+    return block.rank == 2 and bool(block.joints) and block.kind != "cmd"
 
 
-def _kind(meaning: Meaning) -> str:
-    return _TEXTS["slides" if meaning.block.slides else "kinds"][meaning.block.kind]
+def _kind(block: Block) -> str:
+    return _TEXTS["slides" if block.slides else "kinds"][block.kind]
 
 
 def _sure(decision: Decision) -> str:
@@ -184,9 +181,9 @@ def _column_lines(found: Inspection) -> list[str]:
     lines = ["# What each column is: its name in the table, then what it holds and its unit; `ignore` for nothing."]
     lines.append("columns:")
     told = dict(found.columns)
-    for meaning in found.meanings:
-        lines += _wrapped(statement(meaning))
-        lines += [_entry(own, told.pop(own)) for own in meaning.block.columns if own in told]
+    for block in found.blocks:
+        lines += _wrapped(statement(block))
+        lines += [_entry(own, told.pop(own)) for own in block.columns if own in told]
     rest = {own: name for own, name in told.items() if name != IGNORED}
     unused = {own: name for own, name in told.items() if name == IGNORED}
     for comment, entries in (("As given.", rest), ("Not used.", unused)):
@@ -224,18 +221,18 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
     """What is still unknown, and the command that follows."""
     q, tau, current, position = map(found.of, ("q", "tau", "current", "position"))
-    efforts = tau is not None and tau.unit.sure == "assumed" and not says_torque(tau.block.columns[0])
+    efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
     timed = found.of("time") is not None or any(name.startswith("time") for name in found.given.values())
     nothing = position is None and tau is None and current is None and not found.given
     facts = {
         "doubtful": [
-            _kind(meaning).lower()
-            for meaning in found.meanings
-            if "assumed" in (meaning.unit.sure, meaning.form.sure if meaning.form else "") or _commanded(meaning)
+            _kind(block).lower()
+            for block in found.blocks
+            if "assumed" in [one.sure for one in (block.unit, block.form) if one] or _commanded(block)
         ],
         "q_commanded": q is not None and _commanded(q) and "joint_source" not in settings,
         "tau_commanded": tau is not None and _commanded(tau) and "torque_source" not in settings,
-        "as_current": tau and efforts and _column_option(tau.block.columns[0], f"current{tau.block.joints[0]}_A"),
+        "as_current": tau and efforts and _column_option(tau.columns[0], f"current{tau.joints[0]}_A"),
         "currents": tau is None and current is not None and "torque_constant_Nm_per_A" not in settings,
         "computed": found.computed,
         "said": settings.get("pose_source", "unknown"),

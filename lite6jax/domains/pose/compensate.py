@@ -283,20 +283,21 @@ def _recognised(
             "y_mm and z_mm (x_m … in metres)"
         )
     if turned is not None and turned.form is not None and turned.form.sure != "certain":
-        first = turned.block.columns[0]
+        first = turned.columns[0]
         raise InputError(
-            f"{path}: what the angles {', '.join(turned.block.columns)} mean is not certain; say it: --column "
+            f"{path}: what the angles {', '.join(turned.columns)} mean is not certain; say it: --column "
             f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
         )
+    assert place.unit is not None
     unit = place.unit.choice
     if place.unit.reason != "name":
-        points = np.stack([np.asarray(columns[name], float) for name in place.block.columns], 1)
+        points = np.stack([np.asarray(columns[name], float) for name in place.columns], 1)
         T = np.asarray(model.model.T_sensor_base)
-        units = [name for name, size in (("m", 1.0), ("mm", 1e3)) if _can_be_reached(points / size, reach, T)]
+        units = [name for name, size in place.units.items() if _can_be_reached(points / size, reach, T)]
         if len(units) != 1:
-            name = place.block.columns[0]
+            name = place.columns[0]
             raise InputError(
-                f"{path}: whether {', '.join(place.block.columns)} are in m or mm is not certain; say it: --column "
+                f"{path}: whether {', '.join(place.columns)} are in m or mm is not certain; say it: --column "
                 f"{name}=x_mm (or x_m), and likewise the others"
             )
         unit = units[0]

@@ -17,29 +17,27 @@ from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.readings import (
     CLEARLY,
-    NO_AGREEMENT,
     Agreement,
-    Meaning,
     agreement,
     computed_by_controller,
-    key,
-    meanings_of,
+    decide,
     motion_of,
-    without_unit,
 )
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
-    ANGLES,
+    FORMS,
     IGNORED,
     MATRIX,
-    QUATERNION,
+    PLACE,
+    Column,
     differs_by_joint,
     is_no_rotation,
     is_per_joint,
     is_refused,
     is_standard,
     known_column,
+    list_names,
     nearest_known,
     quaternions,
     reading_of,
@@ -59,22 +57,42 @@ SENSORS = ("laser_tracker", "motion_capture", "camera")
 """The values of `pose_source` of what was measured."""
 
 
-class PoseSource(NamedTuple):
-    """A pose of the table, by one source.
+class Pose(NamedTuple):
+    """A pose of the table by one source, as an arm agrees with it best.
 
     Attributes:
-        columns: of the position, and of the orientation where it has one.
-        role: whose it is by its name.
-        error: m, the median error with which the arm reproduces the positions; infinite where none does.
-        computed: whether that is as exact as only the controller's own computation.
+        blocks: its position, and its orientation where it has one.
+        role: whose it is by its name, or the controller's where it is computed.
+        arm: that agrees; None where that is not clear.
+        tried: the arms that were, the nearest first.
+        agreed: the units and the form with which the arm agrees, and the median error of its positions.
+        travel: the largest extent of its positions along an axis, in their unit.
+        computed: whether the arm reproduces it as exactly as only the controller's own computation.
         taken: whether it is the one that the table is read with.
     """
 
-    columns: tuple[str, ...]
-    role: Role | None
-    error: float
-    computed: bool
-    taken: bool
+    blocks: tuple[Block, ...] = ()
+    role: Role | None = None
+    arm: Arm | None = None
+    tried: Sequence[tuple[Arm, Agreement]] = ()
+    agreed: Agreement = Agreement()
+    travel: float = 0.0
+    computed: bool = False
+    taken: bool = False
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of the position and the orientation."""
+        return tuple(name for block in self.blocks for name in block.columns)
+
+    @property
+    def error(self) -> float:
+        """m, the median error with which the arm reproduces the positions; infinite where none does."""
+        return self.agreed.error
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return {name: getattr(self, name) for name in ("columns", "role", "error", "computed", "taken")}
 
 
 @final
@@ -83,7 +101,7 @@ class Inspection:
     """What a table holds.
 
     Attributes:
-        meanings: of the blocks that were recognised.
+        blocks: that were recognised, with their units and forms.
         given: columns whose meaning was given.
         unused: columns of numbers that mean nothing here, and `texts` those without numbers.
         denied: those that are called times or quaternions and whose numbers are none, with `time` or `quaternion`.
@@ -96,7 +114,7 @@ class Inspection:
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
     """
 
-    meanings: tuple[Meaning, ...]
+    blocks: tuple[Block, ...]
     given: Mapping[str, str]
     unused: tuple[str, ...]
     texts: tuple[str, ...]
@@ -106,15 +124,15 @@ class Inspection:
     arms: tuple[tuple[str, float], ...]
     error: float
     motion: tuple[str, str]
-    sources: tuple[PoseSource, ...]
+    sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
         """The sidecar's `columns`; empty where every name is one of a recording already."""
-        pairs = [pair for one in self.meanings for pair in zip(one.block.columns, one.names, strict=True)]
-        taken = {without_unit(name) for name in self.given.values()}
-        told = {own: IGNORED if without_unit(name) in taken else name for own, name in pairs} | dict(self.given)
+        pairs = [pair for block in self.blocks for pair in block.renamed().items()]
+        taken = {name.partition("_")[0] for name in self.given.values()}
+        told = {own: IGNORED if name.partition("_")[0] in taken else name for own, name in pairs} | dict(self.given)
         unused = {name: IGNORED for name in self.texts if not is_standard(name)}
         read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
@@ -139,29 +157,26 @@ class Inspection:
     @property
     def joint_columns(self) -> tuple[str, ...]:
         """The names of the joint positions in a recording, along the arm: `q1_deg`, `q2_mm`."""
-        q = [one for one in self.meanings if one.block.kind == "q"]
-        named = [pair for one in q for pair in zip(one.block.joints, one.names, strict=True)]
+        named = [pair for one in self.blocks if one.kind == "q" for pair in zip(one.joints, one.names, strict=True)]
         return tuple(name for _, name in sorted(named))
 
-    def of(self, kind: str) -> Meaning | None:
-        """The meaning of a kind of block: of revolute joints where there are some."""
-        return next((meaning for meaning in self.meanings if meaning.block.kind == kind), None)
+    def of(self, kind: str) -> Block | None:
+        """The block of a kind: of revolute joints where there are some."""
+        return next((block for block in self.blocks if block.kind == kind), None)
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values; the reasons are codes."""
-        return _finite(
-            {
-                "columns": self.columns,
-                "blocks": [meaning.to_dict() for meaning in self.meanings],
-                "unused": [*self.unused, *self.texts],
-                "denied": dict(self.denied),
-                "samples": self.samples,
-                "arm": None if self.arm is None else self.arm.name,
-                "arms_m": dict(self.arms),
-                "motion": self.motion[0],
-                "poses": [source._asdict() for source in self.sources],
-            }
-        )
+        """As JSON values, of which some numbers may be infinite; the reasons are codes."""
+        return {
+            "columns": self.columns,
+            "blocks": [block.to_dict() for block in self.blocks],
+            "unused": [*self.unused, *self.texts],
+            "denied": dict(self.denied),
+            "samples": self.samples,
+            "arm": None if self.arm is None else self.arm.name,
+            "arms_m": dict(self.arms),
+            "motion": self.motion[0],
+            "poses": [source.to_dict() for source in self.sources],
+        }
 
 
 def inspect(
@@ -202,13 +217,13 @@ def inspect(
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
-    said = {name: known_column(own) for name, own in given.items() if name in numbers and own != IGNORED}
-    slots = {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
-    said_joints = [name for (quantity, _), (name, _) in slots.items() if quantity == "q"]
+    said = {name: one for name, own in given.items() if name in numbers and (one := known_column(own))}
+    slots = {(one.quantity, one.joint): one._replace(name=name) for name, one in said.items()}
+    said_joints = [one.name for one in slots.values() if one.quantity == "q"]
     chosen = naming.choose(possible, dof, said_joints)
     blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
     whole = next((block for block in blocks if block.kind == "q"), None)
-    blocks = _split_by_joint(blocks, given, arm)
+    blocks = _split_by_joint(blocks, said, arm)
     unsaid = {*assumed} - given.keys()
     blocks = [replace(block, unit=None) if {*block.columns} <= unsaid else block for block in blocks]
     joints = {name for block in blocks for name in block.columns}
@@ -217,24 +232,22 @@ def inspect(
     lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _at_poses(numbers, [*blocks, *poses], source)
-    readings = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
-    readings = [reading for reading in readings if reading.travel > 0] or readings
-    taken = _choose_pose(readings, pose_source)
-    found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
-    nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
-    agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
+    read = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    read = [pose for pose in read if pose.travel > 0] or read
+    taken = _choose_pose(read, pose_source)
+    found = Pose(arm=read[0].arm if read else arm) if taken is None else read[taken]
+    nearest = min((pose.agreed for pose in read), key=lambda one: one.error, default=Agreement())
+    of_joints = {of: unit for of, unit in nearest.units.items() if of[0] == "q"}
+    agreed = found.agreed._replace(units={**of_joints, **found.agreed.units})
     if any(block.kind == "rotation" and given.keys() >= {*block.columns} for block in found.blocks):
-        agreed = agreed._replace(form=None, turn=None)
+        units = {of: unit for of, unit in agreed.units.items() if of[0] != "rotation"}
+        agreed = agreed._replace(units=units, form=None)
     blocks += found.blocks
-    values = {key(block): _stacked(numbers, block.columns) for block in blocks}
-    turned = values.get(("q", False))
-    if agreed.angle is None and arm is not None and arm.endless and turned is not None and turned.shape[1] == arm.dof:
-        agreed = agreed._replace(angle=sizes.angle_unit_with_endless(turned, arm.endless))
-    meanings = meanings_of({key(block): block for block in blocks}, values, agreed)
+    decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
-    used |= {name for meaning in meanings for name in meaning.block.columns}
+    used |= {name for block in decided for name in block.columns}
     return Inspection(
-        meanings=meanings,
+        blocks=decided,
         given=given,
         unused=tuple(name for name, values in columns if values is not None and name not in used),
         texts=tuple(name for name in texts if name not in given),
@@ -242,13 +255,10 @@ def inspect(
         samples=samples,
         arm=found.arm,
         arms=tuple((one.name, tried.error) for one, tried in found.tried),
-        error=agreed.error,
-        motion=(motion, "as given") if motion else motion_of(meanings, values),
-        sources=tuple(
-            PoseSource(one.columns, one.role, one.agreed.error, one.computed, place == taken)
-            for place, one in enumerate(readings)
-        ),
-        motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, meanings),
+        error=found.error,
+        motion=(motion, "as given") if motion else motion_of(decided, numbers),
+        sources=tuple(pose._replace(taken=place == taken) for place, pose in enumerate(read)),
+        motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, decided),
     )
 
 
@@ -257,21 +267,22 @@ def _motors(
     dof: int,
     possible: Sequence[Block],
     numbers: Mapping[str, Array],
-    meanings: Sequence[Meaning],
+    decided: Sequence[Block],
 ) -> tuple[tuple[str, ...], ...]:
     """Groups of joint positions of which any may be the arm's: too many columns, or several blocks."""
     if len(whole.columns) > dof + 1:  # one more is a gripper's
         return (whole.columns,)
-    q, *mixed = (meaning for meaning in meanings if meaning.block.kind == "q")
+    q, *mixed = (block for block in decided if block.kind == "q")
     if mixed:
         return ()
-    position = q.in_si(_stacked(numbers, q.block.columns))
-    alike = [other.columns for other in possible if other.kind == "q" and other.columns[0] in whole.rivals]
+    position = q.in_si(numbers)
     others = [
-        columns
-        for columns in alike
-        if len(columns) == len(whole.columns)
-        and sizes.unit_of_command(_stacked(numbers, columns[:dof]), position, q.block.slides) is None
+        other.columns
+        for other in possible
+        if other.kind == "q"
+        and other.columns[0] in whole.rivals
+        and len(other.columns) == len(whole.columns)
+        and sizes.unit_of_command(other.values(numbers)[:, :dof], position, q.slides) is None
     ]
     return (whole.columns, *others) if others else ()
 
@@ -297,39 +308,9 @@ def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]
     return every if role is None else named or open_ or every
 
 
-class _Reading(NamedTuple):
-    """A pose as the arm agrees with it best: its position and rotation, whose it is, and the arms that were tried."""
-
-    blocks: tuple[Block, ...] = ()
-    role: Role | None = None
-    arm: Arm | None = None
-    tried: Sequence[tuple[Arm, Agreement]] = ()
-    agreed: Agreement = NO_AGREEMENT
-    travel: float = 0.0
-    computed: bool = False
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return tuple(name for block in self.blocks for name in block.columns)
-
-
-def _stacked(numbers: Mapping[str, Array], names: Sequence[str]) -> Array:
-    return np.stack([numbers[name] for name in names], 1)
-
-
-def _finite(value: Any) -> Any:
-    """The same with None in place of numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
 def _near(name: str, names: Sequence[str]) -> str:
     near = nearest_known(name)
-    shown = ", ".join(repr(other[:40]) for other in names[:8]) + (", ..." if len(names) > 8 else "")
-    return f"it has {shown}" if near is None else f"write COLUMN=MEANING, such as joint_1={near}; it has {shown}"
+    return f"{'' if near is None else f'write COLUMN=MEANING, such as joint_1={near}; '}it has {list_names(names)}"
 
 
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
@@ -375,28 +356,27 @@ def _matrix(entries: Array) -> bool:
 
 _ENOUGH = 5000
 """Rows that show whether numbers are quaternions or rotations."""
-_XYZ = ("x", "y", "z")
-_Slots = Mapping[tuple[str, int], tuple[str, str]]
-"""Of quantities, and of which joint, the column that is given and its unit."""
+_Slots = Mapping[tuple[str, int], Column]
+"""The columns that are given, by quantity and joint."""
 
 
 def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
     """With the columns that are given in their places, of all but poses; those of all joints stand alone."""
     found = {block.kind: block for block in blocks}
-    own = {name for name, _ in slots.values()}
+    own = {one.name for one in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
-        told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
-        units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
-        first = 1 if is_per_joint(kind) else 0
+        told = {one.joint: one.name for one in slots.values() if one.quantity == kind}
+        first = int(is_per_joint(kind))
         before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
         columns = {joint: name for joint, name in before.items() if name not in own} | told
         whole = sorted(told) == [*range(first, first + len(told))]
         if whole and (len(told) == dof or not own & set(before.values())):
             columns = told
         if sorted(columns) == [*range(first, first + len(columns))]:
-            unit = units.pop() if len(units) == 1 and columns == told else found[kind].unit if kind in found else None
-            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit or None)
-    other = {kind: {name for (said, _), (name, _) in slots.items() if said != kind} for kind in found}
+            unit = "" if first else slots[kind, 0].unit  # those of joints may differ by joint
+            stated = sizes.by_name(unit) if unit else None
+            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), stated)
+    other = {kind: {one.name for one in slots.values() if one.quantity != kind} for kind in found}
     return [found[kind] for kind in naming.KINDS if kind in found and not other[kind] & {*found[kind].columns}]
 
 
@@ -413,27 +393,26 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
-    for form in (_XYZ, QUATERNION, MATRIX, *ANGLES):
-        if not all((part, 0) in slots for part in form):
+    for form, parts in {"": PLACE, **FORMS}.items():
+        if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
-        columns, units = zip(*(slots[part, 0] for part in form), strict=True)
-        unit = units[0] or None if len({*units}) == 1 else None
-        if form == _XYZ:
+        columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
+        unit = sizes.by_name(units[0]) if units[0] and len({*units}) == 1 else None
+        if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
         else:
             source = next((other.source for other in found if other.kind == "position"), ())
-            block = Block("rotation", columns, unit, form, source=source)
+            block = Block("rotation", columns, unit, sizes.by_name(form), source=source)
         others = (other for other in found if other.kind != block.kind and not {*columns} & {*other.columns})
         found = [*others, block]
     return found
 
 
-def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
+def _split_by_joint(blocks: Sequence[Block], said: Mapping[str, Column], arm: Arm | None) -> list[Block]:
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
-        said = known_column(given.get(name, ""))
-        return naming.unit_of(name) if said is None else said.unit
+        return said[name].unit if name in said else naming.unit_of(name)
 
     joints = next((block.columns for block in blocks if block.kind == "q"), ())
     dof = len(joints) if arm is None else arm.dof
@@ -454,69 +433,64 @@ def _split_by_joint(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm 
             if own:
                 columns = tuple(block.columns[joint] for joint in own)
                 units = {unit(name) for name in columns}
-                said = units.pop() if len(units) == 1 else None
-                said = said if said in naming.units_allowed(block.kind, slides) else None
+                one = units.pop() if len(units) == 1 else None
+                stated = sizes.by_name(one) if one in naming.units_allowed(block.kind, slides) else None
                 joints_of = tuple(joint + 1 for joint in own)
-                found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=said))
+                found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
     return found
 
 
-def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
+def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> Pose:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
-    position = _stacked(numbers, source.position.columns)
+    position = source.position.values(numbers)
     there = position[np.isfinite(position).all(1)]
     travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
-    best = _Reading((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
-    q = {block.slides: block for block in blocks if block.kind == "q"}
-    columns = dict(sorted(pair for block in q.values() for pair in zip(block.joints, block.columns, strict=True)))
+    pose = Pose((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
+    q = [block for block in blocks if block.kind == "q"]
+    columns = dict(sorted(pair for block in q for pair in zip(block.joints, block.columns, strict=True)))
     if not columns:
-        return best
-    sliding = tuple(joint - 1 for joint in q[True].joints) if True in q else ()
+        return pose
+    sliding = tuple(joint - 1 for block in q if block.slides for joint in block.joints)
     arms = bundled_of(len(columns)) if arm is None else [arm]
     arms = [one for one in arms if (one.dof, one.sliding) == (len(columns), sliding)]
-    angle, slide = (q[slides].unit if slides in q else None for slides in (False, True))
-    joint, wobbles = _stacked(numbers, [*columns.values()]), []
+    joint = np.stack([numbers[name] for name in columns.values()], 1)
+    read, wobbles = [], []
     for rotation in source.rotations or (None,):
-        parts = [joint, position]
+        parts, own = [joint, position], (source.position, *(() if rotation is None else (rotation,)))
+        by_matrix = rotation is not None and rotation.form is not None and rotation.form.choice == MATRIX[0]
         if rotation is not None:
-            turned = _stacked(numbers, rotation.columns)
-            parts.append(quaternions(MATRIX, turned) if rotation.form == MATRIX else turned)
+            turned = rotation.values(numbers)
+            parts.append(quaternions(MATRIX, turned) if by_matrix else turned)
         whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
         q_there, p_there, *turned_there = (part[whole] for part in parts)
-        units = (
-            angle,
-            slide,
-            source.position.unit,
-            None if rotation is None or len(rotation.columns) != 3 else rotation.unit,
-        )
-        tried = [(one, agreement(one, q_there, p_there, next(iter(turned_there), None), *units)) for one in arms]
+        known = {block.key: block.unit.choice for block in (*q, *own) if block.unit}
+        tried = [(one, agreement(one, q_there, p_there, next(iter(turned_there), None), known)) for one in arms]
         tried = sorted(tried, key=lambda entry: entry[1].error)
         chosen, agreed = _choose_arm(arm, tried)
-        if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
+        if by_matrix and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
         wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
-        if len(wobbles) > 1 and wobbles[-1] >= min(wobbles[:-1]):
-            continue
         computed = False
         if tried and (nearest := tried[0][1]).close:
-            in_m = p_there / units_of("x")[nearest.length.choice if nearest.length else "m"]
-            in_rad = q_there / units_of("q")[nearest.angle.choice if nearest.angle else "rad"]
+            length, angle = (nearest.units.get(of) for of in (("position", False), ("q", False)))
+            in_m = p_there / units_of("x")[length.choice if length else "m"]
+            in_rad = q_there / units_of("q")[angle.choice if angle else "rad"]
             computed = computed_by_controller(nearest.error, in_m, in_rad)
-        found = (source.position, rotation) if rotation is not None else (source.position,)
         role = "controller" if computed else source.role
-        best = _Reading(found, role, chosen, tried, agreed, travel, computed)
+        read.append(pose._replace(blocks=own, role=role, arm=chosen, tried=tried, agreed=agreed, computed=computed))
+    best = read[int(np.argmin(wobbles))]
     form = best.agreed.form
     if form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
         return best._replace(agreed=best.agreed._replace(form=form._replace(sure="likely")))
     return best
 
 
-def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
+def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
-    pool = poses_of([reading.role for reading in readings], pose_source)
-    if len({readings[k].role for k in pool}) == 1:
-        turned = [k for k in pool if len(readings[k].blocks) > 1]
+    pool = poses_of([pose.role for pose in read], pose_source)
+    if len({read[k].role for k in pool}) == 1:
+        turned = [k for k in pool if len(read[k].blocks) > 1]
         pool = turned if len(turned) == 1 else pool
     return pool[0] if len(pool) == 1 else None
 
@@ -524,16 +498,11 @@ def _choose_pose(readings: Sequence[_Reading], pose_source: str | None) -> int |
 def _choose_arm(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
     """The arm whose kinematics decide, where it agrees; the nearest bundled one where no other is as near."""
     if not tried:
-        return arm, NO_AGREEMENT
+        return arm, Agreement()
     first, found = tried[0]
     if arm is not None:
-        return arm, found if found.close else _undecided(found)
+        return arm, found if found.close else found.undecided()
     alone = len(tried) == 1 or tried[1][1].error > max(ALIKE * found.error, 1e-9)
     if not found.close or found.error > RECOGNISED_WITHIN:
-        return None, _undecided(found)
+        return None, found.undecided()
     return (first if alone else None), found  # arms that are alike agree on the units
-
-
-def _undecided(found: Agreement) -> Agreement:
-    """The same where an arm is not near enough to decide anything."""
-    return found._replace(angle=None, slide=None, length=None, form=None, turn=None)

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import FEWEST
+from lite6jax.domains.pose.readings import FEWEST, in_si
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import QUATERNION, known_column, units_of, with_quaternions
-from lite6jax.recordings.streams import Joined, JointStream, join
+from lite6jax.recordings.columns import FORMS, QUATERNION, spelled, with_quaternions
+from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
 
 if TYPE_CHECKING:
@@ -96,24 +96,22 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     Raises:
         InputError: it has no positions and orientations, or no branch of the arm reaches them.
     """
-    turned = file.found.of("rotation")
-    if turned is None or file.found.of("position") is None:
+    position, turned = map(file.found.of, ("position", "rotation"))
+    if turned is None or position is None:
         raise InputError(
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
     from lite6jax.domains.pose.inverse import joint_path  # imports JAX
 
-    # the names that its columns have in a recording, as it was read; all that they may have in doubt
-    possible = [dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))]
-    if turned.form is not None and turned.form.sure != "certain":
-        possible += [names for form in turned.forms if (names := turned.renamed(form=form)) != possible[0]]
-    path, names = None, possible[0]
-    for names in possible:
-        told = {own: known_column(name) for own, name in names.items()}
-        values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
+    assert turned.form is not None
+    # as it was read; in doubt as any that it may be
+    others = turned.forms if turned.form.sure != "certain" else ()
+    path, form = None, ""
+    for form in dict.fromkeys([turned.form.choice, *others]):
+        values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
-        path = joint_path(arm, _position(file), np.stack([turns[name] for name in QUATERNION], 1))
+        path = joint_path(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
             break
     if path is None:
@@ -129,7 +127,7 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     given = {name: meaning for name, meaning in file.found.given.items() if name in rest}
     whole = rest | columns
     found = inspect(list(whole.items()), arm, given, file.source)
-    return WithJoints(File(file.source, file.stem, whole, found), path, names[turned.block.columns[0]])
+    return WithJoints(File(file.source, file.stem, whole, found), path, turned.renamed(form=form)[turned.columns[0]])
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
@@ -139,14 +137,18 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    position, q = _position(poses), _joint_columns(joints, arm)
+    position, q = in_si(poses.found.blocks, "position", poses.columns), _joint_columns(joints, arm)
+    assert position is not None
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    times = joints.found.of("time"), poses.found.of("time")
+    times = [in_si(file.found.blocks, "time", file.columns) for file in (joints, poses)]
     taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
-    if None not in times and (joined := _joined_by_time(joints, poses, arm, q, position)) is not None:
-        return joined._replace(left_out=left_out)
+    clock, at = times
+    if clock is not None and at is not None:
+        joined = _joined_by_time(joints, poses, arm, q, position, clock[:, 0], at[:, 0])
+        if joined is not None:
+            return joined._replace(left_out=left_out)
     few = len(state_rows) <= _MOST_CAPTURES
     pairing = pair_in_order(arm, q[state_rows], position[pose_rows]) if few else None
     if pairing is not None:
@@ -166,14 +168,15 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     )
 
 
-def _joined_by_time(joints: File, poses: File, arm: Arm, q: Array, position: Array) -> JoinedFiles | None:
-    """Joints `(row, joint)` and positions `(row, 3)` joined by the motion; None of captures, which show none."""
-    clock, at = (_times(file) for file in (joints, poses))
-    states = _in_order(clock, np.isfinite(q).all(axis=1))
+def _joined_by_time(
+    joints: File, poses: File, arm: Arm, q: Array, position: Array, clock: Array, at: Array
+) -> JoinedFiles | None:
+    """Joints and positions of rows at their times in s, joined by the motion; None of captures, which show none."""
+    states = in_order(clock, np.isfinite(q).all(axis=1))
     if len(states) < FEWEST or not (stream := JointStream.of(clock[states] - clock[states[0]], q[states])).resolved:
         return None
     who = f"{joints.source} and {poses.source}"
-    placed = _in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    placed = in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     if len(placed) < FEWEST:
         raise InputError(f"{who}: {len(placed)} poses at different times are too few to find the offset of the clocks")
     first, start = clock[states[0]], at[placed[0]]
@@ -188,7 +191,7 @@ def _joined_by_time(joints: File, poses: File, arm: Arm, q: Array, position: Arr
     joined = join(stream.time, {name: column[states] for name, column in kept.items()}, names, wanted)
     rows = placed[joined.kept]
     table = {_TIME: wanted[joined.kept] + first} | _table(joints, poses, joined.columns, rows)
-    unit = next((meaning.unit.choice for meaning in joints.found.meanings if meaning.block.kind == "q"), "rad")
+    unit = next(block.unit.choice for block in joints.found.blocks if block.kind == "q" and block.unit)
     return JoinedFiles(
         table, len(rows), len(placed), len(states), clocks, float(first - start), joined=joined, unit=unit
     )
@@ -210,25 +213,15 @@ def _kept(file: File, kinds: Sequence[str]) -> dict[str, Array]:
 
 
 def _columns(file: File, kind: str) -> list[str]:
-    blocks = [meaning.block for meaning in file.found.meanings if meaning.block.kind == kind]
+    blocks = [block for block in file.found.blocks if block.kind == kind]
     return list(dict.fromkeys(name for block in blocks for name in (block.matrix or block.columns)))
-
-
-def _position(file: File) -> Array:
-    """`(row, 3)` m."""
-    meaning = file.found.of("position")
-    assert meaning is not None
-    values = np.stack([file.columns[name] for name in meaning.block.columns], 1)
-    return values / units_of("x")[meaning.unit.choice]
 
 
 def _joint_columns(file: File, arm: Arm) -> Array:
     """`(row, joint)` in SI units."""
     found: dict[int, Array] = {}
-    for meaning in (one for one in file.found.meanings if one.block.kind == "q"):
-        names = meaning.block.columns
-        for number, name in zip(meaning.block.joints or range(1, len(names) + 1), names, strict=True):
-            found[number] = meaning.in_si(file.columns[name])
+    for block in (one for one in file.found.blocks if one.kind == "q"):
+        found |= zip(block.joints, block.in_si(file.columns).T, strict=True)
     if sorted(found) != list(range(1, arm.dof + 1)):
         raise InputError(
             f"{file.source}: has {len(found)} joints and {arm.name} has {arm.dof}; choose the arm, or name the columns "
@@ -240,28 +233,14 @@ def _joint_columns(file: File, arm: Arm) -> Array:
 def _assumed(*files: File) -> str:
     """In which units times and joints were taken where nothing says so for certain, and how to give others."""
     said, remedies = [], []
-    meanings = [(Path(file.source).name, meaning) for file in files for meaning in file.found.meanings]
-    for of_file, meaning in meanings:
-        block, unit = meaning.block, meaning.unit.choice
-        if block.kind not in ("q", "time") or meaning.unit.sure == "certain":
+    for of_file, block in ((Path(file.source).name, block) for file in files for block in file.found.blocks):
+        if block.kind not in ("q", "time") or block.unit is None or block.unit.sure == "certain":
             continue
-        other = next(one for one in units_of(block.kind, block.slides) if one != unit)
-        quantity = f"q{block.joints[0] if block.joints else 1}" if block.kind == "q" else block.kind
+        unit = block.unit.choice
+        other = next(one for one in block.units if one != unit)
         name, of_all = block.columns[0], " and so on" if len(block.columns) > 1 else ""
         verb = "" if said else " was taken"
         said.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
-        remedies.append(f"--column {name}={quantity}_{other}{of_all}")
+        remedies.append(f"--column {name}={block.renamed(unit=other)[name]}{of_all}")
     # files that have the column alike need one remedy
     return f"; {', '.join(said)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}" if said else ""
-
-
-def _times(file: File) -> Array:
-    """`(row,)` s."""
-    meaning = file.found.of("time")
-    assert meaning is not None
-    return meaning.in_si(file.columns[meaning.block.columns[0]])
-
-
-def _in_order(time: Array, there: ArrayLike) -> Rows:
-    rows = np.flatnonzero(np.asarray(there) & np.isfinite(time))
-    return rows[np.unique(time[rows], return_index=True)[1]]

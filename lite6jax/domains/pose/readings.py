@@ -1,12 +1,14 @@
-"""What the blocks of columns of a table mean: the unit and the name of each column, and the form of rotations.
+"""The unit of the blocks of columns of a table, and the form of rotations.
 
 Names decide where they say it. Else the readings are compared with the nominal forward kinematics of an arm, with the
 sensor's frame and the tool fitted in closed form; where none agrees best, sizes decide.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import product
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +17,12 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.start import frames_from_poses
 from lite6jax.recordings import naming, sizes
-from lite6jax.recordings.columns import ANGLES, MATRIX, QUATERNION, quaternions, units_of
+from lite6jax.recordings.columns import ANGLES, MATRIX, quaternions, units_of
 from lite6jax.recordings.naming import Block
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
 from lite6jax.recordings.sizes import Decision, Sureness
 
 Array = NDArray[np.floating]
-Key = tuple[str, bool]
-"""The kind of a block, and whether it is of prismatic joints."""
 
 ROWS = 400
 """Spread over the recording: enough to tell readings that differ by factors or by whole rotations."""
@@ -47,51 +47,40 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
-_XYZ = ("x", "y", "z")
-_SCALAR_FIRST, _SCALAR_LAST = "scalar_first", "scalar_last"
+_TURNS, _SLIDES, _PLACES = ("q", False), ("q", True), ("position", False)
+_FIRST = ("q", "time", "dq", "ddq")
+"""Kinds by whose units those of others are decided, in order."""
 _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
 """The unit of quantities that have one only."""
 
 
 class Agreement(NamedTuple):
-    """The readings that agree with an arm; None where they are not distinguished.
+    """The readings that agree with an arm.
 
     Attributes:
-        angle: `rad` or `deg` of the revolute joints.
-        slide: `m` or `mm` of the prismatic joints.
-        length: `m` or `mm` of the positions.
-        form: of the rotation: the first name of one of `columns.ANGLES`, `scalar_first` or `scalar_last`.
-        turn: `rad` or `deg` of three numbers of a rotation.
+        units: of joints, positions and three numbers of a rotation, by `Block.key`, where they are distinguished.
+        form: of the rotation, where it is.
         error: m, the median error of the best reading; infinite where too few rows tell.
         spread: m, of the positions in it.
     """
 
-    angle: Decision | None
-    slide: Decision | None
-    length: Decision | None
-    form: Decision | None
-    turn: Decision | None
-    error: float
-    spread: float
+    units: Mapping[tuple[str, bool], Decision] = MappingProxyType({})
+    form: Decision | None = None
+    error: float = np.inf
+    spread: float = 0.0
 
     @property
     def close(self) -> bool:
         """Whether the arm agrees with the poses at all."""
         return self.error <= CLOSE * self.spread
 
-
-NO_AGREEMENT = Agreement(None, None, None, None, None, np.inf, 0.0)
+    def undecided(self) -> "Agreement":
+        """The same where an arm is not near enough to decide anything."""
+        return self._replace(units={}, form=None)
 
 
 def agreement(
-    arm: Arm,
-    joint: Array,
-    position: Array,
-    rotation: Array | None,
-    angle: str | None,
-    slide: str | None,
-    length: str | None,
-    turn: str | None,
+    arm: Arm, joint: Array, position: Array, rotation: Array | None, known: Mapping[tuple[str, bool], str]
 ) -> Agreement:
     """The readings of a table with which an arm agrees best.
 
@@ -100,22 +89,20 @@ def agreement(
         joint: `(sample, joint)` in the table's unit, rad or deg, and m or mm of prismatic joints; no row has gaps.
         position: `(sample, 3)`, m or mm.
         rotation: `(sample, 3 | 4)`, in the table's unit and convention, or None.
-        angle, slide, length, turn: units that are known already, or None.
+        known: units that are known already, by `Block.key`.
     """
     if len(joint) < FEWEST:
-        return NO_AGREEMENT
+        return Agreement()
     rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
-    by_size = length is None and bool(arm.slides.all())
-    length = sizes.length_unit(position).choice if by_size else length
-
-    def possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
-        return (known,) if known else tuple(units_of(quantity, slides))
-
-    turns = ("rad",) if arm.slides.all() else possible(angle, "q", False)
-    slides = possible(slide, "q", True) if arm.sliding else ("m",)
+    by_size = _PLACES not in known and bool(arm.slides.all())
+    possible = {_TURNS: [*units_of("q")], _SLIDES: [*units_of("q", True)], _PLACES: [*units_of("x")]}
+    possible |= {of: [unit] for of, unit in known.items() if of in possible}
+    possible |= {_TURNS: ["rad"]} if arm.slides.all() else {}
+    possible |= {} if arm.sliding else {_SLIDES: ["m"]}
+    possible |= {_PLACES: [sizes.length_unit(position).choice]} if by_size else {}
     tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
-    for units in product(turns, slides, possible(length, "x", False)):
+    for units in product(*possible.values()):
         divisor = np.where(arm.slides, units_of("q", True)[units[1]], units_of("q")[units[0]])
         places, flange = position[rows] / units_of("x")[units[2]], flange_poses(arm, joint[rows] / divisor)
         error, T_sensor_base = match_poses(flange, places)
@@ -127,17 +114,18 @@ def agreement(
     by_size, tried = by_size or not plausible, plausible or tried
     best = min(tried, key=lambda units: tried[units][0])
     score, error, spread, predicted = tried[best]
-    decided: list[Decision | None] = []
-    for k in range(3):
+    decided: dict[tuple[str, bool], Decision | None] = {}
+    for k, of in enumerate(possible):
         of_each: dict[str, list[float]] = {}
         for units, one in tried.items():
             of_each.setdefault(units[k], []).append(one[0])
-        decided.append(_decided(best[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE))
-    form, angle_of_turn = None, None
+        decided[of] = _decided(best[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE)
+    form = None
+    if by_size:
+        del decided[_PLACES]
     if rotation is not None and score <= CLOSE:
-        form, angle_of_turn = _rotations(predicted, rotation[rows], turn)
-    of_turns, of_slides, of_places = decided
-    return Agreement(of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, error, spread)
+        form, decided["rotation", False] = _rotations(predicted, rotation[rows], known.get(("rotation", False)))
+    return Agreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
 
 
 def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
@@ -225,120 +213,68 @@ def _decided(best: str, errors: dict[str, float], limit: float) -> Decision | No
     return Decision(best, sure, "kinematics", numbers)
 
 
-class Meaning(NamedTuple):
-    """What one block of columns means.
-
-    Attributes:
-        block: the columns.
-        names: in a recording, one for each column.
-        unit: in which unit, and why; of quaternions nothing.
-        form: of a rotation, which form, and why.
-    """
-
-    block: Block
-    names: tuple[str, ...]
-    unit: Decision
-    form: Decision | None = None
-
-    def renamed(self, *, unit: str | None = None, form: str | None = None) -> dict[str, str]:
-        """The columns with the names that they have in another unit, or as another of `forms`; for `given`."""
-        if form in (_SCALAR_FIRST, _SCALAR_LAST):
-            return dict(zip(self.block.columns, _of_quaternion(form), strict=True))
-        parts = next((parts for parts in ANGLES if parts[0] == form), None)
-        quantities = parts or tuple(without_unit(name) for name in self.names)
-        unit = unit or self.unit.choice
-        return {own: f"{part}_{unit}" for own, part in zip(self.block.columns, quantities, strict=True)}
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The units in which the columns may be."""
-        quantity = without_unit(self.names[0]).rstrip("0123456789")
-        return tuple(unit for unit in units_of(quantity, self.block.slides) if unit)
-
-    @property
-    def forms(self) -> tuple[str, ...]:
-        """The forms of which a rotation may be; none of anything else."""
-        if self.form is None or self.names == MATRIX:
-            return ()
-        return (_SCALAR_FIRST, _SCALAR_LAST) if len(self.names) == 4 else tuple(parts[0] for parts in ANGLES)
-
-    def in_si(self, values: Array) -> Array:
-        """Numbers `(sample, column)` in SI units, of a block whose quantity is its kind."""
-        return values / units_of(self.block.kind, self.block.slides)[self.unit.choice]
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        form = None if self.form is None else self.form._asdict()
-        columns = dict(zip(self.block.columns, self.names, strict=True))
-        said = {"kind": self.block.kind, "columns": columns, "unit": self.unit._asdict(), "form": form}
-        return said | ({"commanded": True} if self.block.rank == 2 else {})
-
-
-def without_unit(name: str) -> str:
-    """The name of a recording's column without its unit, such as `q1`."""
-    return name.partition("_")[0]
-
-
-def key(block: Block) -> Key:
-    """By which a block is found: a recording has one of each."""
-    return block.kind, block.slides
-
-
-def meanings_of(blocks: Mapping[Key, Block], values: Mapping[Key, Array], agreed: Agreement) -> tuple[Meaning, ...]:
-    """What blocks mean, in the order of `naming.KINDS`; commands that the joints do not follow mean nothing.
+def decide(
+    blocks: Iterable[Block], numbers: Mapping[str, Array], agreed: Agreement, arm: Arm | None
+) -> tuple[Block, ...]:
+    """Blocks with their units and forms, in the order of `naming.KINDS`; no commands that the joints do not follow.
 
     Args:
-        blocks: by `key`.
-        values: `(sample, column)` of each.
+        blocks: one of each `key`.
+        numbers: `(sample,)` of each column.
         agreed: the units and forms with which an arm agrees.
+        arm: that is known.
     """
-    joints = [of for of in (("q", False), ("q", True)) if of in blocks]
-    found = {of: _meaning(blocks[of], _unit_of(blocks[of], values[of], agreed)) for of in joints}
-    moved = {slides: found["q", slides].in_si(values["q", slides]) for _, slides in found}
-    time: Array | None = None
-    if block := blocks.get(of := ("time", False)):
-        position = np.hstack(list(moved.values())) if moved else None
-        found[of] = _meaning(block, _named(block) or sizes.time_unit(values[of][:, 0], position))
-        time = found[of].in_si(values[of])[:, 0]
-    for of in ((kind, slides) for kind in ("dq", "ddq") for slides in moved):
-        if block := blocks.get(of):
-            before = found.get(("q" if of[0] == "dq" else "dq", of[1]))
-            position = None if before is None else before.in_si(values[key(before.block)])
-            usual = found["q", of[1]].unit.choice
-            found[of] = _meaning(block, _named(block) or _rate(block, values[of], position, usual, time))
-    for of in (("cmd", slides) for slides in moved):
-        block = blocks.get(of)
-        unit = block and sizes.unit_of_command(values[of], moved[of[1]], of[1], block.unit)
-        if block and unit:
-            found[of] = _meaning(block, unit)
-    for of, block in blocks.items():
-        if of not in found and block.kind not in ("dq", "ddq", "cmd"):
-            turns = block.kind == "rotation"
-            of_block = block, values[of], agreed
-            found[of] = _rotation(*of_block) if turns else _meaning(block, _unit_of(*of_block))
-    return tuple(found[kind, slides] for kind in naming.KINDS for slides in (False, True) if (kind, slides) in found)
+    found: dict[tuple[str, bool], Block] = {}
+    for block in sorted(blocks, key=lambda one: _FIRST.index(one.kind) if one.kind in _FIRST else len(_FIRST)):
+        values, unit, form = block.values(numbers), block.unit, None
+        q = found.get(("q", block.slides))
+        if q is None and block.kind in ("dq", "ddq", "cmd"):
+            continue
+        if block.kind == "rotation":
+            unit, form = _of_rotation(block, values, agreed)
+        elif q is not None and block.kind == "cmd":
+            unit = sizes.unit_of_command(values, q.in_si(numbers), block.slides, unit and unit.choice)
+            if unit is None:
+                continue
+        elif unit is None and block.kind == "time":
+            unit = sizes.time_unit(values[:, 0], in_si(found.values(), "q", numbers))
+        elif q is not None and unit is None and block.kind in ("dq", "ddq"):
+            slower = q if block.kind == "dq" else found.get(("dq", block.slides))
+            time = in_si(found.values(), "time", numbers)
+            unit = _of_rate(block, values, q, slower and slower.in_si(numbers), None if time is None else time[:, 0])
+        found[block.key] = replace(block, unit=unit or _unit(block, values, agreed, arm), form=form)
+    return tuple(sorted(found.values(), key=lambda block: (naming.KINDS.index(block.kind), block.slides)))
 
 
-def motion_of(meanings: Sequence[Meaning], values: Mapping[Key, Array]) -> tuple[str, str]:
+def in_si(blocks: Iterable[Block], kind: str, numbers: Mapping[str, Array]) -> Array | None:
+    """`(sample, column)` in SI units of blocks of a kind whose units are decided; None where there are none."""
+    found = [block.in_si(numbers) for block in blocks if block.kind == kind]
+    return np.hstack(found) if found else None
+
+
+def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[str, str]:
     """`static` or `trajectory`, and why in words."""
-
-    def si(kind: str) -> Array | None:
-        found = [meaning.in_si(values[key(meaning.block)]) for meaning in meanings if meaning.block.kind == kind]
-        return np.hstack(found) if found else None
-
-    time = si("time")
-    return inferred_motion(None if time is None else time[:, 0], si("dq"))
+    time = in_si(blocks, "time", numbers)
+    return inferred_motion(None if time is None else time[:, 0], in_si(blocks, "dq", numbers))
 
 
-def _unit_of(block: Block, values: Array, agreed: Agreement) -> Decision:
-    """Of what is neither a rotation, a rate, a command nor a time: by name, by kinematics, or by size."""
-    if block.unit is not None:
-        return sizes.by_name(block.unit)
+def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Array | None) -> Decision:
+    """Of velocities or accelerations, by the positions or velocities of the same joints."""
+    assert q.unit is not None
+    suffix = "_per_s" if block.kind == "dq" else "_per_s2"
+    decided = sizes.rate_unit(rate, slower, q.unit.choice, time, q.units)
+    return decided._replace(choice=f"{decided.choice}{suffix}")
+
+
+def _unit(block: Block, values: Array, agreed: Agreement, arm: Arm | None) -> Decision:
+    """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
+    if block.key in agreed.units:
+        return agreed.units[block.key]
     if block.kind == "q" and not block.slides:
         servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-        return agreed.angle or sizes.angle_unit(values, servo)
+        return sizes.angle_unit(values, servo, () if arm is None or values.shape[1] != arm.dof else arm.endless)
     if block.kind in ("q", "position"):
-        return (agreed.slide if block.slides else agreed.length) or sizes.length_unit(values)
+        return sizes.length_unit(values)
     if block.kind == "tau" and not block.slides:
         return sizes.torque_unit(values)
     if block.kind == "current":
@@ -346,42 +282,11 @@ def _unit_of(block: Block, values: Array, agreed: Agreement) -> Decision:
     return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
 
 
-def _named(block: Block) -> Decision | None:
-    return None if block.unit is None else sizes.by_name(block.unit)
-
-
-def _rate(block: Block, rate: Array, position: Array | None, usual: str, time: Array | None) -> Decision:
-    suffix = "_per_s" if block.kind == "dq" else "_per_s2"
-    if position is None:
-        return Decision(f"{usual}{suffix}", "assumed", "as_positions", {})
-    decided = sizes.rate_unit(rate, position, usual, time, units_of("q", block.slides))
-    return decided._replace(choice=f"{decided.choice}{suffix}")
-
-
-def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    form, unit = sizes.rotation_form(values, block.unit, block.form, block.sure)
-    said = block.form in (QUATERNION, MATRIX)  # by the names or order of its columns
-    if agreed.form is not None and (agreed.form.choice == form.choice if said else True):
+def _of_rotation(block: Block, values: Array, agreed: Agreement) -> tuple[Decision, Decision]:
+    """The unit and the form of a rotation."""
+    form, unit = sizes.rotation_form(values, block.unit, block.form)
+    # the names or the order of the columns of a quaternion and a matrix bind
+    bound = block.form is not None and block.form.choice in ("scalar_first", MATRIX[0])
+    if agreed.form is not None and (agreed.form.choice == form.choice or not bound):
         form = form if form.sure == "certain" and agreed.form.choice == form.choice else agreed.form
-    if agreed.turn is not None and block.unit is None:
-        unit = agreed.turn
-    if block.form == MATRIX:
-        return Meaning(block, MATRIX, unit, form)
-    if values.shape[1] == 4:
-        return Meaning(block, _of_quaternion(form.choice), unit, form)
-    parts = next(parts for parts in ANGLES if parts[0] == form.choice)
-    return Meaning(block, _with_unit(parts, unit), unit, form)
-
-
-def _meaning(block: Block, unit: Decision) -> Meaning:
-    """Of columns whose quantity is the block's kind."""
-    named = tuple(f"{block.kind}{joint}" for joint in block.joints) or (block.kind,)
-    return Meaning(block, _with_unit(_XYZ if block.kind == "position" else named, unit), unit)
-
-
-def _with_unit(names: Sequence[str], unit: Decision) -> tuple[str, ...]:
-    return tuple(f"{name}_{unit.choice}" if unit.choice else name for name in names)
-
-
-def _of_quaternion(form: str) -> tuple[str, ...]:
-    return QUATERNION if form == _SCALAR_FIRST else (*QUATERNION[1:], QUATERNION[0])
+    return unit if block.unit else agreed.units.get(block.key, unit), form

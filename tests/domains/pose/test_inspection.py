@@ -71,8 +71,8 @@ def test_the_arm_shows_units_and_the_form_of_a_rotation(case):
     np.testing.assert_allclose(recording.position, P, atol=1e-13)
     turned = Rotation.from_quat(recording.quaternion, scalar_first=True)
     np.testing.assert_allclose((turned.inv() * TURNED).magnitude(), 0, atol=1e-7)
-    for meaning in found.meanings:
-        assert meaning.unit.sure == "certain"
+    for block in found.blocks:
+        assert block.unit.sure == "certain"
     assert found.of("q").unit.reason == found.of("rotation").form.reason == "kinematics"
     assert found.error < 5e-3
 
@@ -99,7 +99,7 @@ def test_the_arm_is_recognised_where_only_one_agrees():
 def test_an_arm_that_does_not_agree_decides_nothing():
     found = inspect(list(table(rotation=ROTATIONS["rotation vector"][0]).items()), load_bundled("ur10"))
     assert found.error > 0.05
-    assert [(meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings] == [
+    assert [(block.unit.choice, block.unit.sure) for block in found.blocks] == [
         ("rad", "likely"),
         ("m", "likely"),
         ("rad", "likely"),
@@ -114,7 +114,7 @@ def test_without_poses_sizes_and_slopes_decide():
     frame = {"t": t} | {f"q{k}": q[:, k] for k in range(6)} | {f"qd{k}": dq[:, k] for k in range(6)}
     frame |= {f"torque_{k}": 5e3 * np.sin(q[:, k]) for k in range(6)} | {f"current_{k}": q[:, k] / 50 for k in range(6)}
     found = inspect(list(frame.items()), LITE6)
-    chosen = {meaning.block.kind: (meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings}
+    chosen = {block.kind: (block.unit.choice, block.unit.sure) for block in found.blocks}
     assert chosen == {
         "q": ("deg", "likely"),
         "dq": ("rad_per_s", "certain"),
@@ -171,7 +171,7 @@ def test_a_gripper_behind_the_arm_is_left_out():
     frame = {f"joint_{k}": np.linspace(0, k, 30) for k in range(1, 8)}
     found = inspect(list(frame.items()), LITE6)
     assert found.columns["joint_7"] == "ignore"
-    assert found.of("q").block.columns == tuple(f"joint_{k}" for k in range(1, 7))
+    assert found.of("q").columns == tuple(f"joint_{k}" for k in range(1, 7))
 
 
 def test_a_table_with_the_names_of_a_recording_needs_no_columns():
@@ -206,12 +206,12 @@ def sliding_table(tmp_path, name, joints="axis_{}", units=("deg", "mm"), traject
 def test_the_arm_shows_the_unit_of_its_slides(tmp_path, name, units):
     arm, q, frame, position = sliding_table(tmp_path, name, units=units)
     found = inspect(list((frame | position).items()), arm)
-    turning, slides = found.meanings[:2]
-    assert (turning.block.slides, slides.block.slides) == (False, True)
-    assert slides.block.columns == tuple(f"axis_{k}" for k in arm.sliding)
+    turning, slides = found.blocks[:2]
+    assert (turning.slides, slides.slides) == (False, True)
+    assert slides.columns == tuple(f"axis_{k}" for k in arm.sliding)
     assert (turning.unit.choice, slides.unit.choice) == units
-    for meaning in found.meanings:
-        assert meaning.unit[1:3] == ("certain", "kinematics")
+    for block in found.blocks:
+        assert block.unit[1:3] == ("certain", "kinematics")
     assert found.error < 1e-9
     recording = Recording.from_dataframe(frame | position, columns=found.columns, arm=arm, motion="static")
     assert recording.sliding == arm.sliding
@@ -223,7 +223,7 @@ def test_the_size_of_a_gantry_decides_its_unit(tmp_path, length):
     """Its kinematics are the same in millimetres throughout, but not with one of the two in metres."""
     arm, _, frame, position = sliding_table(tmp_path, "gantry", units=("deg", "m" if length == 1 else "mm"))
     found = inspect(list((frame | {axis: length * column for axis, column in position.items()}).items()), arm)
-    slides, tool = found.meanings
+    slides, tool = found.blocks
     assert slides.unit.choice == tool.unit.choice == ("m" if length == 1 else "mm")
     assert (slides.unit.reason, tool.unit.reason) == ("kinematics", "within_reach" if length == 1 else "beyond_reach")
     assert found.error < 1e-9
@@ -240,7 +240,7 @@ def test_velocities_and_forces_of_slides(tmp_path):
     assert [names[f"torque_{k}"] for k in range(4)] == ["tau1_Nm", "tau2_Nm", "tau3_N", "tau4_Nm"]
     assert names["time"] == "time_s"
     assert found.motion[0] == "trajectory"
-    rate = next(m for m in found.meanings if m.block.kind == "dq" and m.block.slides)
+    rate = next(m for m in found.blocks if m.kind == "dq" and m.slides)
     assert rate.unit[1:3] == ("certain", "slope")
     assert rate.unit.numbers["unit"] == "m"
     recording = Recording.from_dataframe(frame | position, columns=found.columns, arm=arm)
@@ -252,7 +252,7 @@ def test_names_say_which_joints_are_slides(tmp_path):
     named = dict(zip(("J1_deg", "J2_deg", "J3_mm", "J4_deg"), frame.values(), strict=True))
     found = inspect(list(named.items()))
     assert found.columns == dict(zip(named, ("q1_deg", "q2_deg", "q3_mm", "q4_deg"), strict=True))
-    assert {meaning.unit.reason for meaning in found.meanings} == {"name"}
+    assert {block.unit.reason for block in found.blocks} == {"name"}
     given = {name: f"q{k}_{'mm' if k == 3 else 'deg'}" for k, name in enumerate(frame, 1)}
     assert inspect(list(frame.items()), None, given).columns == given
     torques = {f"tau{k}_{'N' if k == 3 else 'Nm'}": q[:, 0] for k in range(1, 5)}
@@ -275,7 +275,7 @@ def test_four_numbers_of_unit_length_are_a_quaternion(order):
     quaternion = TURNED.as_quat(scalar_first=order == "scalar first")
     frame = JOINTS | POINT | dict(zip(("Q1", "Q2", "Q3", "Q4"), quaternion.T, strict=True))
     found, recording = read(frame)
-    assert found.of("q").block.columns == tuple(JOINTS)
+    assert found.of("q").columns == tuple(JOINTS)
     assert found.of("rotation").form[1:3] == ("certain", "kinematics")
     np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
     other = inspect(list((frame | {"Q4": 5 * frame["Q4"]}).items()), LITE6)
@@ -339,14 +339,14 @@ def test_a_time_increases():
     anew = {"time": np.tile(CLOCK[:3], ROWS // 3), "run": np.repeat(np.arange(ROWS // 3), 3.0)}
     for frame, name in (({"timestamp": few}, "timestamp"), (anew, "time"), ({"Zeit [ms]": 1e3 * CLOCK}, "Zeit [ms]")):
         found = inspect(list((JOINTS | frame).items()), LITE6)
-        assert found.of("time").block.columns == (name,)
+        assert found.of("time").columns == (name,)
     for values in (np.floor(CLOCK), CLOCK[::-1], np.ones(ROWS), anew["time"]):
         found = inspect(list((JOINTS | {"time": values, "time_s": values}).items()), LITE6)
         assert found.of("time") is None
         assert found.denied == {"time": "time", "time_s": "time"}
         assert found.columns["time"] == found.columns["time_s"] == "ignore"
     both = inspect(list((JOINTS | {"time": ROOM, "stamp": CLOCK}).items()), LITE6)
-    assert both.of("time").block.columns == ("stamp",)
+    assert both.of("time").columns == ("stamp",)
 
 
 def test_motion_is_decided_with_what_is_given():
@@ -390,7 +390,7 @@ def test_the_source_of_the_poses_decides_which_are_read(controller, sensor):
     for source, taken in (("laser_tracker", sensor), ("motion_capture", sensor), ("camera", sensor),
                           ("controller_fk", controller)):  # fmt: skip
         found = inspect(list(frame.items()), LITE6, pose_source=source)
-        assert found.of("position").block.columns == tuple(taken.format(axis) for axis in "xyz")
+        assert found.of("position").columns == tuple(taken.format(axis) for axis in "xyz")
         assert (found.of("rotation") is None) == (taken == sensor)  # never of the other source
         assert len(found.sources) == 2
         left = controller if taken == sensor else sensor
@@ -400,11 +400,11 @@ def test_the_source_of_the_poses_decides_which_are_read(controller, sensor):
         assert found.undecided
         assert found.of("position") is found.of("rotation") is None
     found = inspect(list(frame.items()), LITE6, {controller.format("x"): "ignore"})
-    assert found.of("position").block.columns[0] == sensor.format("x")
+    assert found.of("position").columns[0] == sensor.format("x")
     assert found.of("rotation") is None
     given = {sensor.format(axis): f"{axis}_m" for axis in "xyz"}
     found = inspect(list(frame.items()), LITE6, given)
-    assert found.of("position").block.columns == tuple(given)
+    assert found.of("position").columns == tuple(given)
     assert found.of("rotation") is None
 
 
@@ -420,7 +420,7 @@ def test_a_pose_that_the_arm_reproduces_to_rounding_was_computed():
         found = inspect(list(frame.items()), LITE6, pose_source="camera")
         assert [source.computed for source in found.sources] == [True, False]
         assert [source.role for source in found.sources] == ["controller", None]
-        assert found.of("position").block.columns[0] == "foo_x"
+        assert found.of("position").columns[0] == "foo_x"
         assert not found.computed
         alone = inspect([item for item in frame.items() if "foo" not in item[0]], None)
         assert alone.computed
