@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnosis.recorded import Made, static_motion
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, tried, wave
 
+from lite6jax.diagnosis.diagnose import diagnose_poses
+from lite6jax.diagnosis.options import Options
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.fleet.reduced import ReducedArm, order_grid, read_heading
@@ -142,3 +145,13 @@ def test_processes_are_those_of_the_search_of_the_recording(corpus):
             scale = np.vdot(columns, expected) / np.vdot(expected, expected)  # the noise, which all of them share
             np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * scale)
             assert scale == pytest.approx(1 / diagnosis.fit.scale[0], rel=0.2)
+
+
+def test_waves_of_a_joint_that_does_not_show_are_not_scored(tmp_path):
+    from lite6jax.fleet.reduction import reduced
+
+    recording = Made(tmp_path, seed=1, orientation=False).recording(static_motion(1, 60))
+    made = reduced(diagnose_poses(recording, options=Options(folds=2)))
+    assert [one.site for one in made.heading.families] == [f"joint{j}" for j in range(1, 6)]  # the flange is on axis 6
+    scan = made.beside([], OPTIONS).scan(tried([made]).singles, OPTIONS)
+    assert set(scan.groups) >= {one.key for one in made.heading.families}

@@ -280,10 +280,9 @@ def test_what_both_share_cancels_whatever_its_size(arm):
 
 
 def test_a_recording_against_itself_has_no_finding(arm):
-    recording = arm.recording(STILL, noise=0.0)
+    recording = arm.recording(STILL)
     found, _ = diagnose_against(recording, replace(recording, source="copy.csv"))
-    assert not found.findings
-    assert found.fit.scale.max() <= 1e-12
+    assert (found.verdict, found.findings) == ("consistent", ())
 
 
 def test_rows_are_matched_in_any_order(arm):
