@@ -152,7 +152,7 @@ class Diagnose:
         """What is diagnosed of a recording, None for all: of a fleet poses, or of what has none the torques."""
         if self.torques:
             return "torques"
-        return "poses" if recording.numbers_per_sample and (self.poses or self.fleet) else None
+        return "poses" if self.poses or (self.fleet and recording.numbers_per_sample) else None
 
     def _prepare(self) -> "tuple[recordings.Recording, Callable[..., Found]]":
         """The recording, and the search, which takes `progress`.

@@ -465,7 +465,7 @@ def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Doma
     require_domain(domain)
     if not recording.numbers_per_sample and recording.has_torques:
         if domain == "poses":
-            raise InputError(f"{recording.source}: has torques and no poses; give domain='torques'")
+            raise InputError(f"{recording.source}: has torques and no poses; leave --poses or domain='poses' out")
         return ("torques",)
     if domain is not None:
         return (domain,)

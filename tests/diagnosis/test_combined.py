@@ -10,7 +10,7 @@ import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, static_motion
 from matplotlib.figure import Figure
 from report import diagnosed, torque_diagnosed
-from typed import flat, run
+from typed import flat, refused, run
 
 from lite6jax.arms.dynamics import is_consistent, link_parameters
 from lite6jax.arms.files import read_arm
@@ -186,7 +186,7 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
     assert "has no masses" in diagnosis_page(alone, document)
 
 
-def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, monkeypatch):
+def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, tmp_path, capsys, monkeypatch):
     """Each domain is given the effects of a user's own that are of it; what it does not have is refused."""
     given, own = {}, {"poses": JointCompliance(2), "torques": ViscousFriction(2)}
     for name, one in (("poses", replace(found, torques=None, shared=())), ("torques", found.torques)):
@@ -200,7 +200,10 @@ def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, mo
         assert given == {searched: (own[searched],)}
     assert diagnose(recording, effects=[*own.values()]).torques is found.torques
     assert given == {name: (effect,) for name, effect in own.items()}
-    with pytest.raises(InputError, match=r"has torques and no poses; give domain='torques'$"):
+    with pytest.raises(InputError, match=r"has torques and no poses; leave --poses or domain='poses' out$"):
         diagnose(of_torques, domain="poses")
+    alone = write_recording(of_torques, tmp_path / "motors.csv")
+    said = refused(capsys, "diagnose", alone, "--poses")
+    assert said == f"{alone}: has torques and no poses; leave --poses or domain='poses' out"
     with pytest.raises(InputError, match=r"^geometry: is of poses, and .* is diagnosed by its torques; leave it out$"):
         diagnose(of_torques, geometry="exact")
