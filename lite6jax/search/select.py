@@ -10,8 +10,9 @@ which a process may depend.
 4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier.
 5. Then exchange each term for whatever is likelier in its place.
 
-A site has one process, at as many components as it moves: what that does not describe is not told apart from what else
-may act there. Nor is anything found that explains less than noise would at the component of a term.
+A site has one process, at as many components as it moves, and beside it the spectrum of a gear: what these do not
+describe is not told apart from what else may act there. Nor is anything found that explains less than noise would at
+the component of a term.
 """
 
 from collections.abc import Iterator, Sequence
@@ -156,7 +157,6 @@ class Selector:
         """
         model, marginal = state.fit.terms.terms, Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
-        there = {term.site for term in model if term.nonparametric}
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken, found = counts >= self.options.most_terms, list[Ranked]()
@@ -164,9 +164,7 @@ class Selector:
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or (one.site in there and not self._continues(one, model)):
-                continue
-            if not self._is_possible(test, one):
+            if one.key in tried or not self._has_room(one, model) or not self._is_possible(test, one):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
@@ -174,6 +172,17 @@ class Selector:
                 if all(one.gain >= gain for own, gain in noises if (own & rows).any()):
                     found.append(one)
         return found
+
+    def _has_room(self, one: Ranked, model: Sequence[Term]) -> bool:
+        """Whether a term's site has no process, one that it continues, or one beside which it is told apart.
+
+        The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
+        """
+        there = [term for term in model if term.nonparametric and term.site == one.site]
+        if not there or self._continues(one, model):
+            return True
+        other = all(one.cause != tuple(driver.phrase for driver in term.drivers) for term in there)
+        return bool(one.process) and other and {_is_spectrum(term) for term in there} == {one.process[2] != "spectrum"}
 
     def _component_of(self, term: Term) -> Component | None:
         """The component of a process, or of a name at a site that has but one; None where a name may move several.
@@ -566,6 +575,10 @@ class Selector:
         if noise.white and fitted.noise.white:
             return fitted
         return fit(self.problem, fitted.terms, self.options, fitted.values, fitted.nuisance, fitted.training, noise)
+
+
+def _is_spectrum(term: Term) -> bool:
+    return getattr(term, "kernel", "") == "spectrum"
 
 
 def _either(which: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -7,6 +7,7 @@ from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, with_eff
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.estimation.score_test import gain_p_value, score_test
+from lite6jax.search.search import search
 from lite6jax.search.spectrum import as_likely, lines, spectrum
 
 
@@ -87,3 +88,18 @@ def test_noise_has_no_order(arm, still):
         assert min(gain_p_value(line.gain, 2, 1.0) * np.exp(line.searched) for line in found) > 1e-3
         gains = [line.gain for line in found]
         assert gains == sorted(gains, reverse=True)
+
+
+def test_a_gear_is_told_from_what_else_turns_its_joint(arm):
+    """Forty orders, and a function of another joint's position at the same joint."""
+    motion, rng, order = static_motion(3, 200), np.random.default_rng(5), np.arange(1, 41)
+    moved = motion["joint_position"].copy()
+    sine, cosine = 1.5e-4 * rng.standard_normal((2, 40)) / np.sqrt(1 + (order / 8) ** 2)
+    turned = np.outer(moved[:, 1], order)
+    moved[:, 1] += np.sin(turned) @ sine + np.cos(turned) @ cosine + 6e-4 * np.tanh(3 * np.sin(moved[:, 3]))
+    recording = arm.recording(motion, poses=arm.poses({**motion, "joint_position": moved}))
+    found = search(pose_problem(recording), OPTIONS).state.fit.terms.terms
+    assert {(term.site, term.driver, term.kernel == "spectrum") for term in found} == {
+        ("joint2", "position of joint 2", True),
+        ("joint2", "position of joint 4", False),
+    }

@@ -208,3 +208,19 @@ def test_a_name_beside_a_process_is_scored_in_the_covariance_that_the_process_ha
     score = test.score([name])[0]
     assert score.gain == pytest.approx(0.5 * (c @ P @ y) ** 2 / (c @ P @ c), rel=1e-4)
     assert score.values[0] == pytest.approx(-(c @ P @ y) / (c @ P @ c), rel=1e-4)
+
+
+def test_the_volume_of_a_name_is_what_a_fit_of_all_its_numbers_gains_beyond_its_evidence(beside):
+    """Also in a direction that is too nearly confounded with the others for evidence."""
+    problem, y, Q, test = beside
+    component = next(one for one in problem.components if one.site == "joint3")
+    q = np.asarray(problem.motion.joint_position[2])
+    columns = np.stack([np.sin(q), np.sin(q) + 3e-4 * np.sin(3 * q)])[:, None] * component.column
+    marginal = Marginal(test)
+    found = marginal.of_names([columns])[0]
+    *_, left, freedom = marginal.dense(columns)
+    Z = Q.T @ columns.reshape(2, -1).T / test.scale[0]
+    explained = (Q.T @ y) @ Z @ np.linalg.lstsq(Z, Q.T @ y, rcond=None)[0]
+    likelihood = -0.5 * freedom * np.log(1 - explained / left)
+    assert found.gain + found.volume == pytest.approx(likelihood, rel=1e-3)
+    assert found.volume > 20  # of a bump of sin 3q
