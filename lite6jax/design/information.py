@@ -22,7 +22,7 @@ from lite6jax.arms.se3 import Frame, Twist, cross, frame_transform
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
 from lite6jax.design.determination import accumulate_root, each_block
-from lite6jax.design.sensor import AnySensor, Sensor, sensor_named
+from lite6jax.design.sensor import PlannedSensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion, Sliding
@@ -132,7 +132,7 @@ class Experiment:
     arm: Arm
     form: ModelForm
     model: ArmModel
-    sensor: AnySensor
+    sensor: PlannedSensor
     movable: Any = None
     precision: Any = None
     physics: Physics = field(default_factory=Physics)

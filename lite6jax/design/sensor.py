@@ -19,8 +19,8 @@ Quantity = Literal["position", "pose", "axis", "distance"]
 Point = tuple[float, float, float]
 
 
-class AnySensor(ABC):
-    """What a plan reads with which noise.
+class PlannedSensor(ABC):
+    """A sensor for planning: what it reads, and with which noise; `lite6jax.sensors` has those of recordings.
 
     What derives from it has `rows`, how many numbers a reading has, a `phrase` that says it in words, and
     `joint_noise`, one standard deviation of each joint's read-out, rad; it reaches the reading through the arm.
@@ -38,7 +38,7 @@ class AnySensor(ABC):
     @property
     @abstractmethod
     def phrase(self) -> str:
-        """It in words."""
+        """What it is called in reports."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
@@ -60,7 +60,7 @@ class AnySensor(ABC):
 
 @final
 @dataclass(frozen=True)
-class Sensor(AnySensor):
+class Sensor(PlannedSensor):
     """A sensor that stands still.
 
     Attributes:
@@ -148,7 +148,7 @@ class Sensor(AnySensor):
 
 @final
 @dataclass(frozen=True, eq=False)
-class PlacedReading(AnySensor):
+class PlacedReading(PlannedSensor):
     """A reading that is no pose, with unknowns of its own: a sensor of `sensors.points` whose places are planned.
 
     A sample is of the place that the tool's point is nearest to.
@@ -207,12 +207,14 @@ class PlacedReading(AnySensor):
         return self.reading.select(self.nearest(tool)).by_numbers(tool) / self.position_noise
 
     def to_dict(self) -> dict[str, Any]:
-        return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)}
+        return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)} | {
+            "joint_noise": self.joint_noise
+        }
 
 
 @final
 @dataclass(frozen=True)
-class BoardView(AnySensor):
+class BoardView(PlannedSensor):
     """A camera that sees a board: the pose of the one in the other, with the covariance of its corners.
 
     Attributes:
@@ -267,7 +269,7 @@ SENSORS = {
 }
 """Sensors as they are usually declared, one standard deviation per axis: a laser tracker of 20 µm (with a 6-D target,
 0.1 mrad), motion capture of 0.2 mm and 1 mrad, a camera on a target of 0.5 mm and 2 mrad, a dial gauge of 5 µm, a
-telescoping ball bar of 1 µm. Orders of magnitude to plan with: pass the figures of your own."""
+telescoping ball bar of 1 µm. Orders of magnitude to plan with: pass your own figures."""
 
 
 def sensor_named(name: str) -> Sensor:

@@ -47,7 +47,7 @@ class Decisions:
     Attributes:
         corrections: which of the faults that physics resembles are corrected.
         published: the calibration file in whose place a nominal table is held exactly, or None.
-        sigma: m and rad that every number of the calibration is off by, or None.
+        sigma: standard deviation, m and rad, of the errors of all numbers of the calibration; None where it is exact.
     """
 
     corrections: Corrections = field(default_factory=Corrections)
@@ -193,7 +193,7 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
 
 
 def _jumps_weighed(best: Explanation, case: Case) -> Explanation:
-    """With as many of the frame jumps corrected as physics does not explain better."""
+    """The likeliest of: all jumps corrected, the same estimated without physics, and fewer of them corrected."""
     count = best.screened.count("frame_jump")
     if not count:
         return best
@@ -206,10 +206,10 @@ def _jumps_weighed(best: Explanation, case: Case) -> Explanation:
 
 
 def _settling_weighed(best: Explanation, case: Case) -> Explanation:
-    """With the joint positions as they were read, where physics explains the poses better than a rest of each move.
+    """With the joint positions as recorded, where physics explains the poses better than joints read before they stood.
 
-    Among few poses an effect that is not modelled yet can look like such a rest, whose correction would then have to be
-    undone by physics: a rest by a backlash of twice its size.
+    In few poses an effect that is not modelled can look like such remaining motion. To correct it makes an error that
+    physics must undo, for example by a backlash of twice the size.
     """
     if not best.screened.count("unsettled_readouts"):
         return best
@@ -232,8 +232,8 @@ def _likelier(best: Explanation, rival: Explanation, code: str, **numbers: objec
 def _table_weighed(best: Explanation, case: Case) -> Explanation:
     """With another nominal table than the file's, where that is more likely than physics: as published, or fitted.
 
-    A table that the screening leaves open is weighed against physics. Of one that it has decided on, and of the other,
-    the question is whether the chain is fitted from there.
+    A table that the screening leaves open is first compared with physics. Once a table is accepted, the chain is either
+    held as published or fitted from there.
     """
     file, likelier = case.recording.settings.factory_calibration, best.screened.likelier_table
     if file is None or (likelier is None and not best.screened.count("nominal_table")):
@@ -279,7 +279,7 @@ def _calibration_weighed(best: Explanation, case: Case) -> Explanation:
         return best
     rival = case.search(best.screened, replace(best.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
-    rival = replace(rival, price=rival.price + _occam_factor(rival) + 0.5 * float(np.log(rival.readings)))
+    rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - best.evidence
     if gap <= case.options.screening.trusted_log_likelihood:
         return best
@@ -332,8 +332,8 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     return off - exact, sigma
 
 
-def _occam_factor(explanation: Explanation) -> float:
-    """Half the logarithm of the prior's volume of the chain's numbers over their posterior's."""
+def _log_volume_ratio(explanation: Explanation) -> float:
+    """Half the log determinant of the prior covariance of the chain's numbers over that of the posterior."""
     problem, fit = explanation.problem, explanation.selection.state.fit
     columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)

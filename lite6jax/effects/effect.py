@@ -127,6 +127,11 @@ class Effect(ABC):
         return False
 
     @property
+    def hysteretic(self) -> bool:
+        """Whether it depends on the samples before, and not on the present motion alone."""
+        return False
+
+    @property
     def site(self) -> str:
         """`joint2`, `link3`, `links`, `base`, `tool`, `sensor`, `clock` or `payload`."""
         return f"{self.at}{getattr(self, self.at, '')}"

@@ -278,8 +278,6 @@ class JointWindup(JointEffect):
 
     name: ClassVar[str] = "joint_windup"
     specificity: ClassVar[int] = 5
-    hysteretic: ClassVar[bool] = True
-    """It depends on the samples before."""
     fixed: ClassVar[str | None] = "friction_torque_Nm"
     searched: ClassVar[bool] = True
     may_be_zero: ClassVar[bool] = True
@@ -288,6 +286,10 @@ class JointWindup(JointEffect):
         positive("compliance_rad_per_Nm", "rad/Nm", 1e-5, _COMPLIANCE),
         _FRICTION,
     )
+
+    @property
+    def hysteretic(self) -> bool:
+        return True
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         torque = self.drivers[0].values(motion, loads)

@@ -16,7 +16,7 @@ from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensor import AnySensor, PlacedReading
+from lite6jax.design.sensor import PlacedReading, PlannedSensor
 from lite6jax.design.torques import JOINT, JOINT_UNITS, WELL, TorqueIdentification, TorqueModel, TorquePlan
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
@@ -58,7 +58,7 @@ def _begin(
 # ------------------------------------------------------------------ what poses determine
 
 
-def described(sensor: AnySensor) -> str:
+def described(sensor: PlannedSensor) -> str:
     """A sensor in a phrase, with the noise of the joints' read-outs."""
     joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
     return sensor.phrase + joints

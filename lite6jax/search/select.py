@@ -7,12 +7,14 @@ which a process may depend.
    a margin.
 2. Estimate the amplitude and the kernel of every process anew, the others integrated over.
 3. Drop terms that are not worth their cost, the least first, until all that remain are.
-4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier.
+4. Where nothing more is worth adding, put names, one or several, in the place of a process where that is likelier, or
+   less likely by 2 at most.
 5. Then exchange each term for whatever is likelier in its place.
 
-A site has one process, at as many components as it moves, and beside it the spectrum of a gear: what these do not
-describe is not told apart from what else may act there. Nor is anything found that explains less than noise would at
-the component of a term.
+Autocorrelated noise takes the place of terms, and terms its place, where that is likelier.
+
+A site has one process, at one or more components, and may have the spectrum of its gear beside it: further processes
+could not be told apart from these. A term is rejected if independent noise at the same component explains more.
 """
 
 from collections.abc import Iterator, Sequence
@@ -174,7 +176,7 @@ class Selector:
         return found
 
     def _has_room(self, one: Ranked, model: Sequence[Term]) -> bool:
-        """Whether a term's site has no process, one that it continues, or one beside which it is told apart.
+        """Whether a term's site has no process, or a process may be added there; no name is added to one.
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
@@ -244,8 +246,8 @@ class Selector:
     def _estimated(self, state: State) -> State:
         """Amplitude and kernel of each process, and the tried number of each name, anew beside the others.
 
-        A process of two quantities may become one of either.
-        Residuals are winsorised where a number is far off, so that the next one may be so as well.
+        A process is estimated once, and one of two quantities may become one of either. Numbers are estimated again:
+        one that is far off leaves large residuals, which are winsorised, so that the next may be off as well.
         """
         open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
         for _ in range(self.options.estimates):
@@ -310,10 +312,10 @@ class Selector:
             state = refitted(self.problem, state, rest, self.options)
 
     def _above_rest(self, state: State) -> State:
-        """Without a term that explains less than noise would at its component: what that leaves there is more.
+        """Without terms that explain less than independent noise at their component.
 
-        Nor a process in whose place noise that persists is likelier: where a read-out wanders, what varies as slowly
-        explains a part. A process of the time persists itself.
+        Nor a process in whose place first-order autoregressive noise is likelier, unless one of its quantities never
+        falls, as the time.
         """
         while state.tested:
             marginal = Marginal(self.test(state))
@@ -349,7 +351,7 @@ class Selector:
         return replace(one, gain=0.0) if found is None else replace(one, gain=found.gain, volume=found.volume)
 
     def _within_bounds(self, state: State) -> State:
-        """Without names that are not possible."""
+        """Without names whose numbers are beyond their bounds, or whose part in one noise group is likelier alone."""
         while True:
             beyond = [
                 -np.inf if one.term in self._preset else beyond_limits(self.problem, state.fit, k)
@@ -502,7 +504,7 @@ class Selector:
         return self._known[key][1]
 
     def alternatives(self, state: State, every: int = 1) -> list[tuple[Alternative, ...]]:
-        """Those of each term, where each sample stands for so many."""
+        """The alternatives of each term; gains are multiplied by the samples for which each sample stands."""
         found = list[tuple[Alternative, ...]]()
         for k, one in enumerate(state.tested):
             if one.term in self._preset:
@@ -533,7 +535,7 @@ class Selector:
         return found
 
     def _is_possible(self, test: ScoreTest, ranked: Ranked) -> bool:
-        """Whether a name of one number would be within its bounds."""
+        """False of a name of one number whose estimate is far beyond its bounds; else true."""
         term = ranked.make()
         if ranked.process or term.size != 1:
             return True

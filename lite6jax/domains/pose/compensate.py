@@ -20,7 +20,7 @@ from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import Solved, Target
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.predict import DiagnosedArm, has_memory, predict_deviations, require_model
+from lite6jax.domains.pose.predict import DiagnosedArm, predict_deviations, require_model
 from lite6jax.effects.kinematic import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -403,7 +403,7 @@ class _Search:
         """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
         motion, m = self.motion(q), self.model
         solved = self.solve(motion, np.arange(len(q)), q, steps=0)
-        if not any(has_memory(effect) for effect in m.physics.effects):
+        if not any(effect.hysteretic for effect in m.physics.effects):
             return solved
         poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))

@@ -1,8 +1,8 @@
 """What a table with column names of its own holds: it is read as a whole.
 
 Names give candidates for each quantity, units in names bind, and numbers may object. Of what is left open the arm's
-kinematics decide where one is known or recognised, and sizes elsewhere. What none decides is left to the caller. Codes
-and numbers only: the words are those of `report.inspection`.
+kinematics decide where one is known or recognised, and sizes elsewhere. What none decides is left to the caller. The
+words are those of `report.inspection`, but for why a motion is one.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -63,8 +63,8 @@ class Pose(NamedTuple):
     Attributes:
         blocks: its position, and its orientation where it has one.
         role: whose it is by its name, or the controller's where it is computed.
-        arm: that agrees; None where that is not clear.
-        tried: the arms that were, the nearest first.
+        arm: the given one, or the bundled one that clearly fits best; None where several do.
+        tried: the arms that were tried, the nearest first.
         agreed: the units and the form with which the arm agrees, and the median error of its positions.
         travel: the largest extent of its positions along an axis, in their unit.
         computed: whether the arm reproduces it as exactly as only the controller's own computation.
@@ -87,7 +87,7 @@ class Pose(NamedTuple):
 
     @property
     def error(self) -> float:
-        """m, the median error with which the arm reproduces the positions; infinite where none does."""
+        """m, the median error of the positions by the nearest arm; infinite where none was tried or rows are few."""
         return self.agreed.error
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,13 +104,13 @@ class Inspection:
         blocks: that were recognised, with their units and forms.
         given: columns whose meaning was given.
         unused: columns of numbers that mean nothing here, and `texts` those without numbers.
-        denied: those that are called times or quaternions and whose numbers are none, with `time` or `quaternion`.
+        denied: columns that are called a time or a quaternion and whose values are not one, with which of the two.
         samples: rows.
         arm: given or recognised; None where it is neither.
-        arms: name and error in m of the bundled arms that were tried, the nearest first.
+        arms: name and error in m of each arm that was tried, the nearest first: the given one, or the bundled ones.
         error: m, the median error of the arm as read; infinite where there is none, or no poses.
         motion: `static` or `trajectory`, and why in words.
-        sources: the poses; of several without one that is taken it is to be asked.
+        sources: the poses; where several are possible and none is taken, the caller is to choose.
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
     """
 
@@ -197,10 +197,11 @@ def inspect(
         source: what messages begin with.
         pose_source: what measured the poses, as in a sidecar; of several poses it decides which are taken.
         motion: where it is known.
-        assumed: columns whose names state a unit that nothing else does.
+        assumed: columns whose unit is stated by nothing but a name that the reader of the file gave them; it is decided
+            as if no name stated it.
 
     Raises:
-        InputError: a column that is given is not there, or there are no rows.
+        InputError: a column that is given is not there, there are no rows, or rows of poses are at no known joints.
     """
     given = dict(given or {})
     samples = max((len(values) for _, values in columns if values is not None), default=1)
@@ -361,7 +362,7 @@ _Slots = Mapping[tuple[str, int], Column]
 
 
 def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
-    """With the columns that are given in their places, of all but poses; those of all joints stand alone."""
+    """With the given columns in their places, of all but poses; those of all joints replace the others."""
     found = {block.kind: block for block in blocks}
     own = {one.name for one in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
@@ -381,7 +382,7 @@ def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> lis
 
 
 def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[Block]:
-    """Velocities, torques and the like of the motors that are given as the joints of a log of more motors."""
+    """With velocities, torques and the like of those motors alone that are given as the joints of a log of more."""
     joints, motors = (next((b.columns for b in of if b.kind == "q"), ()) for of in (blocks, chosen))
     if not {*joints} < {*motors}:
         return [*blocks]

@@ -30,7 +30,6 @@ from lite6jax.domains.uncertainty import (
 )
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
-from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic import TimeOffset
 from lite6jax.effects.motion import Motion, Sliding, accelerated
 from lite6jax.effects.nonparametric import Unnamed
@@ -180,7 +179,7 @@ class DiagnosedArm:
             sliding=Sliding(self.sliding),
         )
         for effect in self.physics.effects:
-            if isinstance(effect, TimeOffset) or has_memory(effect):
+            if isinstance(effect, TimeOffset) or effect.hysteretic:
                 raise InputError(
                     f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
                     f"predict(), or remove the effect by model.without({effect.label!r})"
@@ -217,11 +216,6 @@ class DiagnosedArm:
             raise InputError(f"{recording.source}: {other_joints(recording.sliding, self.sliding, self.arm)}")
         motion = motion_of_recording(recording)
         return accelerated(motion) if self.accelerated else motion
-
-
-def has_memory(effect: Effect) -> bool:
-    """Whether an effect depends on the samples before, as the play operators of a hysteresis do."""
-    return bool(getattr(effect, "hysteretic", False))
 
 
 @final

@@ -1,6 +1,7 @@
 """A rigid arm and a recording of its poses: the least-squares problem that screening and pose problems start from.
 
-Everything here is NumPy, so that a recording is screened in milliseconds and nothing is compiled.
+Of measured poses all is NumPy, so that a recording is screened in milliseconds and nothing is compiled. Touch sensors
+are differentiated by JAX.
 """
 
 from collections.abc import Mapping, Sequence
@@ -124,11 +125,12 @@ class RigidArm(NuisanceProblem):
             sensor's own unknowns.
         precision: `(unknown,)`, one over the variance of their prior.
         offset: `(unknown,)`, from the prior's mean to `start`.
-        informative: `(unknown,)` bool, where the sidecar declares the chain's uncertainty, and of the sensor's own.
+        informative: `(unknown,)` bool, of which the prior counts as evidence: of all where the sidecar declares the
+            chain's uncertainty or the readings are touches; of the sensor's own always.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared_noise: the same, each None where the sidecar does not declare it.
         measured: the poses, or the sensor of touches.
-        exact: whether the sidecar declares the chain.
+        exact: whether the chain has six parameters a joint, as where the sidecar declares it.
         form: of the chain that is fitted, and whether the sensor's frame and the tool are.
     """
 
@@ -157,7 +159,7 @@ class RigidArm(NuisanceProblem):
 
     @property
     def T_sensor_base(self) -> Array:
-        """`(4, 4)`."""
+        """`(4, 4)`, from the base to the sensor's frame."""
         return np.asarray(self.start.T_sensor_base)
 
     @property
@@ -167,7 +169,7 @@ class RigidArm(NuisanceProblem):
 
     @property
     def model(self) -> ArmModel:
-        """The arm; where the sensor's frame is not fitted, what the base was displaced by is in the chain."""
+        """The arm; where the sensor's frame is not fitted, the first link has the base's displacement."""
         if self.form.frame:
             return self.start
         rows = np.array(self.start.geometry).reshape(-1, 6)
@@ -274,13 +276,13 @@ class RigidArm(NuisanceProblem):
         return replace(self, start=few.start, measured=few.measured.reading_as(self.measured), offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
-        """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
+        """Of Student's t at noise of `scale` times the declared one and of the prior; terms of the scale are missing."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 
 
 LEAST_KNOWN = {"m": 0.1, "rad": 0.5}
-"""One sigma of a number beyond which readings say nothing of it: no sensor stands so far off unnoticed."""
+"""One sigma of a number beyond which the readings do not determine it."""
 _FEWEST_READINGS = 5
 """A fifth of them is held back."""
 _DIRECTION_KNOWN = 0.01
@@ -409,7 +411,8 @@ def rigid_arm(
 def _locate_tool(arm: RigidArm) -> RigidArm:
     """The arm of touches with its tool's point and the sensor's unknowns where the nominal chain meets them best.
 
-    Both are fitted from several points of an unknown tool, and at each from what the sensor shows in closed form.
+    Several points of an unknown tool are tried. At each the sensor's unknowns are computed in closed form, and then all
+    are fitted by least squares.
     """
     few = arm.keeping([name in ("tool", "reading") for name, _, _ in arm.unknown])
     found = []
