@@ -276,7 +276,7 @@ class RigidArm(NuisanceProblem):
         return replace(self, start=few.start, measured=few.measured.reading_as(self.measured), offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
-        """Of Student's t at noise of `scale` times the declared one and of the prior; terms of the scale are missing."""
+        """Of Student's t at noise of `scale` times the declared one and of the prior, but for terms of the scale."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 
