@@ -31,6 +31,7 @@ def in_a_new_process(code, *arguments):
         ["effects"],
         ["effects", "--json"],
         ["init", "run.csv", "--yes"],
+        ["init", "run.csv", "--json", "--force"],
         ["convert", "lite6", "arm.urdf"],
         ["convert", "ur10", "arm.xml"],
         ["fit", "no_such_file.yaml"],

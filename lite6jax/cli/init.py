@@ -3,6 +3,7 @@
 Two files with clocks of their own, and points on one body, are joined to one table before.
 """
 
+import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, final
 
+import msgspec
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
@@ -32,7 +34,7 @@ with import_lazily():
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
-    from lite6jax.report import documents, faults, inspection, screen
+    from lite6jax.report import faults, inspection, screen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -144,7 +146,9 @@ class Init:
         data_faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
             more = {"faults": [fault.to_dict() for fault in data_faults], "notes": notes, "sidecar": str(sidecar)}
-            print(documents.text({**found.to_dict(), **more}, None))
+            # a number that is not finite becomes null
+            plain = msgspec.json.decode(msgspec.json.encode({**found.to_dict(), **more}, enc_hook=float))
+            print(json.dumps(plain, indent=1, allow_nan=False))
             return command.DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))

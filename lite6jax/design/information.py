@@ -66,8 +66,9 @@ def _tool_motions(
     """The tools `(sample, 4, 4)`, and how they shift and turn with the parameters, `(parameter, 6, sample)`.
 
     Both are in the sensor's coordinates, at rest at joint positions `q` `(sample, joint)` rad, each of which was
-    approached in a `direction`. The masses `statics` are in the frames of the six-parameter chain `kinematics`, which
-    are not those of another chain: of that the loads stay as they are.
+    approached in a `direction`. The masses `statics` stand in the frames of the six-parameter chain `kinematics`
+    `(6 n,)`. Where `form` has another chain, their loads are computed once, by `kinematics`, and do not change with the
+    parameters. `values` are the numbers of the effects, and `payload` is in kg.
     """
     run = jnp.zeros((2, len(q)), int).at[1].set(len(q) - 1)
     payloads, sliding = jnp.full(len(q), payload), Sliding(form.chain.sliding)

@@ -154,7 +154,7 @@ class PlacedReading(PlannedSensor):
     A sample is of the place that the tool's point is nearest to.
 
     Attributes:
-        reading: with one sample of each place, all of which are unknown.
+        reading: with one sample of each place, all of which are unknown; its own noise is not used.
         places: the name and the point, m in the base's frame: of a socket, in a plate, the anchor; one of an axis.
         position_noise: one standard deviation of what is read, m.
         joint_noise: as of `Sensor`.
@@ -248,6 +248,7 @@ class BoardView(PlannedSensor):
         R, p = tool[:, :3, :3], tool[:, None, :3, 3]
         fixed = self.mounted == "fixed"
         depth = (corners @ np.swapaxes(R, 1, 2) + p if fixed else (corners - p) @ R)[..., 2]
+        # residuals of pixels at zero are the pixels
         at, J = map(np.asarray, linearise_corners(self.mounted, lens, corners, np.zeros((*depth.shape, 2)), tool))
         seen = (depth > 0) & ((at > 0) & (at < 2 * lens.pinhole[2:])).all(2)
         J = np.where(seen[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)

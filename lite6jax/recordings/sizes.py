@@ -48,7 +48,10 @@ class Decision(NamedTuple):
 
 
 def by_name(choice: str, sure: Sureness = "certain") -> Decision:
-    """The unit or the form that the columns' names say; which way a matrix is written, its numbers say for certain."""
+    """The unit or the form that the columns' names say, or assume.
+
+    Of a matrix it is `orthogonal` whose numbers show in which order it is written.
+    """
     orthogonal = choice == MATRIX[0] and sure == "certain"
     return Decision(choice, sure, "usual_name" if sure == "assumed" else "orthogonal" if orthogonal else "name", {})
 

@@ -87,7 +87,10 @@ def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any)
 def linearise_corners(
     mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any
 ) -> tuple[DeviceArray, DeviceArray]:
-    """Residuals `(image, corner, 2)`, zero where a corner was not seen, and their slopes `(image, corner, 2, 6)`."""
+    """Residuals `(image, corner, 2)`, predicted less measured, and their slopes `(image, corner, 2, 6)`.
+
+    They are zero where a corner was not seen.
+    """
 
     def one(T: Any, pixels: Any, twist: Any) -> DeviceArray:
         missed = seen_corners(mounted, lens, corners, T, twist) - pixels

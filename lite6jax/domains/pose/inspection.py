@@ -91,7 +91,7 @@ class Pose(NamedTuple):
         return self.agreed.error
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
+        """As JSON values, of which the error may be infinite."""
         return {name: getattr(self, name) for name in ("columns", "role", "error", "computed", "taken")}
 
 

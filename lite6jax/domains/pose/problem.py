@@ -61,7 +61,7 @@ class PoseProblem(RigidArm):
 
     Of a `RigidArm` it has all attributes: the recording, as screened, has a pose in every row. Further unknowns stand
     after the sensor's own: what encoders do once a turn; displacements after frame jumps, what is left of them in the
-    recording; and errors of masses.
+    recording; and errors of masses. Their `offset` leads to their values in the linearisation.
 
     Attributes:
         motion: of the whole recording, as declared.

@@ -222,7 +222,7 @@ def decide(
         blocks: one of each `key`.
         numbers: `(sample,)` of each column.
         agreed: the units and forms with which an arm agrees.
-        arm: that is known.
+        arm: as given, not as recognised; that a joint of it has no end matters for its unit.
     """
     found: dict[tuple[str, bool], Block] = {}
     for block in sorted(blocks, key=lambda one: _FIRST.index(one.kind) if one.kind in _FIRST else len(_FIRST)):
