@@ -29,9 +29,9 @@ from lite6jax.errors import InputError
 if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa
 
-Function = Callable[..., "pa.Table"]
-"""Of the inputs of a batch and what is given to all: a row an input, in their order; of a batch of one input anything
-but None. It stands in a module, so that other processes find it."""
+Function = Callable[..., Any]
+"""Of the inputs of a batch and what is given to all: a table of a row an input, in their order. Of batches of one input
+it may be anything but None, which says that a worker died. It stands in a module, so that other processes find it."""
 
 MOST_RESIDENT = 2 << 30
 """Bytes of a process above which another takes its place before the next batch: compiled code, and freed memory between
@@ -134,8 +134,8 @@ class Workers:
         given: tuple[Any, ...] = (),
         *,
         died: Callable[[Any], "pa.Table"],
-    ) -> Generator[tuple[int, "pa.Table"]]:
-        """Batches by their numbers with their rows, as they come; read them to their end before the next begin.
+    ) -> Generator[tuple[int, Any]]:
+        """Batches by their numbers with what is made of them, as they come; read all before the next begin.
 
         A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its
         inputs are tried one by one, and those at which a worker dies get the row that `died` makes.

@@ -24,7 +24,7 @@ from lite6jax.domains.pose.screening.screen import price, screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
-from lite6jax.estimation.problem import Mask, prior_precision
+from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
@@ -298,7 +298,8 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     chain = case.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
-    known, precision = np.flatnonzero(chain.precision[: len(chain.frames)]), prior_precision(problem, terms)
+    known = np.flatnonzero(chain.precision[: len(chain.frames)])
+    precision = np.array([1 / number.spread**2 for term in terms for number in term.coordinates])
     groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
     G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
@@ -310,8 +311,13 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
         numbers = np.concatenate([np.zeros(0, int), *(shifts[fit.terms.slices[k]] for k in kept)])
         fitted = np.concatenate([nuisance, numbers])
         left[fitted] = 0.0
+        # processes are integrated over under their priors, about zero: the residual is without their estimate
+        estimate, of_prior = fit.values[numbers - shifts[:1]], precision[numbers - shifts[:1]]
         with_priors = G.copy()
-        with_priors[numbers, numbers] += precision[numbers - shifts[:1]]
+        with_priors[numbers, numbers] += of_prior
+        with_priors[numbers, -1] += of_prior * estimate
+        with_priors[-1, numbers] += of_prior * estimate
+        with_priors[-1, -1] += estimate @ (of_prior * estimate)
         S = schur_complement(with_priors, fitted)
         eigenvalues, V = np.linalg.eigh(S[np.ix_(moved, moved)])
         ratio, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)

@@ -257,7 +257,7 @@ def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, co
     terms, count = len(pull), pull.shape[-1]
     at, chosen = np.arange(terms), np.zeros((terms, 0), int)
     rest = np.tile(np.arange(count), (terms, 1))
-    best = Evidence(*(np.zeros(terms) for _ in Evidence._fields))
+    best = likelihood = Evidence(*(np.zeros(terms) for _ in Evidence._fields))
     for size in range(1, count + 1):
         tried = np.concatenate([np.repeat(chosen[:, None], rest.shape[1], 1), rest[..., None]], 2)
         each = _of_all(
@@ -274,13 +274,14 @@ def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, co
         better = gain > best.gain
         parts = zip((gain, likelihood.variance, likelihood.volume), best, strict=True)
         best = Evidence(*(np.where(better, one, before) for one, before in parts))
-    # a fit takes what nearly confounded directions give it, too
-    fitted = _of_all(pull, information, left, freedom, _ROUNDING)
+    # a fit takes also what directions give it that are too nearly confounded for evidence
+    fitted = _of_all(pull, information, left, freedom, _ROUNDING) if count > 1 else likelihood
     return best._replace(volume=np.maximum(fitted.gain + fitted.volume - best.gain, 0.0))
 
 
 _ROUNDING = 1e-9
-"""Of the squares of unit columns outside a model: what a fit does not determine."""
+"""Share of a column's square outside a model from which on a fit determines it: errors of the linearisation move the
+estimate there, and hardly what the fit gains."""
 _REWEIGHTED = 5
 """Solutions for the coefficients, each at the scales of the one before: these differ by less than 1 % then."""
 

@@ -12,7 +12,7 @@ FREEDOM = 15.0
 DOWNWEIGHTED = 0.3
 """Weight below which a sample is an outlier; of Gaussian samples of six numbers, about four in a million."""
 _LEAST_SCALE2 = 1e-24
-"""The least squared scale of residuals over their noise: they are rounding then. Squared columns over it are finite."""
+"""The least squared scale, of residuals over their noise or in m or rad: below, they are rounding."""
 
 
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:

@@ -390,7 +390,8 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     freedom = max(n - fit.parameters, 1.0)
     # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
     mean = [np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) for g in range(len(fit.scale))]
-    rms = np.sqrt([one * n / freedom or 1.0 for one in mean])  # of residuals that are exactly zero the fit's scale
+    # of residuals that are exactly zero it is the fit's scale
+    rms = np.sqrt(np.array([float(one) * n / freedom or 1.0 for one in mean]))
     scale = rms * fit.scale
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()

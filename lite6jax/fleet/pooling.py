@@ -259,8 +259,8 @@ def measure(arm: ReducedArm, options: PoolingOptions, asked: tuple[Asked, ...]) 
 class Search:
     """Which effects the arms of a type have, by evidence, as in the search of one recording.
 
-    Its state is a set of terms of linear models. It has no fit, noise or rows that a step could change, which is what
-    most steps of `search.select.Selector` are about; kernels are estimated anew by exchanges.
+    It does not share `search.select.Selector`, most steps of which refit a model, choose its noise anew or treat rows
+    apart: a reduced recording has linear terms and one noise. Kernels are estimated anew by exchanges.
 
     1. Add the term whose evidence over all arms most exceeds the cost of its choice, if by a margin.
     2. Drop the term that is least worth its cost beside the others, as long as one is not.

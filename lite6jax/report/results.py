@@ -274,7 +274,7 @@ _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure | None]]] = {
     DiscriminationPlan: {"distance": figures.accuracy_by_count},
     Sensitivity: {"by_joint": figures.sensitivity_by_joint, "workspace": figures.sensitivity_over_workspace},
 }
-"""The figures of each kind of result by name; those of what there is not are None."""
+"""The figures of each kind of result by name; a figure is None where the result lacks what it shows."""
 
 
 def _draw(found: Any, title: str) -> Figures:

@@ -205,13 +205,14 @@ class Selector:
     @staticmethod
     def _continues(one: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
-        there = [term for term in model if term.nonparametric and term.site == one.site]
-        phrases = {tuple(driver.phrase for driver in term.drivers) for term in there}
-        return (
-            bool(one.process)
-            and one.cause in phrases
-            and one.place not in {getattr(term, "component", "") for term in there}
-        )
+        there = {
+            getattr(term, "component", "")
+            for term in model
+            if term.nonparametric
+            and term.site == one.site
+            and one.cause == tuple(driver.phrase for driver in term.drivers)
+        }
+        return bool(one.process) and bool(there) and one.place not in there
 
     @staticmethod
     def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
