@@ -11,8 +11,8 @@ FREEDOM = 15.0
 """Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; influence falls beyond four sigma."""
 DOWNWEIGHTED = 0.3
 """Weight below which a sample is an outlier; of Gaussian samples of six numbers, about four in a million."""
-_LEAST_SCALE2 = 1e-24
-"""The least squared scale, of residuals over their noise or in m or rad: below, they are rounding."""
+_LEAST_SCALE2 = float(np.sqrt(np.finfo(float).tiny))
+"""The least squared scale, of residuals that are exactly zero: 1.5e-154. Squared columns over it are still finite."""
 
 
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:

@@ -444,7 +444,6 @@ def test_a_model_relative_to_a_reference_says_so(arm):
     [
         *((content, "is no JSON (") for content in ("{", "not json", "[" * 100_000)),
         *((content, "is no diagnosis (lite6jax/diagnosis/3 with a model)") for content in ([], {}, 3)),
-        ({"schema": "lite6jax/diagnosis/4", "model": {}}, "is no diagnosis (lite6jax/diagnosis/3 with a model)"),
     ],
 )
 def test_a_file_that_is_no_diagnosis(tmp_path, content, says):
