@@ -286,24 +286,11 @@ class Selector:
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
     def weighed(self, state: State) -> State:
-        """Each term weighed beside the others as it is.
-
-        Of a process at several components of its site the one that explains most pays for all its choices, the others
-        for that of the component alone.
-        """
+        """Each term weighed beside the others as it is."""
         tested = [
             one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
             for k, one in enumerate(state.tested)
         ]
-        free = [one for one in tested if one.term.nonparametric and one.term not in self._preset]
-        largest: dict[tuple[object, ...], float] = {}
-        for one in free:
-            key = self._key_of(one.term)[::2]
-            largest[key] = max(one.gain, largest.get(key, one.gain))
-        for k, one in enumerate(tested):
-            if one in free and one.gain == largest[self._key_of(one.term)[::2]]:
-                component, which = self._process_of(one.term)
-                tested[k] = replace(one, cost=self.scan.cost_of_process(component.site, which))
         return replace(state, tested=tuple(tested))
 
     def _dropped(self, state: State) -> State:

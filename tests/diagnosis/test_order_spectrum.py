@@ -1,6 +1,4 @@
-"""Orders of a gear at the joint that has them; processes beside a spectrum, and at several components."""
-
-from dataclasses import replace
+"""Orders of a gear, whole or not, at the joint that has them."""
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.estimation.score_test import gain_p_value, score_test
 from lite6jax.search.search import search
-from lite6jax.search.select import Selector
 from lite6jax.search.spectrum import as_likely, lines, spectrum
 
 
@@ -106,19 +103,3 @@ def test_a_gear_is_told_from_what_else_turns_its_joint(arm):
         ("joint2", "position of joint 2", True),
         ("joint2", "position of joint 4", False),
     }
-
-
-def test_a_process_at_two_components_pays_once_for_its_choice(arm):
-    """Whichever of them came first, or was exchanged."""
-    motion = static_motion(3, 80)
-    poses = replace(arm, frame=False).poses(motion)
-    poses[:, :3, 3] += np.outer(np.tanh(3 * np.sin(motion["joint_position"][:, 3])), [6e-4, -4e-4, 0.0])
-    problem = pose_problem(replace(arm, frame=False).recording(motion, poses=poses))
-    state = search(problem, OPTIONS).state
-    assert [(term.site, term.driver) for term in state.fit.terms.terms] == [("sensor", "position of joint 4")] * 2
-    further = np.log(sum(one.site == "sensor" for one in problem.components))
-    as_continued = replace(state, tested=tuple(replace(one, cost=further) for one in state.tested))
-    first, second = Selector(problem, OPTIONS).weighed(as_continued).tested
-    assert first.gain > second.gain
-    assert first.cost > further + 5
-    assert second.cost == further
