@@ -11,13 +11,12 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, final
 
-import msgspec
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, command_line
-from lite6jax.storage import check_writable, write_atomically
+from lite6jax.storage import check, check_writable, write_atomically
 
 with import_lazily():
     from lite6jax import recordings
@@ -146,8 +145,7 @@ class Init:
         data_faults = _find_gross_faults(source, found, settings, notes)
         if self.json:
             more = {"faults": [fault.to_dict() for fault in data_faults], "notes": notes, "sidecar": str(sidecar)}
-            # a number that is not finite becomes null
-            plain = msgspec.json.decode(msgspec.json.encode({**found.to_dict(), **more}, enc_hook=float))
+            plain = check({**found.to_dict(), **more}, dict)  # a number that is not finite becomes null
             print(json.dumps(plain, indent=1, allow_nan=False))
             return command.DONE
         if not shown:

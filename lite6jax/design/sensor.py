@@ -207,9 +207,8 @@ class PlacedReading(PlannedSensor):
         return self.reading.select(self.nearest(tool)).by_numbers(tool) / self.position_noise
 
     def to_dict(self) -> dict[str, Any]:
-        return {"quantity": self.quantity, "position_noise": self.position_noise, "places": dict(self.places)} | {
-            "joint_noise": self.joint_noise
-        }
+        noise = {"position_noise": self.position_noise, "joint_noise": self.joint_noise}
+        return {"quantity": self.quantity, **noise, "places": dict(self.places)}
 
 
 @final

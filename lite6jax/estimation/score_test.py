@@ -185,8 +185,7 @@ class ScoreTest:
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
         projected = outside(flat, self.span)
-        left = np.pad(self.residual, (0, flat.shape[1] - len(self.residual))) - self._inside @ self.span
-        per_block = self._by_block(projected * left)
+        per_block = self._by_block(projected * self._left_of_span)
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
@@ -269,6 +268,11 @@ class ScoreTest:
     def left(self) -> Array:
         """`(reading,)`, what the model, integrated over, leaves of the residual."""
         return self.residual - self._inside @ self.basis
+
+    @cached_property
+    def _left_of_span(self) -> Array:
+        """`left`, and what the model leaves of the priors' further readings, which are zero."""
+        return np.concatenate([self.left, -self._inside @ self.span[:, len(self.residual) :]])
 
     @property
     def left_of_rows(self) -> Array:

@@ -123,7 +123,7 @@ class Selector:
     @staticmethod
     def _key_of(process: Term) -> tuple[object, ...]:
         """As `Ranked.key`."""
-        return process.site, getattr(process, "component", ""), tuple(driver.phrase for driver in process.drivers)
+        return process.site, getattr(process, "component", ""), _phrases(process)
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
@@ -183,7 +183,7 @@ class Selector:
         there = [term for term in model if term.nonparametric and term.site == one.site]
         if not there or self._continues(one, model):
             return True
-        other = all(one.cause != tuple(driver.phrase for driver in term.drivers) for term in there)
+        other = one.cause not in map(_phrases, there)
         return bool(one.process) and other and {_is_spectrum(term) for term in there} == {one.process[2] != "spectrum"}
 
     def _component_of(self, term: Term) -> Component | None:
@@ -208,9 +208,7 @@ class Selector:
         there = {
             getattr(term, "component", "")
             for term in model
-            if term.nonparametric
-            and term.site == one.site
-            and one.cause == tuple(driver.phrase for driver in term.drivers)
+            if term.nonparametric and term.site == one.site and one.cause == _phrases(term)
         }
         return bool(one.process) and bool(there) and one.place not in there
 
@@ -556,7 +554,7 @@ class Selector:
         if ranked.site != term.site:
             return False
         if term.nonparametric:
-            return bool(ranked.process) and ranked.cause == tuple(driver.phrase for driver in term.drivers)
+            return bool(ranked.process) and ranked.cause == _phrases(term)
         if ranked.process:
             return False
         own, tried = ranked.make(), term.chosen is not None and not term.periodic
@@ -578,6 +576,11 @@ class Selector:
         if noise.white and fitted.noise.white:
             return fitted
         return fit(self.problem, fitted.terms, self.options, fitted.values, fitted.nuisance, fitted.training, noise)
+
+
+def _phrases(term: Term) -> tuple[str, ...]:
+    """Of its quantities, as `Ranked.cause` of a process."""
+    return tuple(driver.phrase for driver in term.drivers)
 
 
 def _is_spectrum(term: Term) -> bool:
