@@ -55,7 +55,7 @@ class Selector:
         if any(one.term not in self._preset for one in state.tested):
             state = self._settled(self._estimated(state))
             asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
-            return self._above_rest(self._grown(state, thorough, asked))
+            return self.above_noise(self._grown(state, thorough, asked))
         for _ in range(1 + self.options.exchanges):
             instead = None if state.fit.noise.white else self._instead_of_noise(state)
             better = instead is not None and self._odds(instead) > self._odds(state) + self.options.better
@@ -64,7 +64,7 @@ class Selector:
             state, grown = self._grown(instead if instead is not None and better else state, thorough, set()), True
         while (simpler := self._noise_instead(state)) is not None:
             state = simpler
-        return self._above_rest(state)
+        return self.above_noise(state)
 
     def _odds(self, state: State) -> float:
         """Log evidence, less what autocorrelated noise has to gain in each group."""
@@ -310,11 +310,11 @@ class Selector:
             rest = [one for k, one in enumerate(tested) if k not in least]
             state = refitted(self.problem, state, rest, self.options)
 
-    def _above_rest(self, state: State) -> State:
+    def above_noise(self, state: State) -> State:
         """Without terms that explain less than independent noise at their component.
 
-        Nor a process in whose place first-order autoregressive noise is likelier, unless one of its quantities never
-        falls, as the time.
+        Nor a process where first-order autoregressive noise is likelier than all processes at its component together,
+        unless one of its quantities never falls, as the time.
         """
         while state.tested:
             marginal = Marginal(self.test(state))
@@ -324,16 +324,26 @@ class Selector:
                 if component is None:
                     excess.append(-np.inf)
                     continue
-                noise = float(marginal.of_noise(component.column).gain)
+                excess.append(float(marginal.of_noise(component.column).gain) - one.gain)
                 if one.term.nonparametric and not self._follows_order(one.term):
-                    instead = Marginal(self.beside(state, k)).of_persistent_noise(component.column)
-                    noise = max(noise, float(instead.gain))
-                excess.append(noise - one.gain)
+                    excess[k] = max(excess[k], self._excess_of_persistent_noise(state, k, component))
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break
             state = self._dropped(self._left_out(state, k))
         return state
+
+    def _excess_of_persistent_noise(self, state: State, k: int, component: Component) -> float:
+        """What autoregressive noise at a component explains more than the k-th term and the other processes there."""
+        others = [
+            j
+            for j, other in enumerate(state.tested)
+            if j != k and other.term.nonparametric and self._component_of(other.term) is component
+        ]
+        test = self.test(state).beside([j != k and j not in others for j in range(len(state.tested))])
+        one = self._weighed_as_is(test, state.tested[k]) if others else state.tested[k]
+        together = one.gain + sum(state.tested[j].gain for j in others)
+        return float(Marginal(test).of_persistent_noise(component.column).gain) - together
 
     def _follows_order(self, process: Term) -> bool:
         """Whether a quantity of a process never falls from sample to sample, as the time."""
