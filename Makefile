@@ -9,7 +9,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=wo
 # and of what documents show.
 SECOND := $(addprefix tests/,arms recordings test_notebooks.py test_screens.py)
 
-.PHONY: demo test test-slow test-long docs screens notebooks benchmark installed-locked lock clean
+.PHONY: demo test test-slow test-long docs screens made notebooks benchmark installed-locked lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
@@ -33,6 +33,10 @@ docs: $(VENV)/installed-test
 # What the commands in the documentation print now, written into its pages and the README.
 screens: $(VENV)/installed-test
 	$(BIN)/python -m docs.hooks.screens
+
+# What the code says of itself, written into the pages: help of the commands, columns, keys, arms, effects, public names.
+made: $(VENV)/installed-test
+	$(BIN)/python -m docs.hooks.made
 
 # The notebooks with what they print and draw now; those of real arms where LITE6JAX_REAL names the folder of the data.
 notebooks: $(VENV)/installed-test

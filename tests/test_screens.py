@@ -8,10 +8,12 @@ import pytest
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
+import lite6jax
 from docs.hooks import made, screens
 from lite6jax.cli.program import COMMANDS
 
 DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]
+MADE_PAGES = [document for document in DOCUMENTS if made.PART.search(document.read_text())]
 SHELL = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -28,6 +30,35 @@ def named_commands():
 def test_a_page_shows_what_its_commands_print(page, tmp_path):
     for screen, printed in screens.run(page.read_text(), tmp_path):
         assert screens.difference(screen.shown, printed) == "", f"$ {screen.typed}\n{printed}\n(make screens)"
+
+
+@pytest.mark.parametrize("page", MADE_PAGES, ids=lambda path: path.stem)
+def test_a_page_holds_what_the_code_says_of_itself(page):
+    for name, written in made.made_parts(page.read_text()).items():
+        now = made.MADE[name]()
+        if name == "commands":  # printed by libraries too: line breaks and last digits may differ
+            assert screens.difference(written, now) == "", "make made"
+        else:
+            assert written == now, f"{name} (make made)"
+
+
+def test_every_made_part_stands_in_a_page_and_none_is_left_open():
+    texts = [document.read_text() for document in DOCUMENTS]
+    assert {name for text in texts for name in made.made_parts(text)} == {*made.MADE}
+    assert sum(text.count("\n<!-- made: ") for text in texts) == len(made.MADE)
+
+
+def test_a_part_is_replaced_and_the_rest_of_its_page_stays():
+    page = "before\n\n<!-- made: fleet -->\nold\n<!-- end -->\n\nbehind\n"
+    written = made.write_parts(page)
+    assert written == f"before\n\n<!-- made: fleet -->\n\n{made.fleet_table()}\n\n<!-- end -->\n\nbehind\n"
+    assert made.write_parts(written) == written
+    assert made.made_parts(written) == {"fleet": made.fleet_table()}
+
+
+def test_the_built_pages_describe_every_public_name():
+    built = made.on_page_markdown("<!-- made: python -->\nold\n<!-- end -->\n")
+    assert all(re.search(rf"^::: \S+\.{name}$", built, re.MULTILINE) for name in lite6jax.__all__)
 
 
 def test_the_reference_shows_output_of_every_command(monkeypatch):

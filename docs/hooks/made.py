@@ -1,7 +1,8 @@
-"""What the build makes of the code: `<!-- made: NAME -->` in a page is replaced by what the code itself says.
+"""Parts of the documents that the code says of itself: what stands in a page between two marks.
 
-MkDocs calls `on_page_markdown` for each page. A name that nothing makes, an effect, a column or a key without a text
-here ends the build, so that no table of the reference can lag behind the code.
+`<!-- made: NAME -->` begins a part and `<!-- end -->` ends it. `python -m docs.hooks.made` (`make made`) writes all
+parts anew; a test compares each with what the code says now, and names an effect, a column or a key without a text
+here. In the built pages mkdocstrings describes the public names, for which MkDocs calls `on_page_markdown`.
 """
 
 import contextlib
@@ -33,7 +34,8 @@ from lite6jax.report import remedies
 from lite6jax.report.inspection import KEYS
 
 HERE = Path(__file__).parent
-MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
+DOCS = HERE.parent
+PART = re.compile(r"^<!-- made: (?P<name>\w+) -->\n(?P<body>.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
 WIDTH = 100
 """Columns of a screen in the documents."""
 PLACES = {"joint": 2, "link": 2, "source_joint": 1}
@@ -128,7 +130,7 @@ PYTHON = {
     ),
     "Diagnose": ("diagnose", "Diagnosis", "TorqueDiagnosis", "Options", "EngineOptions"),
     "Use a diagnosis": ("read_model", "predict", "predicted", "compensate", "register", "register_model"),
-    "Recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
+    "Recordings": ("Recording", "RecordingSettings", "read_recording", "join_recordings", "write_recording"),
     "Arms": (
         "read_arm", "Arm", "HayatiForm", "read_factory", "write_factory", "hayati_fk", "six_parameter_fk",
         "inverse_dynamics", "link_parameters",
@@ -148,8 +150,29 @@ PYTHON = {
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """The page with its marks replaced."""
-    return MARK.sub(lambda mark: MADE[mark[1]](), markdown)
+    """Replaces the list of public names by what mkdocstrings describes in full."""
+    return PART.sub(lambda part: described_names() if part["name"] == "python" else part["body"], markdown)
+
+
+def made_parts(markdown: str) -> dict[str, str]:
+    """The made parts of a page by name, as they stand in it."""
+    return {part["name"]: part["body"].strip("\n") for part in PART.finditer(markdown)}
+
+
+def write_parts(markdown: str) -> str:
+    """The page with all of its made parts written anew.
+
+    Raises:
+        KeyError: a part has a name that nothing makes.
+    """
+    return PART.sub(lambda part: f"<!-- made: {part['name']} -->\n\n{MADE[part['name']]()}\n\n<!-- end -->", markdown)
+
+
+def write_pages() -> None:
+    """Writes the made parts of every page anew."""
+    for page in sorted(DOCS.rglob("*.md")):
+        markdown = page.read_text(encoding="utf-8")
+        page.write_text(write_parts(markdown), encoding="utf-8")
 
 
 def command_help() -> str:
@@ -295,20 +318,28 @@ def driver_table() -> str:
     return _table(("driver", "symbol", "unit", "of a", "what it is", "columns it needs"), lines)
 
 
-def python_pages() -> str:
-    """Every public name, in groups, for mkdocstrings."""
-    groups = {title: list(names) for title, names in PYTHON.items()}
-    placed = {name for names in groups.values() for name in names}
-    groups["Further names"] = [name for name in lite6jax.__all__ if name not in placed]
-    unknown = placed - set(lite6jax.__all__)
-    if unknown:
-        raise SystemExit(f"docs/hooks/made.py: PYTHON has names that lite6jax does not export: {sorted(unknown)}")
+def public_names() -> str:
+    """Every public name with the first sentence of its docstring, a table for each group."""
     sections = []
-    for title, names in groups.items():
-        if names:
-            described = "\n\n".join(f"::: {lite6jax._MODULES[name]}.{name}" for name in names)
-            sections.append(f"## {title}\n\n{described}")
+    for title, names in PYTHON.items():
+        lines = [(f"`{name}`", _first_sentence(getattr(lite6jax, name).__doc__ or "")) for name in names]
+        sections.append(f"## {title}\n\n{_table(('name', 'what it is'), lines)}")
     return "\n\n".join(sections)
+
+
+def described_names() -> str:
+    """Every public name, in groups, for mkdocstrings."""
+    _check("public names", [name for names in PYTHON.values() for name in names], lite6jax.__all__)
+    sections = []
+    for title, names in PYTHON.items():
+        described = "\n\n".join(f"::: {lite6jax._MODULES[name]}.{name}" for name in names)
+        sections.append(f"## {title}\n\n{described}")
+    return "\n\n".join(sections)
+
+
+def _first_sentence(docstring: str) -> str:
+    paragraph = " ".join(re.split(r"\n\s*\n", docstring.strip())[0].split())
+    return re.split(r"(?<=[.]) (?=[A-Z`])", paragraph)[0].replace("|", "\\|")
 
 
 def _effects(kinds: Mapping[str, type[Effect]], looks: Mapping[str, str], known: Mapping[str, remedies.Remedy]) -> str:
@@ -387,7 +418,8 @@ def _screen(*arguments: str) -> str:
     os.environ["COLUMNS"] = str(WIDTH)
     with contextlib.redirect_stdout(said):
         main(list(arguments))
-    whole = f"$ lite6jax {' '.join(arguments)}\n{said.getvalue().strip()}"
+    printed = "\n".join(line.rstrip() for line in said.getvalue().strip().splitlines())
+    whole = f"$ lite6jax {' '.join(arguments)}\n{printed}"
     return f"```text\n{whole.replace(f'{HERE.parents[1]}{os.sep}', '')}\n```"  # a file is named by its place
 
 
@@ -402,8 +434,12 @@ MADE: Mapping[str, Callable[[], str]] = {
     "own_link_effect": lambda: own_effect(1),
     "own_torque_effect": lambda: own_effect(2),
     "pose_effects": pose_effects,
-    "python": python_pages,
+    "python": public_names,
     "recorded": recorded_table,
     "sidecar": sidecar_table,
     "torque_effects": torque_effects,
 }
+
+
+if __name__ == "__main__":
+    write_pages()
