@@ -1,16 +1,20 @@
 """The error of invalid user input, the warning of input that is used all the same, and commands that messages name."""
 
 import os
+import re
 import shlex
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import UnionType
 
 
 class InputError(ValueError):
     """Invalid input of a user: a file, an argument or an option.
 
-    The message is one line that names the file, the place in it and the remedy. The command line prints it and exits
-    with code 2.
+    The message is one line that names the file, the place in it and the remedy. An argument is named as in Python, in
+    backquotes: `overwrite=True`. The command line prints the message with the options of commands in their place
+    (`name_options`) and exits with code 2.
     """
 
 
@@ -19,6 +23,35 @@ class InputWarning(UserWarning):
 
     The message is one line that names the file. The command line prints it on stderr.
     """
+
+
+_OPTIONS = {"overwrite": "force", "nominal": "arm"}
+"""Arguments that commands call otherwise than functions do."""
+_ARGUMENT = re.compile(r"`(\w+)=(?:True|'([^'`]+)'|([^'`]+))`")
+
+
+def name_options(message: str) -> str:
+    """A message with options of commands for the arguments of functions: `geometry='free'` becomes --geometry free."""
+
+    def spell(argument: re.Match[str]) -> str:
+        name, text, value = argument.groups(default="")
+        option = "--" + _OPTIONS.get(name, name).replace("_", "-")
+        return " ".join(filter(None, (option, text, re.sub(r"[(),]", "", value))))
+
+    return _ARGUMENT.sub(spell, message)
+
+
+@contextmanager
+def rename_argument(name: str, renamed: str) -> Iterator[None]:
+    """Lets the messages of errors within name an argument as the function that calls the others has it.
+
+    Raises:
+        InputError: that of within.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(f"`{name}=", f"`{renamed}=")) from error
 
 
 def wrong_type(argument: str, given: object, accepted: str) -> InputError:

@@ -37,7 +37,7 @@ def check_writable(path: str | Path, overwrite: bool = False) -> Path:
     if kind not in (None, "file"):
         raise InputError(f"{path}: is a {kind}, which a file would replace; choose another name")
     if kind and not overwrite:
-        raise InputError(f"{path}: exists already; choose another name or add --force to replace it")
+        raise InputError(f"{path}: exists already; choose another name or add `overwrite=True` to replace it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     return path
@@ -79,7 +79,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
                 _place(temporary, path)
         except FileExistsError as error:
             raise InputError(
-                f"{path}: appeared while it was being written; choose another name or add --force"
+                f"{path}: appeared while it was being written; choose another name or add `overwrite=True`"
             ) from error
         except OSError as error:
             reason = error.strerror or error

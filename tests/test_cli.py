@@ -289,7 +289,7 @@ def test_files_of_other_kinds_are_refused(capsys, tmp_path, calibration):
         "lite7: neither a bundled arm nor a file; did you mean 'lite6'?"
     )
     assert refused(capsys, "fit", calibration, "--arm", "xarm7") == (
-        f"{calibration}: has 6 joints, but xarm7 has 7; name another with --arm"
+        f"{calibration}: has 6 joints, but xarm7 has 7; name another with --arm NAME"
     )
     assert refused(capsys, "fit", calibration, "--samples", "3").startswith("samples 3: too few")
 

@@ -9,9 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from report import diagnosed
+from typed import refused
 
 import lite6jax
 from lite6jax import InputError, Recording
+from lite6jax.effects.kinematic import JointCompliance
+from lite6jax.errors import name_options
 
 PACKAGE = Path(lite6jax.__file__).parent
 LITE6 = lite6jax.read_arm("lite6")
@@ -129,6 +132,64 @@ def test_degrees_given_for_radians_are_refused_with_the_remedy(call):
         r"(give radians: np\.deg2rad\(joint_position\)|name the columns q1_deg \.\.\.)$",
         str(caught.value),
     )
+
+
+# ------------------------------------------------------------------ arguments and options
+
+
+def test_messages_name_arguments_in_python_and_options_on_the_command_line(capsys, tmp_path):
+    path = tmp_path / "arm.yaml"
+    lite6jax.write_factory(LITE6.kinematics, path)
+    with pytest.raises(InputError, match=r"choose another name or add `overwrite=True` to replace it$"):
+        lite6jax.write_factory(LITE6.kinematics, path)
+    assert refused(capsys, "convert", "lite6", path).endswith("choose another name or add --force to replace it")
+    with pytest.raises(InputError, match="has 6 joints, but xarm7 has 7; name another with `nominal=NAME`"):
+        lite6jax.fit(path, "xarm7")
+    with pytest.raises(InputError, match="has 6 joints, but xarm7 has 7; name another with `arm=NAME`"):
+        lite6jax.read_factory(path, lite6jax.read_arm("xarm7"))
+    assert refused(capsys, "fit", path, "--arm", "xarm7").endswith("name another with --arm NAME")
+
+
+@pytest.mark.parametrize(
+    ("message", "spelled"),
+    [
+        ("add `overwrite=True`", "add --force"),
+        ("use `geometry='free'`, or `arm:` in the sidecar", "use --geometry free, or `arm:` in the sidecar"),
+        ("take another place (`tool_at=(X, Y, Z)`)", "take another place (--tool-at X Y Z)"),
+        ("name it with `nominal=NAME`", "name it with --arm NAME"),
+        ("a == b and `c` = 1", "a == b and `c` = 1"),
+    ],
+)
+def test_how_an_option_is_spelled(message, spelled):
+    assert name_options(message) == spelled
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: lite6jax.Options(folds=0), "folds: 0; give 2 or more"),
+        (lambda: lite6jax.Options(folds=1), "folds: 1; give 2 or more"),
+        (
+            lambda: lite6jax.simulate("lite6", effects=[JointCompliance(2)], samples=5),
+            r"effects: joint_compliance:joint2 has no values; give \(effect, \[compliance_rad_per_Nm\]\)",
+        ),
+        (
+            lambda: lite6jax.simulate("lite6", effects="joint_backlash:joint=4,gap_rad=1e-3", samples=5),
+            "effects: has the type str; give a list of texts or of",
+        ),
+        (
+            lambda: lite6jax.fit_fleet(np.stack([LITE6.kinematics] * 2)),
+            r"T_base_flange: give the flange's poses, .*; calibrations, .*, are fitted by fit_fleet_calibrations",
+        ),
+        (
+            lambda: lite6jax.fit_fleet(np.zeros((5, 6)), np.tile(np.eye(4), (2, 5, 1, 1))),
+            "nominal: has the type NoneType; give an Arm or the name of a bundled one",
+        ),
+    ],
+)
+def test_mistakes_in_calls_are_refused_with_the_remedy(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
 
 
 # ------------------------------------------------------------------ paths and types

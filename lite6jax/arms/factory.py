@@ -193,16 +193,18 @@ def _recognise(
         arm = Arm(Path(path).stem, kinematics, sliding=sliding, source=f"factory calibration {Path(path).name}")
         what = f"prismatic joints, as joint {sliding[0] + 1} is" if sliding else f"{len(kinematics)} joints"
         warnings.warn(
-            f"{path}: no bundled arm has {what}, so this chain is its own nominal arm; name another with --arm to see"
-            " how it deviates",
+            f"{path}: no bundled arm has {what}, so this chain is its own nominal arm; name another with"
+            " `arm=NAME` to see how it deviates",
             InputWarning,
             stacklevel=3,
         )
         return FactoryCalibration(kinematics, arm, T_joint_flange, str(path))
     if arm is not None and arm.sliding != sliding:
-        raise InputError(f"{path}: has other prismatic joints than {arm.name}; name another arm with --arm")
+        raise InputError(f"{path}: has other prismatic joints than {arm.name}; name another arm with `arm=NAME`")
     if arm is not None and arm.dof != len(kinematics):
-        raise InputError(f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with --arm")
+        raise InputError(
+            f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with `arm=NAME`"
+        )
     recognised = recognise(kinematics, names, str(path), arm, T_joint_flange)
     return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
 
@@ -240,7 +242,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     if not chains:
         raise InputError(
             f"{path}: deviates from the DH table of a model of Universal Robots, which {arm and arm.name} does not"
-            " have; name one with --arm"
+            " have; name one with `arm=NAME`"
         )
     distances = np.array([_distances(links, after, [model])[0] for model, links, after in chains])
     order = np.argsort(distances)
@@ -248,7 +250,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     if arm is not None and nearest > RECOGNISED_WITHIN:
         raise InputError(
             f"{path}: its deviations are not those of a {arm.name}: its flange would be {1e3 * nearest:.0f} mm RMS off"
-            " nominal; name another with --arm"
+            " nominal; name another with `arm=NAME`"
         )
     if arm is None:
         listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
@@ -256,13 +258,13 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
         if nearest > RECOGNISED_WITHIN or alike > 2:
             raise InputError(
                 f"{path}: does not name its model, and its deviations do not tell it: the flange is off nominal by"
-                f" {', '.join(listed)} RMS; name it with --arm"
+                f" {', '.join(listed)} RMS; name it with `arm=NAME`"
             )
         if alike == 2:
             other, chosen = sorted((chains[i] for i in order[:2]), key=lambda chain: chain[0].name)
             warnings.warn(
                 f"{path}: does not name its model; its deviations fit {listed[0]} and {listed[1]} RMS alike, then"
-                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name --arm {other[0].name} if it is one",
+                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name `arm={other[0].name!r}` if it is one",
                 InputWarning,
                 stacklevel=3,
             )
@@ -369,7 +371,7 @@ def recognise(
         return arm
     raise InputError(
         f"{where}: fits no bundled arm; the nearest is {candidates[nearest].name},"
-        f" {1e3 * distances[nearest]:.0f} mm RMS away at the flange; name the arm with --arm"
+        f" {1e3 * distances[nearest]:.0f} mm RMS away at the flange; name the arm with `arm=NAME`"
         " (a bundled one, or a description of your own)"
     )
 

@@ -202,7 +202,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
         drives = [what for field, what in JOINT_TERMS.items() if getattr(arm, field) is not None]
         phrases += [f"joint limits{bodies}", *drives]
     if form in ("vendor", "ur") and arm.sliding:
-        phrases.append("which joints are prismatic (name the arm with --arm where the file is read)")
+        phrases.append("which joints are prismatic (name the arm where the file is read)")
     if form == "urdf" and arm.rotor_inertia is not None:
         phrases.append("rotor inertia")
     if form == "urdf" and arm.spring_stiffness is not None:
@@ -244,7 +244,7 @@ def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Ar
     arm = read_arm(source)
     if nominal is not None and nominal.dof != arm.dof:
         raise InputError(
-            f"{source}: has {arm.dof} joints, but {nominal.name} has {nominal.dof}; name another with --arm"
+            f"{source}: has {arm.dof} joints, but {nominal.name} has {nominal.dof}; name another with `arm=NAME`"
         )
     return arm, nominal or replace(arm, T_joint_flange=np.eye(4))
 

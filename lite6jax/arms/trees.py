@@ -113,12 +113,12 @@ def find_chain(
         roots = [link for link in links if link not in above]
         if len(roots) != 1:
             found = ", ".join(roots) or "none: the joints form a loop"
-            raise InputError(f"{path}: has not one root {what[0]} ({found}); name one with --base")
+            raise InputError(f"{path}: has not one root {what[0]} ({found}); name one, {Path(path).name}#NAME:")
         base = roots[0]
     end = _only_end(path, base, links, above, beside) if tip is None else tip
     chain = _path(base, end, above)
     if chain is None:
-        raise InputError(f"{path}: {end!r} is not below {base!r}; name another --base or --tip")
+        raise InputError(f"{path}: {end!r} is not below {base!r}; name another base or tip, {Path(path).name}#BASE:TIP")
     return Tree(joints, links, base, end, chain, tip is not None)
 
 
@@ -145,7 +145,7 @@ def _only_end(
     moving = {leaf: [joint.name for joint in _movable(chain)] for leaf, chain in chains.items()}
     longest = max(moving.values(), key=len, default=[])
     if not longest:
-        raise InputError(f"{path}: no joint moves below {base!r}; name another --base")
+        raise InputError(f"{path}: no joint moves below {base!r}; name another, {Path(path).name}#NAME:")
     # A branch without a moving joint (a sensor's frame, a mesh) is no candidate, unless the chain ends there.
     candidates = [leaf for leaf, names in moving.items() if names == longest or names != longest[: len(names)]]
     tails = []
@@ -283,7 +283,10 @@ def arm_of_chain(
         rows.append(joint.row if exact else frames.row_from_transform(before @ T @ R))
         before = R.T
     if not rows:
-        raise InputError(f"{path}: no joint moves between {tree.base!r} and {tree.tip!r}; name another --base or --tip")
+        raise InputError(
+            f"{path}: no joint moves between {tree.base!r} and {tree.tip!r}; name another base or tip, "
+            f"{Path(path).name}#BASE:TIP"
+        )
     fields = _inertial(path, tree, body_of) | dict(drives)
     try:
         return Arm(

@@ -71,9 +71,9 @@ class FleetSolution(PublicResult):
 
 def fit_fleet(
     joint_position: ArrayLike,
-    T_base_flange: ArrayLike,
+    T_base_flange: ArrayLike | None = None,
     *,
-    nominal: Arm | str,
+    nominal: Arm | str | None = None,
     noise: tuple[float, float] | None = None,
     weight: ArrayLike | None = None,
     max_steps: int = MAX_STEPS,
@@ -83,7 +83,8 @@ def fit_fleet(
 
     Args:
         joint_position: `(arm, sample, joint)` rad, or `(sample, joint)` for all arms.
-        T_base_flange: `(arm, sample, 4, 4)` m; a pose that is not finite counts as missing.
+        T_base_flange: `(arm, sample, 4, 4)` m; a pose that is not finite counts as missing. Calibrations have no poses:
+            `fit_fleet_calibrations` takes them.
         nominal: the arm's type, an `Arm` or the name of a bundled one.
         noise: one standard deviation of position (m, per axis) and orientation (rad, per axis). None weighs a radian
             like 0.1 m, as the seed does, and takes the covariance from the residuals.
@@ -95,8 +96,14 @@ def fit_fleet(
         A `FleetSolution`. An arm whose fit fails has its `result` say so; the others are not affected.
 
     Raises:
-        InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
+        InputError: arrays whose shapes do not fit each other or the arm, no poses, noise that is not positive,
+            negative weights.
     """
+    if T_base_flange is None:
+        raise InputError(
+            "T_base_flange: give the flange's poses, (arm, sample, 4, 4); calibrations, (arm, joint, 6) or files, are "
+            "fitted by fit_fleet_calibrations"
+        )
     # they take as long to import as all else, and many calibrations are fitted without
     from lite6jax.recordings import require_radians
     from lite6jax.recordings.units import real_array
@@ -172,9 +179,9 @@ def fit_fleet_calibrations(
     return replace(solution, result=np.where(broken, Result.NOT_FINITE, solution.result).astype(np.int32))
 
 
-def _load_type(nominal: Arm | str) -> Arm:
+def _load_type(nominal: Arm | str | None) -> Arm:
     require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
-    return description.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    return description.load_bundled(nominal) if isinstance(nominal, str) else cast(Arm, nominal)
 
 
 def _chain_poses(kinematics: NDArray, joint_position: Array, sliding: tuple[int, ...]) -> jax.Array:

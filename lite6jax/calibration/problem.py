@@ -144,7 +144,8 @@ def declared_geometry(
     arm = arm or arm_of(recording)
     if recording.dof != arm.dof:
         raise InputError(
-            f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm"
+            f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with "
+            "`arm=NAME`"
         )
     if recording.sliding != arm.sliding:
         raise InputError(f"{recording.source}: {other_joints(recording.sliding, arm.sliding, arm.name)}")
@@ -163,7 +164,8 @@ def declared_geometry(
         geometry = "free" if factory is None else "exact" if uncertainty is None else "prior"
     if geometry in ("exact", "prior") and factory is None:
         raise InputError(
-            f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use --geometry free"
+            f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use "
+            "`geometry='free'`"
         )
     touches = recording.touches
     # touches tell nothing of a frame but where all points are known in it

@@ -112,7 +112,7 @@ def declared_arm_of(recording: Recording) -> Arm:
     """The nominal arm that a recording declares; refuses one that declares none, which only poses would show."""
     arm = declared_arm(recording.settings, Path(recording.source).parent)
     if arm is None:
-        raise InputError(f"{recording.source}: declares no arm; name it with --arm NAME, or `arm:` in the sidecar")
+        raise InputError(f"{recording.source}: declares no arm; name it with `arm=NAME`, or `arm:` in the sidecar")
     return arm
 
 
@@ -145,15 +145,13 @@ def with_arm(recording: Recording, warn: bool = False) -> Recording:
         return recording
     if recording.touches is not None:
         raise InputError(
-            f"{recording.source}: declares no arm, which touches do not tell; name it with --arm NAME, or `arm:` in "
+            f"{recording.source}: declares no arm, which touches do not tell; name it with `arm=NAME`, or `arm:` in "
             "the sidecar"
         )
     tried = matches(recording)
     name = _choose(recording, tried).name
     recording = replace(recording, settings=replace(recording.settings, arm=name))
-    said = (
-        f"no arm is declared, and this looks like a {_listed(tried)}; say --arm {name}, or `arm: {name}` in a sidecar"
-    )
+    said = f"no arm is declared, and this looks like a {_listed(tried)}; say so by `arm: {name}` in a sidecar"
     if warn:
         warnings.warn(f"{recording.source}: {said}", InputWarning, stacklevel=3)
         return recording
@@ -190,7 +188,7 @@ def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
 def _choose(recording: Recording, tried: Sequence[Match]) -> Arm:
     undeclared, remedy = (
         f"{recording.source}: declares no arm, and",
-        "name it with --arm NAME, or `arm:` in the sidecar",
+        "name it with `arm=NAME`, or `arm:` in the sidecar",
     )
     if not tried:
         raise InputError(f"{undeclared} no bundled one has {recording.dof} joints; {remedy}")

@@ -19,7 +19,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, name_options
 from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
 from lite6jax.storage import exists, file_sha256, write_atomically
 
@@ -468,7 +468,7 @@ class Predict:
         try:
             found = predict.predicted(model, recording)
         except InputError as error:
-            return poses, [f"Torques are not predicted: {error}."]
+            return poses, [f"Torques are not predicted: {name_options(str(error))}."]
         columns = poses | found.columns()
         if found.outside is None:
             return columns, []

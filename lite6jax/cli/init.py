@@ -15,7 +15,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError, command_line
+from lite6jax.errors import InputError, command_line, name_options
 from lite6jax.storage import check, check_writable, write_atomically
 
 with import_lazily():
@@ -185,7 +185,7 @@ def _find_gross_faults(
     try:
         return screening.screen(recordings.read_recording(source), allow_undecided=True, coarse=True).found
     except InputError as error:  # of too few rows, and the like: the table was recognised all the same
-        notes.append(str(error))
+        notes.append(name_options(str(error)))
         return ()
 
 

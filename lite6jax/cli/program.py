@@ -30,7 +30,7 @@ from lite6jax.cli.live import Emulate, Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, name_options
 
 with import_lazily():
     from lite6jax.calibration import compiled
@@ -101,8 +101,9 @@ def _warn_in_lines() -> Iterator[None]:
 
 
 def _one_line(error: Warning | str | InputError) -> str:
-    """The message with what would break the line, or steer the terminal, spelled out."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(error))
+    """The message with options for arguments, and with what breaks the line, or steers the terminal, spelled out."""
+    message = name_options(str(error))
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
 
 
 def _version() -> str:

@@ -323,7 +323,7 @@ def recording_experiment(recording: Recording, arm: Arm | None = None, geometry:
     if not problem.movable.any():
         raise InputError(
             f"{recording.source}: its sidecar declares geometry, sensor frame and tool: nothing is left to identify; "
-            f"use --geometry free"
+            "use `geometry='free'`"
         )
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"

@@ -202,7 +202,7 @@ def draw_readings(
         what = getattr(sensor, "quantity", "images")
         raise InputError(
             f"candidates: {passed} of {tried} poses for {what} are reached and pass; take another place of the tool "
-            "(--tool-at), another arm, or widen the filters"
+            "(`tool_at=(X, Y, Z)`), another arm, or widen the filters"
         )
     every = np.concatenate(kept)
     return Candidates(every[:count], tried, {"reach": tried - passed})

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import final
 
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions, option
 
 _USUAL_FOLDS = 5
@@ -19,6 +20,9 @@ class Options:
     Attributes:
         engine: of estimation and search.
         screening: of the screening of data faults.
+
+    Raises:
+        InputError: fewer than two held-out blocks.
     """
 
     engine: EngineOptions = field(default_factory=EngineOptions)
@@ -73,6 +77,10 @@ class Options:
     same_effect: float = option(
         1e-4, "share of an effect that its alternative cannot do, below which both are the same", "1 % of its length"
     )
+
+    def __post_init__(self) -> None:
+        if self.folds < 2:
+            raise InputError(f"folds: {self.folds}; give 2 or more, of which each is predicted from the others")
 
     @property
     def quick(self) -> bool:

@@ -65,6 +65,16 @@ class Finding:
     input_share: float = 0.0
 
     @property
+    def name(self) -> str:
+        """The name of its effect in the catalogue, such as `joint_compliance`."""
+        return self.effect.name
+
+    @property
+    def site(self) -> str:
+        """Where it acts, such as `joint2`."""
+        return self.effect.site
+
+    @property
     def nearest(self) -> tuple[Effect, float] | None:
         """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
         named = [one for one in self.alternatives if not one.term.nonparametric]
@@ -220,6 +230,16 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def confounded(self) -> tuple[Effect, ...]:
         """Effects that are confounded with the nuisance that is fitted."""
         return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
+
+    @property
+    def name(self) -> str:
+        """The name of its effect in the catalogue, such as `joint_compliance`."""
+        return self.effect.name
+
+    @property
+    def site(self) -> str:
+        """Where it acts, such as `joint2`."""
+        return self.effect.site
 
     @property
     def nearest(self) -> tuple[Effect, float] | None:

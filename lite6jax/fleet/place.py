@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar, final
 
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, name_options
 
 with import_lazily():
     from lite6jax import recordings
@@ -51,11 +51,11 @@ def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
             warnings.simplefilter("always", InputWarning)
             done = work()
     except InputError as error:
-        return None, str(error)
+        return None, name_options(str(error))
     except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
         found = " ".join(f"{type(error).__name__}: {error}".split())
         return None, f"{path}: unexpected {found}; please report it with this file"
-    said = (str(each.message) for each in caught if issubclass(each.category, InputWarning))
+    said = (name_options(str(each.message)) for each in caught if issubclass(each.category, InputWarning))
     return done, "; ".join(dict.fromkeys(said))
 
 

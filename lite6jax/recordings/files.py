@@ -43,7 +43,7 @@ _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
 _STRANGERS = {
     **dict.fromkeys(
         (".urdf", ".xacro", ".xml", ".mjcf"),
-        "describes an arm and holds no measurements; name a recording, and the arm with --arm {name}",
+        "describes an arm and holds no measurements; name a recording, and the arm with `arm='{name}'`",
     ),
     **dict.fromkeys(
         (".xlsx", ".xls", ".xlsm", ".ods"),

@@ -520,7 +520,7 @@ def check_scale(
 
 
 def _ask_about(unit: str, columns: str, numbers: str, given: Given) -> str:
-    option = f" or add --assume-{unit}" if given == "file" else ""
+    option = f" or add `assume_{unit}=True`" if given == "file" else ""
     remedy = f"give {numbers}" if given == "arrays" else f"name the column{'s' * (' ' in columns)} {columns}{option}"
     return f"are these {unit}? {remedy}"
 

@@ -253,7 +253,7 @@ class RecordingSettings:
             InputError: no arm is declared.
         """
         if self.arm is None:
-            raise InputError("no arm is declared; name it with --arm, or `arm:` in the sidecar")
+            raise InputError("no arm is declared; name it with `arm=NAME`, or `arm:` in the sidecar")
         return Path(folder) / self.arm if self.arm_is_file else self.arm
 
     def factory_path(self, folder: str | Path) -> Path | None:

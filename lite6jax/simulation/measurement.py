@@ -18,7 +18,7 @@ from lite6jax.design.sensor import SENSORS, Sensor
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.errors import InputError, require_type
+from lite6jax.errors import InputError, require_type, wrong_type
 from lite6jax.model import arm_model, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
@@ -328,12 +328,12 @@ def simulate(
         the sensor's frame. Its settings declare the sensor, its noise, the frame and the tool.
 
     Raises:
-        InputError: an unknown arm, sensor or effect; joint positions of another shape, not finite, or in degrees; a
-            number out of its range; a motion without a quantity that an effect depends on.
+        InputError: an unknown arm, sensor or effect; an effect without values; joint positions of another shape, not
+            finite, or in degrees; a number out of its range; a motion without a quantity that an effect depends on.
     """
     require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
     arm = read_arm(arm) if isinstance(arm, str) else arm
-    parsed = [parse_effect(effect, sliding=arm.sliding) if isinstance(effect, str) else effect for effect in effects]
+    parsed = _with_values(effects, arm.sliding)
     for effect, _ in parsed:
         quantities = {driver.quantity for driver in effect.drivers}
         if warm_up is None and quantities & {"temperature rise", "temperature"}:
@@ -367,3 +367,21 @@ def simulate(
         tool_known=tool_known,
         seed=seed,
     ).recording
+
+
+def _with_values(
+    effects: Iterable[str | tuple[Effect, ArrayLike]], sliding: tuple[int, ...]
+) -> list[tuple[Effect, ArrayLike]]:
+    """Each effect with its `(coordinate,)` values, as `simulate` takes them."""
+    if isinstance(effects, str | Effect):
+        raise wrong_type("effects", effects, "a list of texts or of (effect, values)")
+    parsed: list[tuple[Effect, ArrayLike]] = []
+    for effect in effects:
+        if isinstance(effect, str):
+            parsed.append(parse_effect(effect, sliding=sliding))
+        elif isinstance(effect, Effect):
+            values = ", ".join(coordinate.name for coordinate in effect.coordinates)
+            raise InputError(f"effects: {effect.label} has no values; give (effect, [{values}])")
+        else:
+            parsed.append(effect)
+    return parsed

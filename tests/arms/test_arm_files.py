@@ -166,7 +166,7 @@ def test_the_number_of_joints_is_checked(save):
     rows = vendor(load_bundled("xarm7").kinematics)
     path = save({"kinematics": rows})
     assert refusal(read_factory, path, load_bundled("lite6")) == (
-        f"{path}: has 7 joints, but lite6 has 6; name another with --arm"
+        f"{path}: has 7 joints, but lite6 has 6; name another with `arm=NAME`"
     )
 
 
@@ -177,8 +177,8 @@ def test_a_chain_of_any_number_of_joints_is_its_own_nominal_arm(joints, tmp_path
     with pytest.warns(InputWarning) as warned:
         calibration = read_factory(path)
     assert str(warned[0].message) == (
-        f"{path}: no bundled arm has {joints} joints, so this chain is its own nominal arm; name another with --arm to "
-        "see how it deviates"
+        f"{path}: no bundled arm has {joints} joints, so this chain is its own nominal arm; name another with "
+        "`arm=NAME` to see how it deviates"
     )
     np.testing.assert_array_equal(calibration.kinematics, rows)
     assert (calibration.arm.name, calibration.arm.dof) == ("crane", joints)
@@ -192,7 +192,7 @@ def test_no_model_fits_unless_it_is_given(save):
     path = save({"kinematics": vendor(rows)})
     assert refusal(read_factory, path) == (
         f"{path}: fits no bundled arm; the nearest is ur10e, 200 mm RMS away at the flange;"
-        " name the arm with --arm (a bundled one, or a description of your own)"
+        " name the arm with `arm=NAME` (a bundled one, or a description of your own)"
     )
     assert read_factory(path, load_bundled("ur5e")).arm.name == "ur5e"  # what is said holds, however far
 

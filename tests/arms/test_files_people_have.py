@@ -74,7 +74,7 @@ def test_the_size_of_an_arm_is_recognised_by_its_deviations_and_its_series_assum
         assert calibration.arm.name == others[1]
         (message,) = (str(each.message) for each in said)
         assert re.search(rf"fit {others[0]}e? \(.* mm\) and {others[0]}e? \(.* mm\) RMS alike", message)
-        assert message.endswith(f"a {others[1]}, the newer, is assumed, name --arm {others[0]} if it is one")
+        assert message.endswith(f"a {others[1]}, the newer, is assumed, name `arm='{others[0]}'` if it is one")
     arm, _, dh = individual("ur16e", 3)  # of a size that no other model has
     assert read_factory(deviations(tmp_path / "calibration.conf", dh - arm.dh)).arm.name == "ur16e"
 
@@ -91,7 +91,7 @@ def test_deviations_that_tell_no_model_are_asked_for(tmp_path):
     ):
         read_factory(path, load_bundled("ur10e"))
     with pytest.raises(
-        InputError, match=r"of a model of Universal Robots, which xarm7 does not have; name one with --arm"
+        InputError, match=r"of a model of Universal Robots, which xarm7 does not have; name one with `arm=NAME`"
     ):
         read_factory(path, load_bundled("xarm7"))
 

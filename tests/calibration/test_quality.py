@@ -111,7 +111,7 @@ def test_an_undeclared_arm_is_recognised_and_the_others_are_named(capsys, tmp_pa
     assert "no arm is declared, and this looks like a lite6: " in found.notes[-1]
     path = write_recording(recording, tmp_path / "run.csv")
     path.with_suffix(".yaml").unlink()
-    with pytest.warns(InputWarning, match=r"this looks like a lite6: .* mm; .*; say --arm lite6, or `arm: lite6`"):
+    with pytest.warns(InputWarning, match=r"this looks like a lite6: .* mm; .*; say so by `arm: lite6` in a sidecar"):
         assert read_source(path, None).settings.arm == "lite6"
     code, said, err = run(capsys, "fit", path)
     assert code == 0

@@ -150,6 +150,7 @@ def test_a_fold_finds_faults_of_columns_by_itself(arm, still):
     diagnosis = diagnose(wrong)
     assert [fault.code for fault in diagnosis.faults] == ["swapped_joints"]
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_compliance:joint2"]
+    assert (diagnosis.findings[0].name, diagnosis.findings[0].site) == ("joint_compliance", "joint2")
     assert rms(diagnosis.after) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)
 
 

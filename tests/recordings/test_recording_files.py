@@ -245,7 +245,7 @@ def test_degrees_named_radians_are_asked_about_and_accepted(tmp_path):
     path = file(tmp_path, f"{JOINTS},dq1_rad_per_s,dq2_rad_per_s\n10,-20,1,2\n170,140,3,4\n-170,-90,5,6\n")
     assert unread(path, joint_limits=LIMITS) == (
         "column q2_rad: row 1 is at -20 rad while the arm's joint 2 goes from -2.618 to 2.618 rad; are these degrees? "
-        "name the columns q1_deg ... or add --assume-degrees"
+        "name the columns q1_deg ... or add `assume_degrees=True`"
     )
     recording = read_recording(path, joint_limits=LIMITS, assume_degrees=True)
     np.testing.assert_allclose(np.rad2deg(recording.joint_position), [[10, -20], [170, 140], [-170, -90]], rtol=1e-15)
@@ -261,7 +261,7 @@ def test_millimetres_named_metres_are_asked_about_and_accepted(tmp_path):
     assert message.startswith("columns x_m y_m z_m: the positions lie ")
     assert message.endswith(
         "m from their middle (median) while the arm reaches 0.7 m; are these millimetres? name the columns x_mm y_mm "
-        "z_mm or add --assume-millimetres"
+        "z_mm or add `assume_millimetres=True`"
     )
     recording = read_recording(path, reach=0.7, assume_millimetres=True)
     assert recording.position.tolist() == [[0.1, 0.2, 0.3], [-0.1, 0.2, 0.5], [0.1, -0.3, 0.3]]
@@ -353,10 +353,10 @@ def test_writing_replaces_nothing_unasked_and_leaves_nothing_half_done(tmp_path,
     recording = Recording.from_arrays([[0.1, 0.2]])
     path = write_recording(recording, tmp_path / "run7.csv")
     assert path.read_text() == "q1_rad,q2_rad\n0.1,0.2\n"
-    with pytest.raises(InputError, match=r"run7\.csv: exists already; choose another name or add --force"):
+    with pytest.raises(InputError, match=r"run7\.csv: exists already; choose another name or add `overwrite=True`"):
         write_recording(recording, path)
     path.unlink()
-    with pytest.raises(InputError, match=r"run7\.yaml: exists already; choose another name or add --force"):
+    with pytest.raises(InputError, match=r"run7\.yaml: exists already; choose another name or add `overwrite=True`"):
         write_recording(recording, path)
     assert sorted(os.listdir(tmp_path)) == ["run7.yaml"]
     with pytest.raises(InputError, match=r"run7\.xlsx: a recording ends in \.csv or \.parquet; choose such a name"):

@@ -270,6 +270,6 @@ def test_written_whole_and_the_same_again(tmp_path, solution):
     first = [path.read_bytes() for path in paths]
     again = {"one": figures.error_by_joint(solution, "arm.yaml")}
     assert [path.read_bytes() for path in figures.save(again, tmp_path, overwrite=True)] == first
-    with pytest.raises(InputError, match=r"one\.png: exists already; choose another name or add --force"):
+    with pytest.raises(InputError, match=r"one\.png: exists already; choose another name or add `overwrite=True`"):
         figures.check_names(tmp_path, ["one"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "one.svg"]

@@ -280,13 +280,14 @@ def _recognised(
             return found.columns, ()
         raise InputError(
             f"{path}: no columns look like positions to reach; say which they are: --column NAME=x_mm, and likewise "
-            "y_mm and z_mm (x_m … in metres)"
+            "y_mm and z_mm (x_m … in metres), or `columns:` in its sidecar"
         )
     if turned is not None and turned.form is not None and turned.form.sure != "certain":
         first = turned.columns[0]
         raise InputError(
             f"{path}: what the angles {', '.join(turned.columns)} mean is not certain; say it: --column "
-            f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others"
+            f"{first}=roll_deg (or yaw_deg, rx_rad, alpha_deg, ignore), and likewise the others, or "
+            "`columns:` in its sidecar"
         )
     assert place.unit is not None
     unit = place.unit.choice
@@ -298,7 +299,7 @@ def _recognised(
             name = place.columns[0]
             raise InputError(
                 f"{path}: whether {', '.join(place.columns)} are in m or mm is not certain; say it: --column "
-                f"{name}=x_mm (or x_m), and likewise the others"
+                f"{name}=x_mm (or x_m), and likewise the others, or `columns:` in its sidecar"
             )
         unit = units[0]
     meant = found.columns | place.renamed(unit=unit)

@@ -25,7 +25,7 @@ from lite6jax.calibration.start import SAMPLES
 from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.errors import wrong_type
+from lite6jax.errors import rename_argument, wrong_type
 from lite6jax.estimation.least_squares import fit as fit_numbers
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -95,20 +95,22 @@ def fit(
     Raises:
         InputError: the source cannot be used; see `read_factory`, `read_recording` and `recording_problem`.
     """
-    arm = load_nominal(nominal)
-    if isinstance(source, list | tuple) and any(isinstance(each, Source) for each in source):
-        given: dict[str, Any] = {"geometry": geometry, "loss": loss, "solver": solver, "samples": samples}
-        each = cast(Sequence[Source], source)
-        return tuple(fit(one, arm, **given, seed=seed, max_steps=max_steps) for one in each)
-    if isinstance(source, str | Path):
-        source = read_source(source, arm)
-    if isinstance(source, Recording):
-        return fit_recording(source, arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps)
-    if isinstance(source, list | tuple) or hasattr(source, "__array__"):
-        source = calibration_from_array(real_array("source", cast(ArrayLike, source)), arm)
-    if not isinstance(source, FactoryCalibration):
-        raise wrong_type("source", source, "a file or a list of files, a Recording, or (joint, 6) numbers in m and rad")
-    return fit_calibration(source, solver=solver, samples=samples, seed=seed, max_steps=max_steps)
+    with rename_argument("arm", "nominal"):
+        arm = load_nominal(nominal)
+        if isinstance(source, list | tuple) and any(isinstance(each, Source) for each in source):
+            given: dict[str, Any] = {"geometry": geometry, "loss": loss, "solver": solver, "samples": samples}
+            each = cast(Sequence[Source], source)
+            return tuple(fit(one, arm, **given, seed=seed, max_steps=max_steps) for one in each)
+        if isinstance(source, str | Path):
+            source = read_source(source, arm)
+        if isinstance(source, Recording):
+            return fit_recording(source, arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps)
+        if isinstance(source, list | tuple) or hasattr(source, "__array__"):
+            source = calibration_from_array(real_array("source", cast(ArrayLike, source)), arm)
+        if not isinstance(source, FactoryCalibration):
+            accepted = "a file or a list of files, a Recording, or (joint, 6) numbers in m and rad"
+            raise wrong_type("source", source, accepted)
+        return fit_calibration(source, solver=solver, samples=samples, seed=seed, max_steps=max_steps)
 
 
 def fit_recording(

@@ -232,7 +232,7 @@ def screen(
             raise InputError(
                 f"{recording.source}: its poses are not those of a {n['declared']} (off by "
                 f"{1e3 * n['median_error_m']:.4g} mm, median) but of a {n['arm']} ({1e3 * n['corrected_error_m']:.3g} "
-                f"mm); name that arm with --arm, or in the sidecar"
+                f"mm); name that arm with `arm=NAME`, or in the sidecar"
             )
         if state.count("undecided") and not allow_undecided:
             error = 1e3 * state.found[-1].numbers["median_error_m"]
