@@ -17,18 +17,7 @@ from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.predict import motion_of_joint
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic import (
-    CoulombFriction,
-    CoupledFriction,
-    Dynamics,
-    FrictionTemperature,
-    LoadFriction,
-    Scaling,
-    StribeckFriction,
-    TorqueEffect,
-    UnnamedTorque,
-    ViscousFriction,
-)
+from lite6jax.effects.dynamic import Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.nonparametric import SCALE, Unnamed
@@ -60,7 +49,6 @@ _LONGEST = 400
 """Samples of a run that are shown over time: more are not legible."""
 _POINTS = 400
 """Of a curve of friction."""
-_FRICTION = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature)
 
 
 class ExplainedShares(NamedTuple):
@@ -290,21 +278,16 @@ def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
     left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
     shown = []
     for j in range(problem.rows):
-        own = [k for k, effect in enumerate(fit.terms.terms) if _is_friction(effect, j + 1)]
-        partial = left[j] + added_torque(found, own)[j]
-        at = np.linspace(velocity[j].min(), velocity[j].max(), _POINTS) if own else np.zeros(0)
-        at = np.sort(np.append(at, [-1e-9, 1e-9])) if own else at  # so that a step at zero is one
-        friction = _friction_at(found, own, j, at) if own else at
+        terms = enumerate(fit.terms.terms)
+        frictions = [k for k, effect in terms if isinstance(effect, TorqueEffect) and effect.is_friction_of(j + 1)]
+        partial = left[j] + added_torque(found, frictions)[j]
+        at = friction = np.zeros(0)
+        if frictions:
+            at = np.linspace(velocity[j].min(), velocity[j].max(), _POINTS)
+            at = np.sort(np.append(at, [-1e-9, 1e-9]))  # so that a step at zero is one
+            friction = _friction_at(found, frictions, j, at)
         shown.append(JointFriction(velocity[j, used], partial[used], at, friction))
     return tuple(shown)
-
-
-def _is_friction(effect: object, joint: int) -> bool:
-    if isinstance(effect, CoupledFriction):
-        return joint in (effect.joint, effect.source_joint)
-    if isinstance(effect, UnnamedTorque):
-        return effect.joint == joint and effect.is_friction
-    return isinstance(effect, _FRICTION) and effect.joint == joint
 
 
 def _friction_at(found: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity: Array) -> Array:

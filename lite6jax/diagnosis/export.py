@@ -21,12 +21,12 @@ from lite6jax.effects.dynamic import (
     FIELDS,
     CoulombFriction,
     Dynamics,
+    Friction,
     JointSpring,
     LinkCom,
     LinkMass,
     OfJoint,
     RotorInertia,
-    StribeckFriction,
     TorqueEffect,
     UnnamedTorque,
     ViscousFriction,
@@ -179,11 +179,13 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         unit = "m/s" if effect.of_slide else "rad/s"
         said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
         return {type(effect): float(values[0])}, said
-    if isinstance(effect, UnnamedTorque) and effect.is_friction:
+    if not isinstance(effect, Friction | UnnamedTorque) or not effect.follows_own_motion:
+        return {}, ""
+    if isinstance(effect, UnnamedTorque):
         ranges = zip(effect.drivers, effect.bounds[::2], effect.bounds[1::2], strict=True)
         speeds = [max(abs(low), abs(high)) for driver, low, high in ranges if not driver.discrete]
         fastest = max(speeds, default=1.0)
-    elif isinstance(effect, StribeckFriction | ViscousFriction) and model.uncertainty is not None:
+    elif model.uncertainty is not None:
         recorded = model.uncertainty.recorded.velocities
         assert recorded is not None
         fastest = float(np.abs(recorded[effect.joint - 1]).max())

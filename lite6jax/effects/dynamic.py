@@ -141,6 +141,10 @@ class TorqueEffect(Effect, ABC):
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         """`(joint, sample)` Nm, N of prismatic joints, that add to the rigid arm's, by `values` `(coordinate,)`."""
 
+    def is_friction_of(self, joint: int) -> bool:
+        """Whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
+        return False
+
 
 @dataclass(frozen=True)
 class JointTorque(OfJoint, TorqueEffect, ABC):
@@ -156,6 +160,24 @@ class JointTorque(OfJoint, TorqueEffect, ABC):
         total = np.zeros_like(dynamics.torque)
         total[self.joint - 1] = self.at_joint(np.asarray(values, float), dynamics)
         return total
+
+    @property
+    def follows_own_motion(self) -> bool:
+        """Whether it depends on the motion of its own joint alone."""
+        motions = {self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")}
+        return set(self.drivers) <= motions
+
+
+@dataclass(frozen=True)
+class Friction(JointTorque, ABC):
+    """Friction of one joint.
+
+    What follows its own motion alone is exported as viscous and Coulomb friction, as far as these fit it.
+    """
+
+    @final
+    def is_friction_of(self, joint: int) -> bool:
+        return self.joint == joint
 
 
 @dataclass(frozen=True)
@@ -201,7 +223,7 @@ LINEAR = 1.0
 
 
 @final_effect
-class ViscousFriction(JointTorque):
+class ViscousFriction(Friction):
     """τ += b·q̇·|q̇|ⁿ⁻¹, with q̇ in rad/s or m/s, so that b is the friction over the velocity at 1 rad/s or 1 m/s.
 
     It is not linear in n: the search tries some values beside 1, and n without a fixed value is its second coordinate
@@ -233,7 +255,7 @@ class ViscousFriction(JointTorque):
 
 
 @final_effect
-class CoulombFriction(JointTorque):
+class CoulombFriction(Friction):
     """τ += c·tanh(q̇/v): c·sign(q̇) but near standstill, where friction of gears and belts turns within a speed v.
 
     It is not linear in v: the search tries some values of v, and v without a fixed value is its second coordinate.
@@ -263,7 +285,7 @@ class CoulombFriction(JointTorque):
 
 
 @final_effect
-class StribeckFriction(JointTorque):
+class StribeckFriction(Friction):
     """τ += s·exp(−(q̇/v)²)·sign(q̇), beside Coulomb friction.
 
     It is not linear in v: the search tries some values of v, and v without a fixed value is its second coordinate
@@ -292,7 +314,7 @@ class StribeckFriction(JointTorque):
 
 
 @final_effect
-class LoadFriction(JointTorque):
+class LoadFriction(Friction):
     """τ += μ·|τ_rigid|·sign(q̇): friction of a gear in proportion to its load."""
 
     name: ClassVar[str] = "load_friction"
@@ -305,7 +327,7 @@ class LoadFriction(JointTorque):
 
 
 @final_effect
-class FrictionTemperature(JointTorque):
+class FrictionTemperature(Friction):
     """τ += k·(T − T₀)·q̇, T the temperature of this joint; k is negative where grease becomes thinner."""
 
     name: ClassVar[str] = "friction_temperature"
@@ -345,6 +367,9 @@ class CoupledFriction(OfJoint, TorqueEffect):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         return (self.own_driver("velocity"), joint_driver("velocity", self.source_joint, self.of_slide))
+
+    def is_friction_of(self, joint: int) -> bool:
+        return joint in (self.joint, self.source_joint)
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         speed = dynamics.velocity(self.joint) + dynamics.velocity(self.source_joint)
@@ -697,11 +722,8 @@ class UnnamedTorque(Process, JointTorque):
         one = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
         return one.at_slide() if self.of_slide else one
 
-    @property
-    def is_friction(self) -> bool:
-        """Whether it depends on the motion of its own joint alone, as friction does."""
-        own = [self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")]
-        return set(self.drivers) <= set(own)
+    def is_friction_of(self, joint: int) -> bool:
+        return self.joint == joint and self.follows_own_motion
 
     def values_in(self, dynamics: Dynamics) -> Array:
         """The values of the drivers, `(driver, sample)`."""

@@ -1,6 +1,8 @@
 """The arm of a diagnosis of torques, as simulators read it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from lite6jax.diagnosis.export import diagnosed_arm, diagnosed_chain
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.catalogue import TORQUE_EFFECTS
-from lite6jax.effects.dynamic import CoulombFriction, UnnamedTorque
+from lite6jax.effects.dynamic import CoulombFriction, Friction, UnnamedTorque
+from lite6jax.effects.effect import Coordinate, final_effect
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording, write_recording
@@ -53,6 +56,32 @@ def test_friction_without_a_name_is_exported_as_far_as_simulators_hold_it():
         "joint2, which its viscous and Coulomb friction leave",
         "joint3, 0.2 rad/s",
     ]
+
+
+@final_effect
+class CubicFriction(Friction):
+    """τ += c·q̇³."""
+
+    name: ClassVar[str] = "cubic_friction"
+    quantities: ClassVar[tuple] = ("velocity",)
+    numbers: ClassVar[tuple] = (Coordinate("cubic_Nm_s3_per_rad3", "Nm·s³/rad³", 0.1),)
+
+    def at_joint(self, values, dynamics):
+        return values[0] * dynamics.velocity(self.joint) ** 3
+
+
+def test_a_law_of_friction_that_is_new_is_exported_without_a_change_elsewhere():
+    _, model = model_with()
+    recorded = SimpleNamespace(velocities=np.tile([-1.0, 1.0], (6, 1)))
+    model = replace(
+        model,
+        terms=Terms((CubicFriction(2),)),
+        values=np.array([0.5]),
+        uncertainty=SimpleNamespace(recorded=recorded),
+    )
+    found, (phrase,) = diagnosed_arm(model)
+    assert found.viscous_friction[1] == pytest.approx(0.5 * 3 / 5, rel=0.05)  # of the least squares of v³ by v
+    assert "of what is cubic friction at joint2, which its viscous and Coulomb friction leave" in phrase
 
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xml", ".yaml"])

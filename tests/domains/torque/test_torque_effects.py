@@ -146,11 +146,22 @@ def test_a_process_acts_at_its_joint_by_the_values_of_its_drivers(scene):
 
 def test_friction_depends_on_the_motion_of_its_own_joint_alone():
     own = UnnamedTorque(2, "velocity of joint 2", -1.0, 1.0)
-    assert own.is_friction
+    assert own.is_friction_of(own.joint)
     assert replace(own, driver="velocity of joint 2 and direction of motion of joint 2", kernel="smooth*line",
-                   further=(-1.0, 1.0)).is_friction  # fmt: skip
-    assert not replace(own, joint=3).is_friction
-    assert not replace(own, driver="position of joint 2").is_friction
+                   further=(-1.0, 1.0)).is_friction_of(own.joint)  # fmt: skip
+    assert not replace(own, joint=3).is_friction_of(3)
+    assert not replace(own, driver="position of joint 2").is_friction_of(own.joint)
+
+
+def test_laws_of_friction_say_so_of_their_joints():
+    lines = [line.split() for line in CASES.splitlines() if line.startswith("joint")]
+    texts = [f"{name}:joint={site.removeprefix('joint')},{numbers}" for site, name, numbers in lines]
+    effects = [parse_effect(text, TORQUE_EFFECTS)[0] for text in texts]
+    said = {(effect.name, joint) for effect in effects for joint in range(1, 7) if effect.is_friction_of(joint)}
+    assert said == {
+        *(("viscous_friction", 2), ("coulomb_friction", 3), ("stribeck_friction", 1), ("load_friction", 2)),
+        *(("friction_temperature", 4), ("coupled_friction", 6), ("coupled_friction", 5)),
+    }
 
 
 def test_a_process_of_load_and_position_is_of_the_torque_that_the_joint_bears(scene):
