@@ -30,12 +30,13 @@ if TYPE_CHECKING:  # imported in functions, while processes start
     import pyarrow as pa
 
 Function = Callable[..., Any]
-"""Of the inputs of a batch and what is given to all: a table of a row an input, in their order. Of batches of one input
-it may be anything but None, which says that a worker died. It stands in a module, so that other processes find it."""
+"""A function of the inputs of one batch, and of what all batches are given. It returns a table with one row for each
+input, in their order. For batches of one input it may return anything but None, which stands for a worker that died. It
+is defined at the top of a module, so that other processes can import it."""
 
 MOST_RESIDENT = 2 << 30
-"""Bytes of a process above which another takes its place before the next batch: compiled code, and freed memory between
-what stays, are not given back. One diagnosis leaves less than half of that."""
+"""Bytes of memory above which a worker is replaced by a new process before its next batch. Compiled code is never freed,
+and fragments of the heap are not returned to the system. One diagnosis leaves less than half of this."""
 ANSWERS_WITHIN = 10.0
 """s; a scheduler that takes longer is not there."""
 WORKERS_WITHIN = 60.0

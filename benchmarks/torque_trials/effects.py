@@ -131,6 +131,7 @@ class Named:
     torque: Callable[[Joint], Array] | None = None
     linear: int = 1  # in how many coordinates it is linear: a ripple of a known order in two
     shapes: tuple[str, ...] = ()  # its other numbers, which are estimated as well
+    positive: bool = False  # whether its size is positive by physics
 
 
 def _coupled(m: Joint) -> Array:
@@ -140,19 +141,19 @@ def _coupled(m: Joint) -> Array:
 
 
 NAMED: dict[str, Named] = {
-    "viscous_friction": Named(("viscous_Nm_s_per_rad",), lambda m: m["viscous_Nm_s_per_rad"] * m.dq),
-    "coulomb_friction": Named(("coulomb_Nm",), lambda m: m["coulomb_Nm"] * m.sign),
+    "viscous_friction": Named(("viscous_Nm_s_per_rad",), lambda m: m["viscous_Nm_s_per_rad"] * m.dq, positive=True),
+    "coulomb_friction": Named(("coulomb_Nm",), lambda m: m["coulomb_Nm"] * m.sign, positive=True),
     "stribeck_friction": Named(
         ("stribeck_Nm",),
         lambda m: m["stribeck_Nm"] * np.exp(-((m.dq / m["velocity_rad_per_s"]) ** 2)) * m.sign,
         shapes=("velocity_rad_per_s",),
     ),
-    "load_friction": Named(("coefficient",), lambda m: m["coefficient"] * np.abs(m.load) * m.sign),
+    "load_friction": Named(("coefficient",), lambda m: m["coefficient"] * np.abs(m.load) * m.sign, positive=True),
     "friction_temperature": Named(("viscous_Nm_s_per_rad_K",), lambda m: m["viscous_Nm_s_per_rad_K"] * m.warmth * m.dq),
     "coupled_friction": Named(("viscous_Nm_s_per_rad", "coulomb_Nm"), _coupled, 2),
     "torque_offset": Named(("offset_Nm",), lambda m: np.full(len(m.q), m["offset_Nm"])),
     "torque_scale": Named(("scale",)),
-    "rotor_inertia": Named(("inertia_kg_m2",), lambda m: m["inertia_kg_m2"] * m.s.ddq[:, m.i]),
+    "rotor_inertia": Named(("inertia_kg_m2",), lambda m: m["inertia_kg_m2"] * m.s.ddq[:, m.i], positive=True),
     "joint_spring": Named(
         ("stiffness_Nm_per_rad",), lambda m: m["stiffness_Nm_per_rad"] * (m.q - m["rest_rad"]), 2, ("rest_rad",)
     ),

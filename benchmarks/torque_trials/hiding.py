@@ -44,7 +44,6 @@ _LEAST_SEEN = 0.05
 """The share of what an effect does that the rest cannot do, below which a small error of the model would hide it."""
 _MOST_MOVED = 1.0
 """Of the RMS of the joint's torque or, where that is small, of 20 times its noise, that an effect may add."""
-_POSITIVE = ("viscous_friction", "coulomb_friction", "load_friction", "rotor_inertia")
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +218,7 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
             return Hidden(name, "base", dict(zip(("tilt_x_rad", "tilt_y_rad"), rng.normal(size=2), strict=True)))
     (size,) = NAMED[name].sizes
     site = {"link_mass": f"link{joint}", "payload_error": "payload", "time_offset": "clock"}.get(name, site)
-    return Hidden(name, site, {size: 1.0 if name in _POSITIVE else side})
+    return Hidden(name, site, {size: 1.0 if NAMED[name].positive else side})
 
 
 def usual(view: View, hidden: Sequence[Hidden]) -> list[dict[str, Any]]:

@@ -30,9 +30,9 @@ Array = NDArray[np.floating]
 _UNIFORM = 2 * np.pi / np.sqrt(12)
 """rad, the standard deviation of an angle that is spread evenly over a turn."""
 _TRIED = 28
-"""Variances of the prior that are tried."""
+"""Variances τ² of the prior that are tried, in geometric steps."""
 _LEAST, _MOST = 1e-2, 1e7
-"""Of them to the variance of the best determined direction; more where the pulls are larger."""
+"""Least and greatest τ²λ that are tried, λ the largest eigenvalue; the greatest is more where the pulls z² need it."""
 _DECLARED = 4.0
 """Degrees of freedom that a declared noise counts as: it is known to a factor of two."""
 

@@ -90,7 +90,7 @@ class EngineOptions:
     compared_steps: int = option(
         10,
         "as `steps`, of fits that are only compared with others",
-        "those that take more creep: no such model is true",
+        "fits of models that are not true may take many more, in ever smaller steps",
     )
     compared_stale: float = option(
         0.03, "as `stale`, of fits that are only compared with others", "residuals are exact"

@@ -1,8 +1,8 @@
-"""Score tests of every candidate at once: what each would explain of the residuals, without a refit.
+"""Rao's score test of every candidate at once: what each would explain of the residuals, without a refit.
 
-Rao's score test, in a form that is robust to unequal noise (blocks of samples, Hotelling's T²). The p-values of all
-terms are computed here: `Score.p_value` by the test, and `gain_p_value` from a refit where a term has many numbers or
-is far from zero. Either becomes family-wise by the factor that `multiplicity` gives.
+Names are tested here: `Score.p_value` is the larger of a test for white noise and Hotelling's T² of blocks of samples,
+which is robust to correlated and unequal noise. `Score.familywise` multiplies it by the number of candidates. Processes
+are not tested here: their p-value is the posterior odds against them (`search/search.py`).
 """
 
 from collections.abc import Callable, Sequence

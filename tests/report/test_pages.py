@@ -185,7 +185,7 @@ def test_the_cause_comes_first_and_all_that_was_found_is_said(shown):
     found, _, html = shown["torques"]
     text, document = text_of(html), documented(found)
     said = ranking.headline(document)
-    assert said.startswith("Joint 2 rubs ")
+    assert said.startswith("Joint 2 has friction ")
     assert text.index(said) < text.index("Explained: ") < text.index("What each finding moves")
     for joint in range(6):
         pair = (np.sqrt(np.mean(errors[joint] ** 2)) for errors in (found.before, found.after))

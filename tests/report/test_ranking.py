@@ -134,7 +134,7 @@ def test_of_torques_the_worth_is_that_at_the_joint(motors):
     before, after = (document[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after"))
     said = ranking.headline(document)
     assert f" of {before:.2g} Nm; with both findings in the model, {after:.2g}" in said
-    assert said.startswith("Joint 2 rubs")
+    assert said.startswith("Joint 2 has friction")
 
 
 def test_commands_name_the_files_at_hand(found, motors, tmp_path):
@@ -189,7 +189,7 @@ def test_an_arm_of_slides_alone_is_said_in_newtons():
     document = with_statements(found.to_dict())
     assert not [key for key in document["before"] if key.endswith("_Nm") and "by_joint" not in key]
     assert re.match(
-        r"Joint 2 rubs the more the faster it moves: \d+ of \d+ N; with it in the model,", headline(document)
+        r"Joint 2 has friction that grows with its speed: \d+ of \d+ N; with it in the model,", headline(document)
     )
     assert re.search(r"held-out torque errors of the joints are [\d., e-]+ N RMS with these effects", found.summary())
     figures = dict(drawings(found, "gantry"))
