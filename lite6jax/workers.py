@@ -35,8 +35,8 @@ input, in their order. For batches of one input it may return anything but None,
 is defined at the top of a module, so that other processes can import it."""
 
 MOST_RESIDENT = 2 << 30
-"""Bytes of memory above which a worker is replaced by a new process before its next batch. Compiled code is never freed,
-and fragments of the heap are not returned to the system. One diagnosis leaves less than half of this."""
+"""Bytes of memory above which a new process takes the place of a worker before its next batch. Compiled code is never
+freed, and fragments of the heap are not returned to the system. One diagnosis leaves less than half of this."""
 ANSWERS_WITHIN = 10.0
 """s; a scheduler that takes longer is not there."""
 WORKERS_WITHIN = 60.0

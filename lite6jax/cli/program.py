@@ -59,10 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"lite6jax {_version()}")
             return DONE
         with _wrap_lines() if _asks_help(arguments) else nullcontext():
-            command = tyro.cli(
-                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
-                config=(FlagCreatePairsOff, OmitArgPrefixes),
-            )  # fmt: skip
+            command = _parse(arguments)
         compiled.keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
         with _warn_in_lines():
@@ -120,17 +117,26 @@ def _asks_help(arguments: Sequence[str]) -> bool:
     return not {"-h", "--help"}.isdisjoint(arguments)
 
 
-def _subcommands(arguments: Sequence[str]) -> Any:
-    """The commands as tyro takes them; the list of all commands has their first paragraphs only."""
-    options, alone = [], not set(arguments) & set(COMMANDS)
+def _parse(arguments: Sequence[str]) -> Any:
+    """The command that arguments ask for. A mistake in its options is answered with options of this command alone."""
+    given: dict[str, Any] = {"config": (FlagCreatePairsOff, OmitArgPrefixes)}
+    name = arguments[0] if arguments else ""
+    if name not in COMMANDS:
+        return tyro.cli(_list_commands(), prog="lite6jax", description=DESCRIPTION, args=arguments, **given)
+    command = COMMANDS[name]
+    if _asks_help(arguments):
+        _describe_options(command)
+    text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
+    return tyro.cli(command, prog=f"lite6jax {name}", description=text, args=arguments[1:], **given)
+
+
+def _list_commands() -> Any:
+    """All commands as tyro takes them, each with the first paragraph of its description."""
+    commands = []
     for name, command in COMMANDS.items():
-        text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
-        if alone:
-            text = " ".join(text.partition("\n\n")[0].split())
-        elif _asks_help(arguments):
-            _describe_options(command)
-        options.append(Annotated[command, subcommand(name, description=text)])
-    return reduce(operator.or_, options)
+        text = " ".join((inspect.getdoc(command) or "").partition("\n\n")[0].split())
+        commands.append(Annotated[command, subcommand(name, description=text)])
+    return reduce(operator.or_, commands)
 
 
 _FIELD = re.compile(r'^    (\w+):(?:(?!^    \w).)*?^    """(.*?)"""', re.MULTILINE | re.DOTALL)

@@ -300,8 +300,8 @@ def untested(document: Document) -> list[Untested]:
 
 
 def what_to_record(document: Document) -> list[str]:
-    """A sentence for each question that this recording leaves open and another one answers."""
-    asked, lines = _TEXTS["record"], []
+    """A sentence for each question that this recording leaves open: those that another one answers come first."""
+    asked, lines, equivalent = _TEXTS["record"], [], []
     findings = ranking.detailed(document)
     for finding in findings:
         one = {"one": effect_title(finding), "site": finding["site"]}
@@ -309,9 +309,12 @@ def what_to_record(document: Document) -> list[str]:
         if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
             lines.append(fill(asked["orders"], one, orders=orders))
         undecided = []
+        alike = [effect_title(rival) for rival in distinct_rivals(finding) if rival["status"] == "equivalent"]
+        if alike:
+            equivalent.append(fill(asked["equivalent"], one, others=alike))
         for rival in distinct_rivals(finding):
-            if rival["status"] in ("separable", "equivalent"):
-                lines.append(fill(asked[rival["status"]], one, other=effect_title(rival)))
+            if rival["status"] == "separable":
+                lines.append(fill(asked["separable"], one, other=effect_title(rival)))
             elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
                 undecided.append(rival)
         if near := undecided[:_NEAREST]:
@@ -334,7 +337,7 @@ def what_to_record(document: Document) -> list[str]:
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
         said = fill_about(asked["confounded"], document, steps=steps)
         lines += [said] if said else []
-    return lines
+    return lines + equivalent
 
 
 def _of_one_wave(finding: Entry, rival: Entry) -> bool:

@@ -234,6 +234,18 @@ def test_what_to_record_next(undecided, drawn):
     assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
 
 
+def test_what_no_recording_would_change_comes_last(undecided):
+    document = documented(undecided)
+    for rival in document["findings"][0]["confusable_with"]:
+        rival["status"] = "equivalent"
+    *first, last = statements.what_to_record(document)
+    assert first
+    assert all(line.startswith("To test for ") for line in first)
+    assert last.startswith("No recording of this kind separates joint compliance at joint2 from ")
+    assert "link compliance at link1" in last
+    assert last.endswith(": their effects are the same here.")
+
+
 def test_what_is_confounded_is_to_be_declared(compliant):
     start = "To test for effects that are confounded or not observed, "
     last = statements.what_to_record(documented(compliant))[-1]
