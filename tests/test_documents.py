@@ -112,6 +112,17 @@ def test_every_direct_dependency_is_listed_with_its_licence_and_locked():
     assert {name.lower() for name in needed} - {"pre-commit"} <= set(locked)
 
 
+def test_the_versions_of_python_are_the_same_everywhere():
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    versions = [line.rpartition(" ")[2] for line in classifiers if re.search(r":: 3\.\d+$", line)]
+    checked = re.search(r"python: \[(.*)\]", (ROOT / ".github/workflows/ci.yml").read_text())[1]
+    assert re.findall(r"[\d.]+", checked) == versions
+    for name in ("README.md", "docs/index.md", "docs/CONTRIBUTING.md"):
+        said = re.findall(r"Python (3\.\d+) to (3\.\d+) on Linux", (ROOT / name).read_text())
+        assert said == [(versions[0], versions[-1])], name
+    assert "Operating System :: POSIX :: Linux" in classifiers
+
+
 def test_each_term_of_the_glossary_is_defined_once_and_in_full():
     rows = [row for row in table_rows((ROOT / "docs/glossary.md").read_text()) if row[0] not in ("term", "---")]
     terms = [row[0] for row in rows]

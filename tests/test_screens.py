@@ -10,6 +10,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
 import lite6jax
 from docs.hooks import made, screens
+from docs.pictures import from_python
 from lite6jax.cli.program import COMMANDS
 
 DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]
@@ -76,6 +77,17 @@ def test_the_readme_shows_commands_of_the_pages():
     assert len(of_readme) >= 4
     for screen in of_readme:
         assert screens.difference(screen.shown, shown[screen.words]) == "", screen.typed
+
+
+def test_the_python_of_the_readme_runs_and_is_drawn():
+    names = from_python.run_readme()
+    assert (names["fleet"].result == lite6jax.Result.CONVERGED).all()
+    assert names["fleet"].parameters.shape == (1000, 28)
+    drawn = {"error_by_joint": names["solution"], "deviations": names["known"], "workspace": names["sensitivities"]}
+    assert all(name in found.plot() for name, found in drawn.items())
+    pictures = sorted(path.name for path in from_python.HERE.glob("from_python_*.png"))
+    shown = re.findall(r"\(docs/pictures/(from_python_\w+\.png)\)", screens.README.read_text())
+    assert sorted(shown) == pictures
 
 
 @pytest.mark.parametrize("words", list(named_commands()))
