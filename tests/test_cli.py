@@ -621,3 +621,13 @@ def test_a_reader_who_leaves_early_does_not_cost_the_file(tmp_path):
         complaint = process.stderr.read()
     assert complaint == b""
     assert json.loads(out.read_text())["units"] == "mm and deg"
+
+
+def test_an_unknown_option_is_answered_with_options_of_its_command_alone(capsys):
+    assert program.main(["diagnose", "run.csv", "--foo"]) == 2
+    said = capsys.readouterr().err
+    assert "Unrecognized options: --foo" in said
+    assert "Perhaps you meant" not in said  # `design --floor` is another command's
+    assert "lite6jax diagnose --help" in said
+    assert program.main(["diagnose", "run.csv", "--reprt", "page.html"]) == 2
+    assert "--report FILE" in capsys.readouterr().err
