@@ -232,16 +232,6 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
 
     @property
-    def name(self) -> str:
-        """The name of its effect in the catalogue, such as `joint_compliance`."""
-        return self.effect.name
-
-    @property
-    def site(self) -> str:
-        """Where it acts, such as `joint2`."""
-        return self.effect.site
-
-    @property
     def nearest(self) -> tuple[Effect, float] | None:
         """The most significant effect that is no finding, and its family-wise p-value."""
         if self.selection.nearest is None:
