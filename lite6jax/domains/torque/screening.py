@@ -63,6 +63,8 @@ _ROWS_PER_NUMBER = 3
 """Filtered samples in motion for each number of the model with which those at rest are compared."""
 _AWAY = 3.0
 """Times what is left in motion, from which what is left at rest is no noise."""
+_SURE = 3.0
+"""Standard deviations of Coulomb friction from which there is some: without, it has no direction that is in doubt."""
 _BAND = 2.0
 """Times Coulomb friction, up to which static friction holds a joint: what is more has another cause."""
 
@@ -449,8 +451,12 @@ def turning_friction(data: TorqueRows) -> Array:
     wide = np.hypot(1.0, as_revolute(error, "rad/s", slides) / DIRECTION_SPEED)
     mean = direction(velocity / wide, slides, change=acceleration / chosen.rate / wide)
     still = _around(at_rest(data), data)[:, chosen.kept]
-    friction = [0.0 if (found := _in_motion(data, j, ~still[j])) is None else found.coulomb for j in range(len(still))]
-    return np.abs(chosen.whole(np.array(friction)[:, None] * np.sqrt(np.maximum(1 - mean**2, 0.0))))
+    friction = np.zeros(len(still))
+    for j, rest in enumerate(still):
+        found = _in_motion(data, j, ~rest)
+        if found is not None and found.coulomb > _SURE * found.coulomb_std:
+            friction[j] = found.coulomb
+    return np.abs(chosen.whole(friction[:, None] * np.sqrt(np.maximum(1 - mean**2, 0.0))))
 
 
 class _InMotion(NamedTuple):
@@ -460,12 +466,14 @@ class _InMotion(NamedTuple):
         left: `(kept,)` Nm, what it leaves of every sample.
         usual: Nm, robust standard deviation of that in motion.
         coulomb: Nm, the joint's Coulomb friction.
+        coulomb_std: Nm, the standard deviation of that.
         doubt: `(kept,)`, standard deviation of what it would leave, over that of a sample that was fitted.
     """
 
     left: Array
     usual: float
     coulomb: float
+    coulomb_std: float
     doubt: Array
 
 
@@ -508,4 +516,6 @@ def _in_motion(data: TorqueRows, j: int, moving: Flags) -> _InMotion | None:
     left = y - numbers @ X
     usual = 1.4826 * float(np.median(np.abs(left[moving])))
     doubt = np.sqrt(1 + np.sum(((V[known] @ X) / s[known, None]) ** 2, 0))  # of a row that was not fitted
-    return _InMotion(left, usual, abs(float(numbers[0])) / float(size[0]), doubt)
+    coulomb = abs(float(numbers[0]))
+    coulomb_std = usual * float(np.linalg.norm(into[0]))
+    return _InMotion(left, usual, coulomb / float(size[0]), coulomb_std / float(size[0]), doubt)
