@@ -164,19 +164,15 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
     )
 
 
-def resolved_speeds(motion: Motion, every: int = 1) -> NDArray[np.floating]:
+def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
     """`(joint,)` rad/s, m/s of prismatic joints, below which a motion shows nothing of how friction depends on speed.
 
     A speed that a joint passes within one sample where it reverses, in most reversals, leaves no sample below it. One
     at which the direction of motion is not known is not told from another form of its sign.
-
-    Args:
-        motion: with velocities.
-        every: one in so many of its samples is observed.
     """
     assert motion.joint_velocity is not None
     velocity = np.asarray(motion.joint_velocity)
-    before, after = velocity[:, :-every], velocity[:, every:]
+    before, after = velocity[:, :-1], velocity[:, 1:]
     slides = motion.sliding.mask(len(velocity)).tolist()
     found = [joint_size(_BLURRED * dynamic.DIRECTION_SPEED, "rad/s", of_slide) for of_slide in slides]
     for joint, reverses in enumerate(before * after < 0):

@@ -270,7 +270,7 @@ class TorqueProblem:
     @cached_property
     def resolved_speeds(self) -> Array:
         """`(joint,)` rad/s, m/s of prismatic joints, below which the samples show nothing of friction over speed."""
-        return resolved_speeds(self.data.motion, self.data.filter.every)
+        return resolved_speeds(self.data.motion)
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:

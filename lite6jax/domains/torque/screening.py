@@ -447,7 +447,7 @@ def turning_friction(data: TorqueRows) -> Array:
     velocity, acceleration = np.asarray(motion.joint_velocity), np.asarray(motion.joint_acceleration)
     window = max(int(chosen.rate / (2 * data.motion_cutoff)), 1)  # shorter than what the low pass leaves
     away = uniform_filter1d(data.recording.velocities().T[:, data.rows] - velocity, window, mode="nearest")
-    error = np.sqrt(uniform_filter1d(away**2, window, mode="nearest"))
+    error = np.sqrt(np.maximum(uniform_filter1d(away**2, window, mode="nearest"), 0.0))  # it rounds
     wide = np.hypot(1.0, as_revolute(error, "rad/s", slides) / DIRECTION_SPEED)
     mean = direction(velocity / wide, slides, change=acceleration / chosen.rate / wide)
     still = _around(at_rest(data), data)[:, chosen.kept]
