@@ -169,6 +169,7 @@ NAMED: dict[str, Named] = {
     "base_tilt": Named(("tilt_x_rad", "tilt_y_rad"), linear=2),
     "time_offset": Named(("offset_s",)),
     "torque_lag": Named(("lag_s",)),
+    "link_inertia": Named(("inertia_kg_m2",), positive=True),
 }
 """By name."""
 

@@ -217,7 +217,9 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
         case "base_tilt":
             return Hidden(name, "base", dict(zip(("tilt_x_rad", "tilt_y_rad"), rng.normal(size=2), strict=True)))
     (size,) = NAMED[name].sizes
-    site = {"link_mass": f"link{joint}", "payload_error": "payload", "time_offset": "clock"}.get(name, site)
+    if name in ("link_mass", "link_inertia"):
+        site = f"link{joint}"
+    site = {"payload_error": "payload", "time_offset": "clock"}.get(name, site)
     return Hidden(name, site, {size: 1.0 if NAMED[name].positive else side})
 
 
@@ -290,7 +292,7 @@ def candidates(setup: Setup, motion: Motion, declared: bool) -> Iterator[list[Hi
         if joint > 1:
             yield [_blank("coupled_friction", site, source_joint=joint - 1.0)]
         if declared:
-            yield from ([_blank(name, f"link{joint}")] for name in ("link_mass", "link_com"))
+            yield from ([_blank(name, f"link{joint}")] for name in ("link_mass", "link_com", "link_inertia"))
     if declared:
         yield [_blank("payload_error", "payload")]
     yield [_blank("base_tilt", "base")]

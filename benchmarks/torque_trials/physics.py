@@ -225,7 +225,7 @@ def draw_motion(
 
 # ------------------------------------------------------------------ what is hidden in them
 
-BODIES = ("link_mass", "link_com", "payload_error", "base_tilt")
+BODIES = ("link_mass", "link_com", "link_inertia", "payload_error", "base_tilt")
 RIGID = (*BODIES, "time_offset")  # the effects that change what the rigid bodies ask for
 
 
@@ -292,6 +292,10 @@ def change_bodies(setup: Setup, hidden: Sequence[Hidden]) -> tuple[Setup, float]
                 arm = arm.with_link(effect.number, mass=values["mass_kg"])
             case "link_com":
                 arm = arm.with_link(effect.number, center=np.array([values[f"{axis}_m"] for axis in "xyz"]))
+            case "link_inertia":
+                about_axis = np.zeros_like(arm.inertia)
+                about_axis[effect.number - 1, 2, 2] = values["inertia_kg_m2"]
+                arm = replace(arm, inertia=arm.inertia + about_axis)
             case "payload_error":
                 added += values["mass_kg"]
             case "base_tilt":

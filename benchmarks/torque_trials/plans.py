@@ -25,7 +25,12 @@ NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy vel
 AUTOCORRELATION = 0.9
 RATES = (100.0, 125.0, 200.0, 250.0)  # Hz
 _MOST_ROWS = 6000
-MASSES = ("link_mass", "link_com", "payload_error")  # effects that are none where the inertial numbers are unknown
+MASSES = (
+    "link_mass",
+    "link_com",
+    "link_inertia",
+    "payload_error",
+)  # effects that are none where the inertial numbers are unknown
 SIMULATED = (
     *("viscous_friction", "coulomb_friction", "rotor_inertia", "joint_spring", "link_mass", "link_com"),
     *("payload_error", "base_tilt"),

@@ -24,6 +24,7 @@ from lite6jax.effects.dynamic import (
     Friction,
     JointSpring,
     LinkCom,
+    LinkInertia,
     LinkMass,
     OfJoint,
     RotorInertia,
@@ -151,7 +152,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
             left_out += [phrase] if phrase else []
         elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
-        elif isinstance(effect, LinkMass | LinkCom):
+        elif isinstance(effect, LinkMass | LinkCom | LinkInertia):
             links[effect.link - 1] += effect.inertial(values, links)
         else:
             assert isinstance(effect, TorqueEffect)

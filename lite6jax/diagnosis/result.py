@@ -279,6 +279,11 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def over_noise(self) -> dict[str, float | None]:
         """What the model leaves over the declared noise, by group of channels; None where none is declared."""
 
+    @cached_property
+    def between_reversals(self) -> dict[str, float | None] | None:
+        """As `over_noise`, where it is known which way each joint moves; None of poses."""
+        return None
+
     @property
     def most_over_noise(self) -> float | None:
         """The largest of these ratios; None where no noise is declared."""
@@ -352,6 +357,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "after": self._statistics(self.errors.after, kept),
             "left": {
                 "over_noise": self.over_noise,
+                "between_reversals": self.between_reversals,
                 "white": self.fit.noise.white,
                 "acts_at": None if at is None else {"site": at.site, "share": at.share, "share_of_noise": at.expected},
             },

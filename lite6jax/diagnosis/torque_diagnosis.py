@@ -82,15 +82,24 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out errors of each joint, winsorised, over the declared noise as the filter leaves it."""
+        """Of held-out errors of each joint, RMS, over the declared noise as the filter leaves it.
+
+        Every sample counts but those of data faults: a mean that is robust says nothing of what acts at reversals.
+        """
+        return self._over(self.problem.stated)
+
+    @cached_property
+    def between_reversals(self) -> dict[str, float | None]:
+        """As `over_noise`, with the doubt of friction where the direction of motion is not known."""
+        return self._over(self.problem.sigma)
+
+    def _over(self, sigma: Array) -> dict[str, float | None]:
+        """Held-out errors of each joint, RMS, over `sigma` `(joint, sample)` Nm; None where no noise is declared."""
         joints = [f"joint{j}" for j in range(1, self.problem.rows + 1)]
         if not self.problem.declared:
             return dict.fromkeys(joints)
-        errors = (self.after / self.problem.sigma)[:, self.problem.valid]
-        # spikes that pass the filter are outliers of the sensor, and not what the model leaves; 1.4826: std over median
-        limit = self.options.engine.winsor * 1.4826 * np.median(np.abs(errors), 1, keepdims=True)
-        ratios = np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1)).tolist()
-        return dict(zip(joints, ratios, strict=True))
+        errors = (self.after / sigma)[:, self.problem.valid]
+        return dict(zip(joints, np.sqrt(np.mean(errors**2, 1)).tolist(), strict=True))
 
     @cached_property
     def model(self) -> DiagnosedMotors:

@@ -9,6 +9,7 @@ from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute, joint_size
 from lite6jax.effects import dynamic, kinematic
@@ -38,7 +39,7 @@ TORQUE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
         *(dynamic.ViscousFriction, dynamic.CoulombFriction, dynamic.StribeckFriction, dynamic.LoadFriction),
         *(dynamic.FrictionTemperature, dynamic.CoupledFriction, dynamic.TorqueOffset, dynamic.TorqueScale),
         *(dynamic.RotorInertia, dynamic.JointSpring, dynamic.TorqueRipple, dynamic.LinkMass, dynamic.LinkCom),
-        *(dynamic.PayloadTorque, dynamic.BaseTilt, dynamic.PayloadBody, dynamic.TorqueTimeOffset),
+        *(dynamic.LinkInertia, dynamic.PayloadTorque, dynamic.BaseTilt, dynamic.PayloadBody, dynamic.TorqueTimeOffset),
         *(dynamic.TorqueLag, dynamic.UnnamedTorque),
     )
 })  # fmt: skip
@@ -52,6 +53,8 @@ _LEAST_TORQUE = 5e-3
 """Of the largest torque on any joint: an axis that is upright but for its making bears less."""
 _SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of a joint's largest speed that the speeds of such friction are tried at."""
+_BLURRED = 3.0
+"""Times the speed over which the direction of motion changes its sign, within which it is not ±1 to half a per cent."""
 _EXPONENTS = (0.4, 0.6, 0.8, 1.3, 1.7, 2.2)
 """Of viscous friction that are tried beside 1."""
 
@@ -156,21 +159,35 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
         # one motor drives two joints of one kind
         *(d.CoupledFriction(a, b, of_slide=of_slide[a]) for a, b in pairs if of_slide[a] == of_slide[b]),
         *(kind(link) for kind in (d.LinkMass, d.LinkCom) for link in joints),
+        *(d.LinkInertia(joint) for joint in joints if not of_slide[joint]),
         *(d.PayloadTorque(), d.PayloadBody(), d.BaseTilt(), d.TorqueTimeOffset()),
     )
 
 
-def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
-    """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous friction by exponents.
+def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
+    """`(joint,)` rad/s, m/s of prismatic joints, below which a motion shows nothing of how friction depends on speed.
 
-    As a motion shows them: a speed that a joint passes within one sample where it reverses is not seen, nor is an
-    exponent of a joint that does not move.
+    A speed that a joint passes within one sample where it reverses, in most reversals, leaves no sample below it. One
+    at which the direction of motion is not known is not told from another form of its sign.
     """
     assert motion.joint_velocity is not None
     velocity = np.asarray(motion.joint_velocity)
-    fastest = np.abs(velocity).max(1)
-    step, reverses = np.abs(np.diff(velocity)), velocity[:, 1:] * velocity[:, :-1] < 0
-    passed = [float(np.median(own[at])) if at.any() else 0.0 for own, at in zip(step, reverses, strict=True)]
+    before, after = velocity[:, :-1], velocity[:, 1:]
+    slides = motion.sliding.mask(len(velocity)).tolist()
+    found = [joint_size(_BLURRED * dynamic.DIRECTION_SPEED, "rad/s", of_slide) for of_slide in slides]
+    for joint, reverses in enumerate(before * after < 0):
+        if reverses.any():
+            found[joint] = max(found[joint], float(np.median(np.abs(after - before)[joint, reverses])))
+    return np.array(found)
+
+
+def torque_shaped(motion: Motion, resolved: NDArray[np.floating]) -> tuple[dynamic.TorqueEffect, ...]:
+    """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous friction by exponents.
+
+    As a motion shows them: a speed below what is `resolved` `(joint,)` is not seen, nor is an exponent of a joint that
+    does not move.
+    """
+    fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
     tried = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
     found: list[dynamic.TorqueEffect] = []
     limits = {dynamic.StribeckFriction: dynamic.STRIBECK, dynamic.CoulombFriction: dynamic.TRANSITION}
@@ -178,7 +195,7 @@ def torque_shaped(motion: Motion) -> tuple[dynamic.TorqueEffect, ...]:
     for (kind, bounds), (joint, speed) in product(limits.items(), tried):
         of_slide = bool(slides[joint - 1])
         low, high = (joint_size(bound, "rad/s", of_slide) for bound in bounds)
-        if max(low, passed[joint - 1]) <= speed <= high:
+        if max(low, resolved[joint - 1]) <= speed <= high:
             found.append(kind(joint, speed, of_slide=of_slide))
     moving = np.flatnonzero(as_revolute(fastest, "rad/s", slides) > dynamic.DIRECTION_SPEED)
     for joint, exponent in product(moving.tolist(), _EXPONENTS):

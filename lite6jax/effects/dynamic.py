@@ -208,6 +208,8 @@ class Delaying(TorqueEffect, ABC):
 
 _TORQUE = 2000.0
 """Nm, of friction, offsets and ripple."""
+_INERTIA = 500.0
+"""kg·m², of rotors and links."""
 _VISCOUS = positive("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, 3000.0)
 _COULOMB = positive("coulomb_Nm", "Nm", 0.1, _TORQUE)
 STRIBECK = (1e-3, 2.0)
@@ -416,7 +418,12 @@ class RotorInertia(JointTorque):
     name: ClassVar[str] = "rotor_inertia"
     specificity: ClassVar[int] = 1
     quantities: ClassVar[tuple[str, ...]] = ("acceleration",)
-    numbers: ClassVar[tuple[Coordinate, ...]] = (positive("inertia_kg_m2", "kg·m²", 0.01, 500.0),)
+    numbers: ClassVar[tuple[Coordinate, ...]] = (positive("inertia_kg_m2", "kg·m²", 0.01, _INERTIA),)
+
+    @property
+    def rivals(self) -> tuple[Effect, ...]:
+        """The inertia of its link about the same axis, which where the base bears the joint is the same."""
+        return () if self.of_slide else (LinkInertia(self.joint),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         assert dynamics.motion.joint_acceleration is not None
@@ -525,6 +532,8 @@ _GROWTH, _MOUNTED = 3.0, 0.5
 """Times its own mass, or of the arm's, that what is mounted on a link weighs at most."""
 _AROUND = 0.15
 """Of the arm's reach, by which a link extends beyond the line between its joints."""
+_ABOUT_AXIS = 6
+"""Of the inertial numbers of a link, that of the moment of inertia about the axis of its joint."""
 _MASSLESS = 0.01
 """kg below which a payload has moments alone: without a mass its distance is anything, and its square nothing."""
 
@@ -535,6 +544,16 @@ def heaviest(arm: Arm, link: int) -> float:
         return _MASS
     total = float(np.sum(arm.mass))
     return min(max(_GROWTH * float(arm.mass[link - 1]), _MOUNTED * total), total)
+
+
+def turning_inertia(arm: Arm, link: int, links: Array) -> tuple[float, float]:
+    """kg·m² by which a link, counted from 1, may turn the harder or easier about its joint's axis.
+
+    It has no less than none, and no more than its heaviest mass at half the arm's reach. The inertial numbers of the
+    `links` are `(joint, 10)`.
+    """
+    most = _INERTIA if arm.mass is None else heaviest(arm, link) * (0.5 * arm.reach) ** 2
+    return -float(links[link - 1, _ABOUT_AXIS]), most
 
 
 def heaviest_payload(arm: Arm) -> float:
@@ -614,6 +633,28 @@ class LinkCom(OfLink):
         center = np.array(first) / m if m > 0 else np.zeros(3)
         # to first order: the square of the shift is a thousandth of the inertia
         return first_moment(m * np.asarray(values, float), center)
+
+
+@final_effect
+class LinkInertia(OfLink):
+    """A link's moment of inertia about its joint's axis, which is revolute, differs from the declared one.
+
+    A rotor of the joint adds to the torque of that joint alone; a link turns with all joints before it too.
+    """
+
+    name: ClassVar[str] = "link_inertia"
+    specificity: ClassVar[int] = 3
+    numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("inertia_kg_m2", "kg·m²", 0.01, _INERTIA),)
+
+    @property
+    def rivals(self) -> tuple[Effect, ...]:
+        """The rotor of its joint."""
+        return (RotorInertia(self.link),)
+
+    def inertial(self, values: Array, links: Array) -> Array:
+        change = np.zeros(10)
+        change[_ABOUT_AXIS] = values[0]
+        return change
 
 
 @final_effect

@@ -189,6 +189,11 @@ class Effect(ABC):
         return None if number == self.plain else number
 
     @property
+    def rivals(self) -> "tuple[Effect, ...]":
+        """The effects that it is always compared with."""
+        return ()
+
+    @property
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero, or in its simplest form."""
         if self.fixed is None or self.plain in (None, getattr(self, self.fixed)):

@@ -47,6 +47,7 @@ class Term(Protocol):
         nonparametric: whether it is a Gaussian process rather than a named term.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
+        rivals: terms that it is always compared with, as they may be the same to it.
         drivers: the quantities that it is a function of.
     """
 
@@ -72,6 +73,8 @@ class Term(Protocol):
     def chosen(self) -> float | None: ...
     @property
     def includes(self) -> "Sequence[Term]": ...
+    @property
+    def rivals(self) -> "Sequence[Term]": ...
     @property
     def drivers(self) -> "Sequence[Any]": ...
 

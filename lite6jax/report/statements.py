@@ -122,6 +122,8 @@ def verdict_statement(document: Document) -> str:
             others = others if apart else sizes
             ends = dict.fromkeys(map(multiple, (min(others), max(others))))
             worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
+            between = (left.get("between_reversals") or {}).get(f"joint{joint}", most)
+            worst |= {"between": between, "turning": between < 0.5 * (1 + most)}  # of the excess over noise
         ratios = fill_about(_TEXTS["ratios"], document, **worst)
     said = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
     where = left["acts_at"] if document["verdict"] in _LEFT_OVER else None

@@ -16,7 +16,8 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     """The state with its numbers and their covariance as they are reported.
 
     Derivatives are taken at the estimate. Orders that were chosen from a spectrum are fitted as well, unless one was
-    whole and stays within `whole_within` standard deviations. Which of two models of the inputs holds is uncertain
+    whole and stays within `whole_within` standard deviations. So are other numbers that the search chose, unless one
+    would leave its limits. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
     (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). So they do for an input that may
     be wrong without being found so, on which every number may depend in proportion.
@@ -30,6 +31,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     if any(free) or uncertain:
         released = _released(problem, fitted, free, options)
         still = [f and not _is_whole(released, k, fitted, options) for k, f in enumerate(free)]
+        still = [f and not _is_beyond(problem, released, k) for k, f in enumerate(still)]
         if still != free:
             released = _released(problem, fitted, still, options) if any(still) or uncertain else None
         if released is not None:
@@ -111,6 +113,12 @@ def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> boo
     if chosen is None or chosen % 1:
         return False
     return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
+
+
+def _is_beyond(problem: Problem, released: Fit, k: int) -> bool:
+    """Whether a number that was chosen leaves its limits where it is fitted: there the data say nothing of it."""
+    lower, upper = problem.limits(released.terms.terms[k])[-1]
+    return not lower <= released.values[released.terms.slices[k].stop - 1] <= upper
 
 
 def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:

@@ -536,11 +536,21 @@ class Selector:
                 if not self._contains(other, one.term) and said not in seen and self._is_possible(test, other):
                     seen.add(said)
                     others.append(Alternative(other.make(), max(gap, 0.0)))
+            others += self._rivals(test, one, every, {other.term.label for other in others})
             if (wave := wave_of(self.problem, one.term)) is not None:
                 waves = as_likely(test, *wave, self.options.close / every)
                 others += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
                 others.sort(key=lambda each: each.gap)
             found.append(tuple(others))
+        return found
+
+    def _rivals(self, test: ScoreTest, one: SelectedTerm, every: int, known: set[str]) -> list[Alternative]:
+        """The rivals of a term that are tried and not `known`, however much less these explain in its place."""
+        found = list[Alternative]()
+        for rival in (term for term in one.term.rivals if term in self.scan.names and term.label not in known):
+            weighed = Weighed(self.scan, test).as_is(rival)
+            gain, cost = (0.0, one.cost) if weighed is None else (weighed.gain, weighed.cost)
+            found.append(Alternative(rival, max(every * (one.gain - gain) - (one.cost - cost), 0.0)))
         return found
 
     def _is_possible(self, test: ScoreTest, ranked: Ranked) -> bool:

@@ -22,19 +22,22 @@ from lite6jax.domains.torque.predict import (
     unit_torques,
 )
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.catalogue import Untestable, torque_catalogue, torque_shaped, untestable
+from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_catalogue, torque_shaped, untestable
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import (
     DIRECTION_SPEED,
     PAYLOAD_LENGTH,
+    CoulombFriction,
     Delaying,
     Dynamics,
     JointTorque,
     LinkCom,
+    LinkInertia,
     LinkMass,
     PayloadBody,
     PayloadTorque,
     Scaling,
+    StribeckFriction,
     TorqueEffect,
     TorqueRipple,
     UnnamedTorque,
@@ -43,6 +46,7 @@ from lite6jax.effects.dynamic import (
     heaviest,
     heaviest_payload,
     point_mass,
+    turning_inertia,
 )
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
@@ -54,7 +58,7 @@ Array = NDArray[np.floating]
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
 
-FITTED = (LinkMass, LinkCom, PayloadBody)
+FITTED = (LinkMass, LinkCom, LinkInertia, PayloadBody)
 """Effects that are confounded with inertial numbers that are fitted."""
 _HEAVY = (LinkMass, LinkCom, PayloadTorque, PayloadBody)
 """Effects that weigh something at rest too."""
@@ -165,11 +169,17 @@ class TorqueProblem:
 
     @cached_property
     def sigma(self) -> Array:
-        """`(joint, sample)` Nm: the noise, and at rest the band within which friction holds a joint."""
-        noise = self.noise[:, None] * np.ones(self.samples)
-        if self.data.slack is None:
-            return noise
-        return np.hypot(noise, self.data.slack[:, self.data.filter.kept][:, self.chosen])
+        """`(joint, sample)` Nm: as `stated`, and friction where the direction of motion is not known."""
+        return self._with(self.stated, self.data.turning)
+
+    @cached_property
+    def stated(self) -> Array:
+        """`(joint, sample)` Nm: the noise, and what data faults say of single samples, as of a joint held at rest."""
+        return self._with(self.noise[:, None] * np.ones(self.samples), self.data.slack)
+
+    def _with(self, sigma: Array, more: Array | None) -> Array:
+        """Standard deviations of samples, and independently of them `more` of every sample."""
+        return sigma if more is None else np.hypot(sigma, more[:, self.data.filter.kept][:, self.chosen])
 
     @lazy
     def groups(self) -> NDArray[np.integer]:
@@ -257,10 +267,15 @@ class TorqueProblem:
         """How residuals change with a torque at a joint, counted from 0, `(joint, sample)`."""
         return np.where(np.arange(self.rows)[:, None] == j, 1 / self.sigma, 0.0)
 
+    @cached_property
+    def resolved_speeds(self) -> Array:
+        """`(joint,)` rad/s, m/s of prismatic joints, below which the samples show nothing of friction over speed."""
+        return resolved_speeds(self.data.motion)
+
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
         """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous by exponents."""
-        return torque_shaped(self.data.motion)
+        return torque_shaped(self.data.motion, self.resolved_speeds)
 
     @property
     def simple(self) -> tuple[TorqueEffect, ...]:
@@ -446,8 +461,13 @@ class TorqueProblem:
             return [(-float(self.links[term.link - 1, 0]), heaviest(arm, term.link))]
         if isinstance(term, LinkCom):
             return [(float(low), float(high)) for low, high in displacement(arm, term.link)]
+        if isinstance(term, LinkInertia):
+            return [turning_inertia(arm, term.link, self.links)]
         less, *others = [(number.lower, number.upper) for number in term.coordinates]
         of_arm = declared(self.data.arm, term) if term.chosen is None else 0.0  # another curve than the declared one
+        if isinstance(term, StribeckFriction | CoulombFriction):  # whose other number is a speed
+            least = float(self.resolved_speeds[term.joint - 1])
+            others = [(max(lower, least), upper) for lower, upper in others]
         return [(less[0] - of_arm, less[1]), *others]
 
     def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":

@@ -121,6 +121,7 @@ class TorqueRows:
         motion_cutoff: Hz, of the low pass of the motion.
         slack: `(joint, sample)` Nm, one sigma of what friction holds at rest and of what was interpolated across a
             bend; None where there is neither.
+        turning: `(joint, sample)` Nm, one sigma of friction where the direction of motion is not known; or None.
         repeated: `(sample,)`, those that say again what another one says of the same rest; None where there are none.
     """
 
@@ -133,6 +134,7 @@ class TorqueRows:
     rows: NDArray[np.integer]
     motion_cutoff: float
     slack: Array | None = None
+    turning: Array | None = None
     repeated: NDArray[np.bool_] | None = None
 
     @property

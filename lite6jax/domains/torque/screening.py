@@ -63,6 +63,8 @@ _ROWS_PER_NUMBER = 3
 """Filtered samples in motion for each number of the model with which those at rest are compared."""
 _AWAY = 3.0
 """Times what is left in motion, from which what is left at rest is no noise."""
+_SURE = 3.0
+"""Standard deviations of Coulomb friction from which there is some: without, it has no direction that is in doubt."""
 _BAND = 2.0
 """Times Coulomb friction, up to which static friction holds a joint: what is more has another cause."""
 
@@ -132,6 +134,8 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows]) if np.any(doubt) else 0.0
         data = replace(data, slack=np.hypot(held.slack, spread), repeated=held.repeated)
     found += held.found
+    if not still:
+        data = replace(data, turning=turning_friction(data))
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
 
@@ -432,8 +436,62 @@ def _around(still: Flags, data: TorqueRows) -> Flags:
     return near
 
 
+def turning_friction(data: TorqueRows) -> Array:
+    """`(joint, sample)` Nm, one standard deviation of the torque of each joint where it reverses.
+
+    A sign of mean d has the variance 1 - d². The mean of the direction of motion is that over the time of a sample, as
+    it is not known where within this time a joint turns, and over the error of its velocity. Friction of c Nm is then
+    uncertain by c·√(1 - d²); the low pass spreads that over the samples beside it.
+    """
+    motion, chosen, slides = data.motion, data.filter, data.arm.slides
+    velocity, acceleration = np.asarray(motion.joint_velocity), np.asarray(motion.joint_acceleration)
+    window = max(int(chosen.rate / (2 * data.motion_cutoff)), 1)  # shorter than what the low pass leaves
+    away = uniform_filter1d(data.recording.velocities().T[:, data.rows] - velocity, window, mode="nearest")
+    error = np.sqrt(np.maximum(uniform_filter1d(away**2, window, mode="nearest"), 0.0))  # it rounds
+    wide = np.hypot(1.0, as_revolute(error, "rad/s", slides) / DIRECTION_SPEED)
+    mean = direction(velocity / wide, slides, change=acceleration / chosen.rate / wide)
+    still = _around(at_rest(data), data)[:, chosen.kept]
+    friction = np.zeros(len(still))
+    for j, rest in enumerate(still):
+        found = _in_motion(data, j, ~rest)
+        if found is not None and found.coulomb > _SURE * found.coulomb_std:
+            friction[j] = found.coulomb
+    return np.abs(chosen.whole(friction[:, None] * np.sqrt(np.maximum(1 - mean**2, 0.0))))
+
+
+class _InMotion(NamedTuple):
+    """A model of a joint in motion.
+
+    Attributes:
+        left: `(kept,)` Nm, what it leaves of every sample.
+        usual: Nm, robust standard deviation of that in motion.
+        coulomb: Nm, the joint's Coulomb friction.
+        coulomb_std: Nm, the standard deviation of that.
+        doubt: `(kept,)`, standard deviation of what it would leave, over that of a sample that was fitted.
+    """
+
+    left: Array
+    usual: float
+    coulomb: float
+    coulomb_std: float
+    doubt: Array
+
+
 def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float:
     """Nm RMS that a model of a joint in motion leaves at rest; 0 where that is noise, or more than friction holds."""
+    found = _in_motion(data, j, moving)
+    if found is None:
+        return 0.0
+    left = found.left[rest]
+    away = float(np.sqrt(np.mean((left / found.doubt[rest]) ** 2)))
+    noise = away < _AWAY * found.usual or found.coulomb < found.usual
+    if noise or np.median(np.abs(left)) > _BAND * found.coulomb:
+        return 0.0
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def _in_motion(data: TorqueRows, j: int, moving: Flags) -> _InMotion | None:
+    """The model of a joint, fitted to the samples `(kept,)` in which it moves; None where these are too few."""
     velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
     acceleration = np.asarray(data.motion.joint_acceleration)[j, data.filter.kept]
     slides = data.arm.slides
@@ -449,7 +507,7 @@ def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float
     size = np.linalg.norm(X, axis=1)
     X = X[size > 0] / size[size > 0, None]
     if moving.sum() < _ROWS_PER_NUMBER * len(X):
-        return 0.0
+        return None
     y = data.measured[j]
     U, s, V = np.linalg.svd(X[:, moving].T, full_matrices=False)
     known = s > 1e-8 * s[0]
@@ -457,9 +515,7 @@ def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float
     numbers = into @ y[moving]
     left = y - numbers @ X
     usual = 1.4826 * float(np.median(np.abs(left[moving])))
-    doubt = np.sqrt(1 + np.sum(((V[known] @ X[:, rest]) / s[known, None]) ** 2, 0))  # of a row that was not fitted
-    away = float(np.sqrt(np.mean((left[rest] / doubt) ** 2)))
-    coulomb = abs(float(numbers[0])) / float(size[0])
-    if away < _AWAY * usual or coulomb < usual or np.median(np.abs(left[rest])) > _BAND * coulomb:
-        return 0.0
-    return float(np.sqrt(np.mean(left[rest] ** 2)))
+    doubt = np.sqrt(1 + np.sum(((V[known] @ X) / s[known, None]) ** 2, 0))  # of a row that was not fitted
+    coulomb = abs(float(numbers[0]))
+    coulomb_std = usual * float(np.linalg.norm(into[0]))
+    return _InMotion(left, usual, coulomb / float(size[0]), coulomb_std / float(size[0]), doubt)

@@ -18,13 +18,22 @@ def setup_of(seed=0, name="lite6"):
     return Setup(arm, GRAVITY, CENTER), arm_from_description(yaml.safe_load(arm_text(arm)), "arm")
 
 
-def motion_of(setup, seed=0, rate=50.0, seconds=12.0, **options):
-    """What it does."""
-    return draw_motion(np.random.default_rng(seed), setup.arm, rate, seconds, speed=1.5, **options)
+def motion_of(setup, seed=0, rate=50.0, seconds=12.0, slow=1.0, **options):
+    """What it does, so many times as fast as usual."""
+    return draw_motion(np.random.default_rng(seed), setup.arm, rate, seconds, speed=1.5 * slow, **options)
 
 
 def recorded(
-    hidden=(), seed=0, noise=0.5, velocity_noise=1e-4, change=None, warming=False, declare=True, rate=50.0, **declared
+    hidden=(),
+    seed=0,
+    noise=0.5,
+    velocity_noise=1e-4,
+    change=None,
+    warming=False,
+    declare=True,
+    rate=50.0,
+    slow=1.0,
+    **declared,
 ):
     """A recording with these effects, and the declared arm.
 
@@ -36,10 +45,11 @@ def recorded(
         warming: whether joints grow warmer.
         declare: whether the noise is declared.
         rate: rows per second.
+        slow: how many times as fast as usual.
         declared: keys of the sidecar.
     """
     setup, arm = setup_of(seed)
-    motion = motion_of(setup, seed + 100, rate, warming=warming)
+    motion = motion_of(setup, seed + 100, rate, slow=slow, warming=warming)
     rng = np.random.default_rng(seed + 200)
     sigma = noise * setup.arm.noise
     tau = torques(setup, hidden, motion) + rng.normal(0, 1, motion.q.shape) * sigma

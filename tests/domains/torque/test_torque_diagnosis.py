@@ -18,15 +18,17 @@ from lite6jax.diagnosis.torque_diagnosis import diagnose_torques, linearised, wi
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
-from lite6jax.effects.dynamic import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic import CoulombFriction, LinkInertia, RotorInertia, StribeckFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording
+from lite6jax.report.remedies import remedy_of
 from lite6jax.report.statements import verdict_statement, with_statements
 from lite6jax.search.search import search
 
 FEW = Options(folds=2)
 """Two held-out blocks instead of five."""
+OPTIONS = Options()
 
 FRICTION = (
     hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
@@ -91,6 +93,84 @@ def test_the_joint_is_said_of_which_most_is_left(diagnosed, over_noise, said):
     unknown = {"left": left | {"over_noise": {"joint1": None}}}
     for changed in ({"verdict": "explained"}, unknown):
         assert "times" not in verdict_statement(document | changed)
+
+
+def sharp_friction(recording, slow=1.0, stribeck=0.0, speed=1.0):
+    """Changes torques by dry friction of 2 Nm of joint 2, whose sign is that of the true velocity, and Stribeck's."""
+    setup, _ = setup_of(recording)
+    velocity = motion_of(setup, recording + 100, 100.0, slow=slow).dq[:, 1]
+    friction = (2.0 + stribeck * np.exp(-((velocity / speed) ** 2))) * np.sign(velocity)
+    return lambda tau: tau + friction[:, None] * (np.arange(6) == 1)
+
+
+@pytest.fixture(scope="module")
+def creeping():
+    """Sharp friction in a motion that takes several samples through the speeds at which signs are smooth."""
+    recording, arm = recorded(seed=8, change=sharp_friction(8, 0.08), rate=100.0, slow=0.08)
+    return diagnose_torques(recording, arm, options=FEW)
+
+
+def test_a_sharp_sign_of_friction_is_no_stribeck_friction(creeping):
+    assert {finding.effect for finding in creeping.findings} == {CoulombFriction(2)}
+    ((_, estimate),) = creeping.findings[0].parameters.items()
+    assert abs(estimate.value - 2.0) < 4 * estimate.std
+
+
+def test_errors_at_reversals_are_no_noise_of_their_joint(creeping):
+    over, between = creeping.over_noise, creeping.between_reversals
+    errors = (creeping.after / creeping.problem.noise[:, None])[:, creeping.problem.valid]
+    np.testing.assert_allclose(list(over.values()), np.sqrt(np.mean(errors**2, 1)), rtol=1e-9)
+    assert over["joint2"] > OPTIONS.as_noise > max(ratio for joint, ratio in over.items() if joint != "joint2")
+    assert creeping.verdict == "partly_explained"
+    assert between["joint2"] < OPTIONS.as_noise
+    said = verdict_statement(creeping.to_dict())
+    assert "joint 2" in said
+    assert "They are larger where joint 2 reverses" in said
+
+
+@pytest.mark.parametrize("slow", [0.08, 1.0])
+def test_speeds_that_a_joint_passes_within_a_sample_are_neither_tried_nor_possible(slow):
+    recording, arm = recorded(seed=8, rate=100.0, slow=slow)
+    problem = torque_problem(screen_torques(recording, arm).data)
+    moved = motion_of(setup_of(8)[0], 108, 100.0, slow=slow).dq.T
+    for joint, velocity in enumerate(moved, 1):
+        turned = velocity[1:] * velocity[:-1] < 0
+        passed = np.median(np.abs(np.diff(velocity))[turned])
+        least = problem.limits(StribeckFriction(joint))[-1][0]
+        np.testing.assert_allclose(least, max(0.006, passed), rtol=0.1)
+        tried = [one.chosen for one in problem.shaped if one.site == f"joint{joint}" and one.name != "viscous_friction"]
+        assert min(tried, default=np.inf) >= least
+
+
+def test_stribeck_friction_that_a_motion_shows_is_found_beside_a_sharp_sign():
+    recording, arm = recorded(seed=8, change=sharp_friction(8, 0.4, 1.5, 0.1), rate=100.0, slow=0.4)
+    found = diagnose_torques(recording, arm, options=FEW)
+    named = {finding.effect.name: finding for finding in found.findings}
+    assert set(named) == {"coulomb_friction", "stribeck_friction"}
+    speed = named["stribeck_friction"].parameters["velocity_rad_per_s"]
+    assert abs(speed.value - 0.1) < 4 * speed.std
+
+
+@pytest.mark.parametrize("link", [1, 3])
+def test_the_inertia_of_a_link_is_always_among_the_alternatives_of_a_rotor(link):
+    recording, arm = recorded([hidden("rotor_inertia", f"joint{link}", inertia_kg_m2=0.08)], seed=4)
+    found = diagnose_torques(recording, arm, options=FEW)
+    (finding,) = found.to_dict()["findings"]
+    assert (finding["effect"], finding["site"]) == ("rotor_inertia", f"joint{link}")
+    rivals = {(one["effect"], one["site"]): one for one in finding["confusable_with"]}
+    rival = rivals["link_inertia", f"link{link}"]
+    # the base bears joint 1 alone: a link that turns with other joints loads them
+    assert (rival["log_likelihood_gap"] < 1e-3) == (link == 1)
+    assert rival["status"] == ("undecided" if link == 1 else "rejected")
+    assert "its link has another inertia about the same axis" in remedy_of(finding | {"domain": "torques"}).cause
+
+
+def test_the_inertia_of_a_link_that_turns_with_others_is_told_from_a_rotor():
+    recording, arm = recorded([hidden("link_inertia", "link3", inertia_kg_m2=0.08)], seed=4)
+    found = diagnose_torques(recording, arm, options=FEW)
+    (finding,) = found.findings
+    assert (finding.effect, [one.term for one in finding.alternatives][-1]) == (LinkInertia(3), RotorInertia(3))
+    assert abs(finding.values[0] - 0.08) < 4 * np.sqrt(finding.covariance[0, 0])
 
 
 def test_the_model_predicts_another_motion(diagnosed, tmp_path):

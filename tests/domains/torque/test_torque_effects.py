@@ -40,6 +40,7 @@ joint5 rotor_inertia inertia_kg_m2=0.02
 joint3 joint_spring stiffness_Nm_per_rad=1.5,rest_rad=0.4
 joint2 torque_ripple order=7.3,amplitude_Nm=0.2,phase_rad=1.1
 link3 link_mass mass_kg=0.2
+link3 link_inertia inertia_kg_m2=0.03
 link2 link_com x_m=0.001,y_m=-0.002,z_m=0.001
 payload payload_error mass_kg=0.25
 base base_tilt tilt_x_rad=0.002,tilt_y_rad=-0.001
