@@ -336,12 +336,15 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     written: row numbers and notes, which belong to the file of origin, and what `Recording.columns` leaves out.
 
     Raises:
-        InputError: another suffix, a file that exists while `overwrite` is false, or a disk that refuses.
+        InputError: another suffix, poses from several stations, a file that exists while `overwrite` is false, or a
+            disk that refuses.
     """
     require_type("recording", recording, Recording, "a Recording")
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")
+    if recording.stations:
+        raise InputError(f"{path}: the poses are from several stations, each in a frame of its own; write each alone")
     settings = recording.settings
     if exists(recording.source):
         settings = settings.moved(Path(recording.source).parent, path.parent)
