@@ -22,7 +22,7 @@ from lite6jax.arms.factory import (
     read_factory,
     write_factory,
 )
-from lite6jax.arms.mjcf import read_mjcf, write_mjcf
+from lite6jax.arms.mjcf import read_mjcf, require_mujoco, write_mjcf
 from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, read_urdf, write_into_urdf, write_urdf
 from lite6jax.errors import InputError
 
@@ -163,6 +163,8 @@ def convert_file(
     if isinstance(source, Arm) and nominal is not None and nominal.dof != source.dof:
         raise InputError(f"{source.name}: has {source.dof} joints, but {nominal.name} has {nominal.dof}; name its arm")
     storage.check_writable(target, overwrite)
+    if form == "mjcf":  # before anything is written: it is read back
+        require_mujoco(target)
     if into is not None and calibrated:
         nominal = nominal or read_arm(into)
     arm, reference = (source, nominal) if isinstance(source, Arm) else _read(source, nominal, calibrated)
