@@ -11,7 +11,14 @@ import numpy as np
 from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
-from lite6jax.arms.description import arm_from_description, bundled_arms, load_bundled, write_arm
+from lite6jax.arms.description import (
+    arm_from_description,
+    arm_from_franka,
+    bundled_arms,
+    is_franka,
+    load_bundled,
+    write_arm,
+)
 from lite6jax.arms.dh import is_table, write_table
 from lite6jax.arms.factory import (
     DEVIATIONS,
@@ -54,6 +61,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
 
     - the name of a bundled arm (`lite6`);
     - a description: YAML with `name` and `kinematics`;
+    - the `kinematics.yaml` of franka_description;
     - a factory calibration, in YAML, as a JSON table or `calibration.conf`: the calibrated chain as the nominal one,
       with the limits and masses of the recognised bundled arm;
     - a URDF or an MJCF file, by its root element; `robot.urdf#tool0` names the tip link, body or site where it has
@@ -83,6 +91,8 @@ def read_arm(path_or_name: str | Path) -> Arm:
     content = storage.read_yaml(path)
     if is_table(content) or (isinstance(content, dict) and set(content) == {"kinematics"}):
         return calibrated_arm(read_factory(path))
+    if is_franka(content):
+        return arm_from_franka(content, str(path))
     return arm_from_description(content, str(path))
 
 
@@ -222,7 +232,7 @@ def is_calibration(path: str | Path) -> bool:
     if suffix not in (".yaml", ".yml"):
         return suffix in (".json", DEVIATIONS)
     content = storage.read_yaml(path)
-    return not (isinstance(content, dict) and "name" in content)
+    return not (is_franka(content) or (isinstance(content, dict) and "name" in content))
 
 
 def form_of(target: Path, calibrated: bool) -> FileForm:

@@ -353,7 +353,7 @@ def _assign_roles(
 @final
 @dataclass(frozen=True)
 class Detect:
-    """Find the corners of a ChArUco board in images, by OpenCV, and write them as a recording of a camera.
+    """Find the corners of a board in images, by OpenCV, and write them as a recording of a camera.
 
     Joints are those of a table with a row an image, in the order of the images, or with a column `image` of their
     names. Where no camera is declared, its lens is calibrated from the images and refined with the arm.
@@ -362,13 +362,14 @@ class Detect:
 
         lite6jax detect images --board charuco:7x5,20mm --joints joints.csv --arm lite6
         lite6jax detect images --board charuco:7x5,20mm,15mm,5X5_100 --joints joints.csv --mounted on_flange
+        lite6jax detect images --board checkerboard:8x5,25mm --joints joints.csv --arm lite6
     """
 
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="IMAGES")]
     """Images, or the folder that holds them."""
     board: Annotated[str, arg(metavar="charuco:7x5,20mm")]
-    """The board by its squares, columns and rows, and their side. A marker's side (three quarters of a square's) and
-    the dictionary (4X4_50) may follow."""
+    """The board by its squares, columns and rows, and their side. Of a ChArUco board a marker's side (three quarters of
+    a square's) and the dictionary (4X4_50) may follow; a checkerboard has no markers."""
     joints: Annotated[Path, arg(metavar="FILE")]
     """The joints at which the images were taken (.csv, .parquet)."""
     out: command.OutFile = None
@@ -409,7 +410,12 @@ class Detect:
         readings = recordings.readings_from_arrays("camera", pixels=corners.pixels[kept])
         found = moved.made_anew(position=None, quaternion=None, readings=readings, settings=settings)
         written = [recordings.write_recording(found, out, self.force), sidecar]
-        screen.show(self._page(found, [images[k].name for k in range(len(images)) if k not in kept], board, error))
+        left_out = [images[k].name for k in range(len(images)) if k not in kept]
+        screen.show(self._page(found, left_out, board, error))
+        if corners.legacy:
+            screen.show(
+                screen.notes(["the board has the pattern of OpenCV before 4.6: its first square is white, not black"])
+            )
         screen.written(written)
         return command.DONE
 

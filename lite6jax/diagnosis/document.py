@@ -343,8 +343,8 @@ def _require_known(read: PoseDocument | TorqueDocument, effects: Sequence[Effect
         return
     given = "the file that was given has none of this name" if effects else "the catalogue has none of this name"
     raise InputError(
-        f"{source}: its model has the effect {names[0][:60]!r}, and {given}; give the file of effects with which it was "
-        "diagnosed, --effects FILE.py (in Python effects=load_effects(FILE))"
+        f"{source}: its model has the effect {names[0][:60]!r}, and {given}; give the file of effects with which it "
+        "was diagnosed, --effects FILE.py (in Python effects=load_effects(FILE))"
     )
 
 

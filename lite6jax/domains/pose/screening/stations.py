@@ -1,4 +1,4 @@
-"""Several stations: poses that a sensor measured from several places, carried into one frame before they are screened."""
+"""Several stations: poses that a sensor measured from several places are carried into one frame before screening."""
 
 from dataclasses import replace
 from functools import partial
