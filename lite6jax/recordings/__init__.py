@@ -17,6 +17,7 @@ from lite6jax.recordings.files import (
     read_recording as read_recording,
     read_targets as read_targets,
     recording_file as recording_file,
+    require_own_sidecar as require_own_sidecar,
     stranger as stranger,
     write_recording as write_recording,
 )

@@ -83,7 +83,8 @@ def parse_board(text: str) -> Board:
             f"--board {text[:60]}: write charuco:COLUMNSxROWS,SQUAREmm, such as charuco:7x5,20mm (the side of a marker "
             "and the dictionary may follow, ,15mm,5X5_100), or checkerboard:COLUMNSxROWS,SQUAREmm, by its squares"
         )
-    columns, rows, square, marker, dictionary = match.groups() if match else (*plain.groups(), None, None)
+    columns, rows, square = (match or plain).group(1, 2, 3)  # type: ignore[union-attr]
+    marker, dictionary = match.group(4, 5) if match else (None, None)
     try:
         side = float(square) / 1e3
         markers = float(marker) / 1e3 if marker else 0.75 * side
@@ -235,8 +236,9 @@ def _find_checkerboard(cv2: ModuleType, picture: NDArray[np.uint8], board: Board
     if not found:
         return None
     grid = np.reshape(corners, (shape[1], shape[0], 2)).astype(float)
-    along, across = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if along[0] * across[1] - along[1] * across[0] < 0:
+    along = (grid[0, -1] - grid[0, 0]).tolist()
+    across = (grid[-1, 0] - grid[0, 0]).tolist()
+    if along[0] * across[1] < along[1] * across[0]:
         grid = grid[::-1]
     middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     column, row = np.round(middles).astype(int).reshape(-1, 2).T

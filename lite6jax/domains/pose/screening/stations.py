@@ -60,7 +60,7 @@ def _without_gross_faults(state: Screened, part: Recording) -> RigidArm:
             ("positions", part.position, corrected.position),
             ("orientations", part.quaternion, corrected.quaternion),
         )
-        if before is not None and not np.array_equal(before, after)
+        if before is not None and after is not None and not np.array_equal(before, after)
     ]
     if changed:
         raise InputError(
