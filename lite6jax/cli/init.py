@@ -324,8 +324,9 @@ def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping
         whole = pose_joining.join_files(joints, poses, arm)
         notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
         joined = whole.columns
-    kept = (*suffixes.TEXT_TABLES, suffixes.PARQUET)
-    suffix = first.suffix.lower() if first.suffix.lower() in kept else ".csv"
+    known = formats.find_format(first)
+    written = known is not None and known.suffixes in (suffixes.TEXT_TABLES, (suffixes.PARQUET,))
+    suffix = first.suffix.lower() if written else suffixes.WRITTEN_TABLES[0]
     place = check_writable(first.with_name(f"{first.stem}_{other}{suffix}"), overwrite)
     made = tabulation.RawTable.of_arrays(joined)
     return _Table(place, made, made.numbers(), notes, made=True)

@@ -93,15 +93,12 @@ def _stack_numbered(arrays: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _count_samples(arrays: Mapping[str, Array]) -> int:
-    """The length that most arrays of numbers have along some axis, the first ones before others."""
-    first, others = Counter[int](), Counter[int]()
+    """The length that most arrays of numbers have along some axis, of several the longest."""
+    counts: Counter[int] = Counter()
     for array in arrays.values():
-        if array.dtype.kind != "f":
-            continue
-        first[array.shape[0]] += 1
-        others.update({length for length in array.shape[1:] if length > WIDEST})
-    lengths = {*first, *others} - {0}
-    return max(lengths, key=lambda length: (first[length] + others[length], first[length], length), default=0)
+        if array.dtype.kind == "f":
+            counts.update({*array.shape})
+    return max(counts, key=lambda length: (counts[length], length), default=0)
 
 
 def _samples_first(array: Array, samples: int) -> Array | None:

@@ -1,5 +1,5 @@
 """Files of named arrays and of samples one after the other: HDF5, NumPy, MATLAB, workbooks, JSON, YAML, OpenCV's
-storage and topics of ROS as they are echoed. Each is read by its own library, and is one function from a path to columns.
+storage and topics of ROS as they are echoed. Each is read by its own library: one function from a path to columns.
 """
 
 import csv
@@ -8,7 +8,7 @@ import json
 import re
 import zipfile
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -30,8 +30,6 @@ TEXT_LIMIT = 1 << 26
 """Bytes of a document, and of all that a workbook holds once it is unpacked."""
 _EPISODE = re.compile(r"(?:^|/)((?:demo|episode|traj|trajectory|ep|seq|rollout)_?(\d+))(?=/)", re.IGNORECASE)
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-_STEPS = 100_000
-"""Values of a document at most that are looked at in one message or record."""
 
 
 def require_library(module: str, extra: str, path: Path, what: str) -> Any:
@@ -93,7 +91,9 @@ def read_hdf5(path: Path, notes: list[str]) -> RawTable:
             )
         )
         small = {
-            name: one for name, one in sets.items() if one.ndim and _is_narrow(one.shape) and one.dtype.names is None
+            name: one
+            for name, one in sets.items()
+            if one.ndim and _is_narrow(one.shape) and one.dtype.names is None and not _is_derived(name, sets)
         }
         _require_size(sum(one.size for one in small.values()), path)
         for name, one in small.items():
@@ -110,6 +110,12 @@ def read_hdf5(path: Path, notes: list[str]) -> RawTable:
 def _is_narrow(shape: Sequence[int]) -> bool:
     """Whether an array has at most as many numbers as a sample may have, for the longest of its axes."""
     return int(np.prod(shape, dtype=object)) <= WIDEST * max(shape)
+
+
+def _is_derived(name: str, names: Collection[str]) -> bool:
+    """Whether an array is the sine or cosine of another one, as robomimic keeps of joint positions."""
+    base, _, function = name.rpartition("_")
+    return function in ("sin", "cos") and base in names
 
 
 def _episode_of(name: str) -> _Episode:
@@ -294,7 +300,7 @@ def read_echo(path: Path, notes: list[str]) -> RawTable:
                 f"{path}: message {number} is no YAML ({one_line(error)}); echo the topic again"
             ) from error
         rows.append(flat)
-    if len(rows) > 1 and set(rows[-1]) < set(rows[0]):
+    if len(rows) > 1 and not set.intersection(*map(set, rows[:-1])) <= set(rows[-1]):
         notes.append("the last message is cut off and left out")
         rows.pop()
     names = list(dict.fromkeys(name for row in rows for name in row))

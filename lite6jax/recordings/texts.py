@@ -299,7 +299,8 @@ def _of_units(row: Iterable[str]) -> bool:
     some = False
     for cell in filter(None, row):
         unit = cell.strip(_BRACKETS)
-        named = unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
+        whole = not set("[](){}") & set(unit)  # `J1 [deg]` is a name with a unit
+        named = whole and (unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS)
         named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
         if not named and unit not in _NO_UNITS:
             return False

@@ -107,8 +107,10 @@ class WithJoints(NamedTuple):
     form: str
 
 
-def with_joints(file: File, arm: Arm) -> WithJoints:
+def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
     """A robot's file with joints in place of the poses that its controller computed, of the flange in the arm's base.
+
+    Between captures the arm moved far, so that each pose is solved alone.
 
     Raises:
         InputError: it has no positions and orientations, or no branch of the arm reaches them.
@@ -119,7 +121,9 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
-    from lite6jax.domains.pose.inverse import joint_path  # imports JAX
+    from lite6jax.domains.pose import inverse  # imports JAX
+
+    solve = inverse.capture_joints if captures else inverse.joint_path
 
     assert turned.form is not None
     # as it was read; in doubt as any that it may be
@@ -128,7 +132,7 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     for form in dict.fromkeys([turned.form.choice, *others]):
         values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
-        path = joint_path(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
+        path = solve(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
             break
     if path is None:
@@ -164,7 +168,8 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     """
     of_target = next(source.columns for source in file.found.sources if source.role == "sensor")
     robot = {name: column for name, column in file.columns.items() if name not in of_target}
-    moved = with_joints(File(file.source, file.stem, robot, inspect(list(robot.items()), arm, {}, file.source)), arm)
+    alone = File(file.source, file.stem, robot, inspect(list(robot.items()), arm, {}, file.source))
+    moved = with_joints(alone, arm, captures=True)
     reached = np.flatnonzero(moved.path.reached)
     columns = {name: column[reached] for name, column in moved.file.columns.items()}
     columns |= {name: file.columns[name][reached] for name in of_target}
