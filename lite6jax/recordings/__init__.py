@@ -7,6 +7,7 @@ from lite6jax.recordings.checks import (
     estimated_torque as estimated_torque,
     outside_limits as outside_limits,
     repeated_rows as repeated_rows,
+    require_one_station as require_one_station,
     require_samples as require_samples,
     time_disorder as time_disorder,
 )

@@ -32,7 +32,7 @@ from lite6jax.storage import exists
 _START = 1 << 16
 """Bytes of a file by which its content is told."""
 _PAIR = re.compile(
-    r"gripper2base|base2gripper|target2cam|cam2target|\w_wrt_\w|hand_world|camera_marker|\btracking\b|\bjoint_values\b"
+    r"gripper2base|base2gripper|target2cam|cam2target|\w_wrt_\w|hand_world|camera_marker|\b(?:tracking|optical)\"?\s*:\s*[{\n]"
 )
 _RECORDS = re.compile(r"\s*\[\s*\{")
 _MESSAGE = re.compile(r"\s*(header|transforms|transform|pose|name|position)\s*:")

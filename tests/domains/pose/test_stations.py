@@ -12,6 +12,8 @@ from lite6jax.arms import frames
 from lite6jax.cli.program import main
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import QUICK
+from lite6jax.domains.pose.check import check_recording
+from lite6jax.domains.pose.fit import fit_recording
 from lite6jax.domains.pose.kinematics import measured_poses
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import InputError
@@ -123,6 +125,11 @@ def test_stations_that_cannot_be_joined_are_refused(change, said):
 def test_poses_of_several_stations_are_not_written_to_one_file(tmp_path):
     with pytest.raises(InputError, match="several stations"):
         write_recording(from_two_stations(samples=9), tmp_path / "both.csv")
+
+
+@pytest.mark.parametrize("call", [fit_recording, check_recording])
+def test_what_knows_one_frame_refuses_several(call):
+    assert "which `diagnose` joins" in refusal(call, from_two_stations(samples=9))
 
 
 def test_images_and_motions_of_several_files_are_refused():
