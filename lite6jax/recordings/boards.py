@@ -242,8 +242,9 @@ def _find_checkerboard(cv2: ModuleType, picture: NDArray[np.uint8], board: Board
         grid = grid[::-1]
     middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     column, row = np.round(middles).astype(int).reshape(-1, 2).T
-    shade = picture[row, column].astype(float).reshape(middles.shape[:2])
-    dark = np.add.outer(np.arange(shade.shape[0]), np.arange(shade.shape[1])) % 2 == 0
+    inner = board.rows - 2, board.columns - 2
+    shade = picture[row, column].astype(float).reshape(inner)
+    dark = np.add.outer(np.arange(inner[0]), np.arange(inner[1])) % 2 == 0
     if shade[dark].mean() > shade[~dark].mean():
         grid = grid[::-1, ::-1]
     return grid.reshape(-1, 2)
