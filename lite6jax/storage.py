@@ -223,7 +223,15 @@ def read_yaml(path: str | Path) -> Any:
         InputError: as `read_text`, not YAML, a tag, a repeated key, aliases that expand to too many values, or values
             that are nested too deeply or too long.
     """
-    text = read_text(path, YAML_SIZE_LIMIT)
+    return parse_yaml(read_text(path, YAML_SIZE_LIMIT), path)
+
+
+def parse_yaml(text: str, path: str | Path) -> Any:
+    """The content of one YAML document; `path` is for messages.
+
+    Raises:
+        InputError: as `read_yaml`, of the text.
+    """
     try:
         return _construct(path, text)
     except yaml.YAMLError as error:

@@ -84,7 +84,12 @@ def test_diagnose_finds_an_effect_of_ones_own(capsys, arm, tmp_path):
     entry = found["findings"][0]["parameters"]["drag_rad"]
     assert abs(entry["value"] - 8e-4) < 4 * entry["std"]
     # its model needs the file again
-    assert "effect 'cable_drag': unknown" in refused(capsys, "predict", out, path, "--out", tmp_path / "p.csv")
+    for another in ((), ("--effects", tmp_path / "others.py")):
+        (tmp_path / "others.py").write_text(OWN.replace("cable_drag", "hose_drag"))
+        said = refused(capsys, "predict", out, path, "--out", tmp_path / "p.csv", *another)
+        assert "its model has the effect 'cable_drag'" in said
+        assert "--effects FILE.py" in said
+        assert "damaged" not in said
     code, _, _ = run(capsys, "predict", out, path, "--out", tmp_path / "p.csv", "--effects", own)
     assert code == 0
 

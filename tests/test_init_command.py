@@ -260,9 +260,9 @@ def test_the_folder_that_one_is_in_is_no_recording(capsys, tmp_path, monkeypatch
     [
         ("fit", "robot.urdf", "describes an arm and holds no measurements; name a recording, and the arm with --arm"),
         ("diagnose", "robot.xml", "describes an arm and holds no measurements; name a recording, and the arm with"),
-        ("init", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init"),
-        ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
-        ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        ("init", "run7.ods", "save it as .xlsx, or its sheet as CSV (UTF-8), and name its columns by `lite6jax init"),
+        ("diagnose", "run7.ods", "save it as .xlsx, or its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
+        ("check", "run7.pkl", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
         ("diagnose", "tables", "is a folder; name a file in it, or a folder with --out for the documents of all"),
         ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
@@ -272,7 +272,7 @@ def test_what_is_often_taken_for_a_recording(capsys, tmp_path, command, name, me
     (tmp_path / "empty").mkdir()
     (tmp_path / "tables").mkdir()
     (tmp_path / "tables" / "run7.csv").write_text("q1_rad\n0\n")
-    for file in ("robot.urdf", "robot.xml", "run7.xlsx", "run7.npz"):
+    for file in ("robot.urdf", "robot.xml", "run7.ods", "run7.pkl"):
         (tmp_path / file).write_text("<robot/>")
     options = ["--out", tmp_path / "d.json"] if command == "diagnose" else []
     assert message in refused(capsys, command, tmp_path / name, *options)

@@ -102,6 +102,35 @@ def arm_from_description(content: Any, where: str) -> Arm:
         raise InputError(f"{where}: {error}") from error
 
 
+FRANKA_JOINTS = 7
+"""Of every arm whose file has the layout of franka_description; what follows them is fixed, up to the flange."""
+
+
+def is_franka(content: Any) -> bool:
+    """Whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
+    entries_of_joints = content.values() if isinstance(content, Mapping) else ()
+    return bool(entries_of_joints) and all(
+        isinstance(entry, Mapping) and set(entry) == {"kinematic"} for entry in entries_of_joints
+    )
+
+
+def arm_from_franka(content: Mapping[str, Any], where: str) -> Arm:
+    """The arm of a parsed `kinematics.yaml` of franka_description: joints 1 to 7, and the flange as the eighth.
+
+    Its joint limits and masses stand in other files, and are not known.
+
+    Raises:
+        InputError: joints or numbers missing, or lengths of no arm.
+    """
+    table = {joint: entry["kinematic"] for joint, entry in content.items()}
+    rows, _, _ = entries.kinematics(table, where)
+    flange = np.eye(4)
+    for row in rows[FRANKA_JOINTS:]:
+        flange = flange @ frames.transform_from_row(row)
+    source = f"{Path(where).name}, in the layout of franka_description"
+    return Arm(Path(where).stem, rows[:FRANKA_JOINTS], T_joint_flange=flange, source=source)
+
+
 def _limits(content: Mapping[str, Any], where: str, joints: int, sliding: tuple[int, ...]) -> Array:
     key = "joint_limits" if "joint_limits" in content else "joint_limits_rad"
     if "joint_limits" in content and "joint_limits_rad" in content:

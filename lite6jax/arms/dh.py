@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax import storage
+from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
 from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
 from lite6jax.errors import InputError, InputWarning, command_line
@@ -243,7 +243,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     Warns:
         InputWarning: the table is from a fit that does not describe its data.
     """
-    by_yaml = Path(path).suffix.lower() in (".yaml", ".yml")
+    by_yaml = Path(path).suffix.lower() in suffixes.YAML
     text = json.dumps(storage.read_yaml(path), default=str) if by_yaml else storage.read_text(path, SIZE_LIMIT)
     content = _parse(text, path)
     if "schema" in content:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax import storage
+from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import DH_COLUMNS
@@ -21,9 +21,6 @@ from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
-
-DEVIATIONS = ".conf"
-"""The suffix of the file in which controllers of Universal Robots keep how an arm deviates from its DH table."""
 
 # m; a calibration within this RMS distance of a model is recognised as that model, of several as the nearest. A real
 # xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.
@@ -81,9 +78,9 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
             table that fits in another convention. The line names the file, the joint and the remedy.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == DEVIATIONS:
+    if suffix == suffixes.DEVIATIONS:
         return _of_deviations(path, arm)
-    if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
+    if suffix != suffixes.JSON and not is_table(content := storage.read_yaml(path)):
         return factory_from(content, path, arm)
     table = read_table(path)
     kinematics, after = hayati_to_six_parameter(table.form, table.parameters)

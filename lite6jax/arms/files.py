@@ -8,13 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from lite6jax import storage
+from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
-from lite6jax.arms.description import arm_from_description, bundled_arms, load_bundled, write_arm
+from lite6jax.arms.description import (
+    arm_from_description,
+    arm_from_franka,
+    bundled_arms,
+    is_franka,
+    load_bundled,
+    write_arm,
+)
 from lite6jax.arms.dh import is_table, write_table
 from lite6jax.arms.factory import (
-    DEVIATIONS,
     FactoryCalibration,
     calibrated_arm,
     flange_offset,
@@ -22,19 +28,19 @@ from lite6jax.arms.factory import (
     read_factory,
     write_factory,
 )
-from lite6jax.arms.mjcf import read_mjcf, write_mjcf
+from lite6jax.arms.mjcf import read_mjcf, require_mujoco, write_mjcf
 from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, read_urdf, write_into_urdf, write_urdf
 from lite6jax.errors import InputError
 
 FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {
-    "vendor": (".yaml", ".yml"),
-    "ur": (".yaml", ".yml"),
-    "table": (".json",),
-    "mjcf": (".xml", ".mjcf"),
-    "urdf": (".urdf", ".xml"),
-    "description": (".yaml", ".yml"),
+    "vendor": suffixes.YAML,
+    "ur": suffixes.YAML,
+    "table": (suffixes.JSON,),
+    "mjcf": (suffixes.XML, ".mjcf"),
+    "urdf": (".urdf", suffixes.XML),
+    "description": suffixes.YAML,
 }
 WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
     "description": write_arm,
@@ -43,8 +49,6 @@ WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
 }
 """The forms that hold an arm rather than its chain alone, and what writes them."""
 
-_XML = (".urdf", ".xacro", ".xml", ".mjcf")
-_MEASUREMENTS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".xlsx")
 _ROOT = re.compile(r"<([A-Za-z][\w.:-]*)")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
@@ -54,6 +58,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
 
     - the name of a bundled arm (`lite6`);
     - a description: YAML with `name` and `kinematics`;
+    - the `kinematics.yaml` of franka_description;
     - a factory calibration, in YAML, as a JSON table or `calibration.conf`: the calibrated chain as the nominal one,
       with the limits and masses of the recognised bundled arm;
     - a URDF or an MJCF file, by its root element; `robot.urdf#tool0` names the tip link, body or site where it has
@@ -66,23 +71,25 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if name in bundled_arms():
         return load_bundled(name)
     file, base, tip = base_and_tip(name)
-    if Path(file).suffix.lower() in _XML:
+    if Path(file).suffix.lower() in suffixes.ARM_XML:
         root = _ROOT.search(_COMMENT.sub("", storage.read_text(file, SIZE_LIMIT)))
         read = read_mjcf if root is not None and root[1] == "mujoco" else read_urdf
         return read(file, base, tip)
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
-    if path.suffix.lower() in _MEASUREMENTS:
+    if path.suffix.lower() in suffixes.MEASUREMENTS:
         raise InputError(
             f"{name}: holds measurements and describes no arm; name a description, URDF, MJCF or table, or what "
             "`lite6jax diagnose --out` or `lite6jax fit --out` makes of it"
         )
-    if path.suffix.lower() in (".json", DEVIATIONS):
+    if path.suffix.lower() in (suffixes.JSON, suffixes.DEVIATIONS):
         return calibrated_arm(read_factory(path))
     content = storage.read_yaml(path)
     if is_table(content) or (isinstance(content, dict) and set(content) == {"kinematics"}):
         return calibrated_arm(read_factory(path))
+    if is_franka(content):
+        return arm_from_franka(content, str(path))
     return arm_from_description(content, str(path))
 
 
@@ -101,7 +108,7 @@ def name_chain(name: str, base: str | None, tip: str | None) -> str:
     if base is None and tip is None:
         return name
     file, *named = base_and_tip(name)
-    if Path(file).suffix.lower() not in _XML:
+    if Path(file).suffix.lower() not in suffixes.ARM_XML:
         raise InputError(f"{name}: --base and --tip choose a chain of a URDF or MJCF; leave them out")
     if any(named):
         raise InputError(f"{name}: names base or tip already; leave out --base and --tip, or what follows #")
@@ -163,6 +170,8 @@ def convert_file(
     if isinstance(source, Arm) and nominal is not None and nominal.dof != source.dof:
         raise InputError(f"{source.name}: has {source.dof} joints, but {nominal.name} has {nominal.dof}; name its arm")
     storage.check_writable(target, overwrite)
+    if form == "mjcf":  # before anything is written: it is read back
+        require_mujoco(target)
     if into is not None and calibrated:
         nominal = nominal or read_arm(into)
     arm, reference = (source, nominal) if isinstance(source, Arm) else _read(source, nominal, calibrated)
@@ -217,19 +226,19 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
 def is_calibration(path: str | Path) -> bool:
     """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model."""
     suffix = Path(path).suffix.lower()
-    if suffix not in (".yaml", ".yml"):
-        return suffix in (".json", DEVIATIONS)
+    if suffix not in suffixes.YAML:
+        return suffix in (suffixes.JSON, suffixes.DEVIATIONS)
     content = storage.read_yaml(path)
-    return not (isinstance(content, dict) and "name" in content)
+    return not (is_franka(content) or (isinstance(content, dict) and "name" in content))
 
 
 def form_of(target: Path, calibrated: bool) -> FileForm:
     """The form of a file by its suffix, of a calibration or of another arm; refuses a suffix of no form."""
     suffix = target.suffix.lower()
-    if suffix in (".yaml", ".yml"):
+    if suffix in suffixes.YAML:
         return "vendor" if calibrated else "description"
-    for form, suffixes in SUFFIXES.items():
-        if suffix in suffixes:
+    for form, endings in SUFFIXES.items():
+        if suffix in endings:
             return form
     raise InputError(
         f"{target}: no form has this suffix; write .yaml, .json, .urdf or .xml, or name the form with --to"

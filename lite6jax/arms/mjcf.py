@@ -132,15 +132,24 @@ def _warn_of_forces(path: str | Path, model: Any, joints: NDArray[np.integer], b
             )
 
 
+def require_mujoco(path: str | Path) -> Any:
+    """MuJoCo's package, for a file to be read, or to be written and read back.
+
+    Raises:
+        InputError: it is missing.
+    """
+    try:
+        return import_module("mujoco")
+    except ImportError as error:
+        raise InputError(f"{path}: MJCF files take the package mujoco; pip install 'lite6jax[mjcf]'") from error
+
+
 def _compiled(path: str | Path) -> Any:
     """MuJoCo's model of a file; without meshes that are missing, where they say nothing of inertia."""
     text = storage.read_text(path, SIZE_LIMIT)
     if _NOT_A_NUMBER.search(text):
         raise InputError(f"{path}: has a number that is not finite; correct it")
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError as error:
-        raise InputError(f"{path}: MJCF files take the package mujoco; pip install 'lite6jax[mjcf]'") from error
+    mujoco = require_mujoco(path)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

@@ -27,6 +27,7 @@ from lite6jax.recordings import (
     read_recording,
     read_settings,
     recording_file,
+    require_own_sidecar,
     require_radians,
     require_samples,
     sidecar_path,
@@ -86,6 +87,7 @@ def read_source(
         if helps := stranger(path):
             raise InputError(f"{path}: {helps}")
         return read_factory(path, arm)
+    require_own_sidecar(file)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
     given: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
     if arm is not None:

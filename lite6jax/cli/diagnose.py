@@ -64,6 +64,7 @@ class Diagnose:
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
         lite6jax diagnose touched_left.csv touched_right.csv --out diagnosis.json
+        lite6jax diagnose tracker_in_front.csv tracker_beside.csv --out diagnosis.json
         lite6jax diagnose recordings --out results
         lite6jax diagnose --fleet recordings --out results
     """
@@ -73,8 +74,8 @@ class Diagnose:
     rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
     recordings, or a URL that fsspec reads: each recording is diagnosed."""
     more: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")] = ()
-    """Further recordings of the same arm with the same tool, touched at other places: geometry and effects are shared,
-    and each file has points, planes or anchors of its own."""
+    """Further recordings of the same arm with the same tool, touched at other places or measured from other ones:
+    geometry and effects are shared, and each file has points, planes, anchors or a sensor's frame of its own."""
     out: command.OutFile = None
     """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without. Of a folder
     of recordings: a folder, for a document of each and the table summary.parquet."""
@@ -444,6 +445,8 @@ class Predict:
             screen.show([statements.model_statement(*model.reference)])
         if registered is not None:
             screen.show(fits.registration_report(registered))
+        elif of_poses and (said_frame := fits.frame_of_stations(document)):
+            print(said_frame)
         screen.show(screen.notes(recording.notes))
         if empty := int(found.empty.sum()):
             why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from lite6jax import suffixes
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, command_line, name_options
@@ -28,7 +29,7 @@ with import_lazily():
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
-    from lite6jax.recordings import boards, fault, naming
+    from lite6jax.recordings import boards, fault, formats, naming
     from lite6jax.recordings import columns as table_columns
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
@@ -78,8 +79,9 @@ class Init:
     """
 
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
-    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or
-    two files, one with the joints and one with the poses, which are joined to one table."""
+    """A table (.csv, .parquet, .xlsx), arrays (.h5, .npz, .mat), samples of a hand-eye calibration (.yaml, .json), a
+    program (.src, .ls, .mod), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or two
+    files, one with the joints and one with the poses, which are joined to one table."""
     arm: command.ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
@@ -276,7 +278,8 @@ def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping
     opened, columns, notes = [_open(source, arm) for source in sources], [], []
     for table in opened:
         numbers = {name: values for name, values in table.columns if values is not None}
-        of_points = len(sources) == 2 or table.path.suffix.lower() in tables.TABLES
+        known = formats.find_format(table.path)
+        of_points = len(sources) == 2 or (known is not None and known.is_table)
         if of_points and (found := reflectors.with_pose_of_reflectors(numbers)) is not None:
             numbers = found.columns
             of_file = f"{table.path.name}: " if len(sources) == 2 else ""
@@ -284,9 +287,25 @@ def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping
         columns.append(numbers)
     first, other = opened[0].path, "poses"
     if len(sources) == 1:
-        if not notes:
-            return opened[0]
         joined = columns[0]
+        alone = pose_joining.File(
+            str(first), first.stem, joined, pose_inspection.inspect(list(joined.items()), arm, {}, str(first))
+        )
+        if pose_joining.is_of_pairs(alone):
+            if arm is None:
+                named = command_line("init", *sources, "--arm", "NAME")
+                raise InputError(
+                    f"{first}: holds pairs of poses and no joints, which the nominal kinematics of the arm give; name "
+                    f"it, `{named}`"
+                )
+            pairs = pose_joining.solve_pairs(alone, arm)
+            joined = pairs.columns
+            notes += inspection.describe_pairs(pairs, arm.name)
+        elif recordings.sidecar_path(first) == first:
+            other = "table"
+        elif not notes:
+            return opened[0]
+        notes = [*opened[0].notes, *notes]
     else:
         assert arm is not None
         files = []
@@ -305,7 +324,9 @@ def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping
         whole = pose_joining.join_files(joints, poses, arm)
         notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
         joined = whole.columns
-    suffix = first.suffix.lower() if first.suffix.lower() in tables.TABLES else ".csv"
+    known = formats.find_format(first)
+    written = known is not None and known.suffixes in (suffixes.TEXT_TABLES, (suffixes.PARQUET,))
+    suffix = first.suffix.lower() if written else suffixes.WRITTEN_TABLES[0]
     place = check_writable(first.with_name(f"{first.stem}_{other}{suffix}"), overwrite)
     made = tabulation.RawTable.of_arrays(joined)
     return _Table(place, made, made.numbers(), notes, made=True)
@@ -353,7 +374,7 @@ def _assign_roles(
 @final
 @dataclass(frozen=True)
 class Detect:
-    """Find the corners of a ChArUco board in images, by OpenCV, and write them as a recording of a camera.
+    """Find the corners of a board in images, by OpenCV, and write them as a recording of a camera.
 
     Joints are those of a table with a row an image, in the order of the images, or with a column `image` of their
     names. Where no camera is declared, its lens is calibrated from the images and refined with the arm.
@@ -362,13 +383,14 @@ class Detect:
 
         lite6jax detect images --board charuco:7x5,20mm --joints joints.csv --arm lite6
         lite6jax detect images --board charuco:7x5,20mm,15mm,5X5_100 --joints joints.csv --mounted on_flange
+        lite6jax detect images --board checkerboard:8x5,25mm --joints joints.csv --arm lite6
     """
 
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="IMAGES")]
     """Images, or the folder that holds them."""
     board: Annotated[str, arg(metavar="charuco:7x5,20mm")]
-    """The board by its squares, columns and rows, and their side. A marker's side (three quarters of a square's) and
-    the dictionary (4X4_50) may follow."""
+    """The board by its squares, columns and rows, and their side. Of a ChArUco board a marker's side (three quarters of
+    a square's) and the dictionary (4X4_50) may follow; a checkerboard has no markers."""
     joints: Annotated[Path, arg(metavar="FILE")]
     """The joints at which the images were taken (.csv, .parquet)."""
     out: command.OutFile = None
@@ -409,7 +431,12 @@ class Detect:
         readings = recordings.readings_from_arrays("camera", pixels=corners.pixels[kept])
         found = moved.made_anew(position=None, quaternion=None, readings=readings, settings=settings)
         written = [recordings.write_recording(found, out, self.force), sidecar]
-        screen.show(self._page(found, [images[k].name for k in range(len(images)) if k not in kept], board, error))
+        left_out = [images[k].name for k in range(len(images)) if k not in kept]
+        screen.show(self._page(found, left_out, board, error))
+        if corners.legacy:
+            screen.show(
+                screen.notes(["the board has the pattern of OpenCV before 4.6: its first square is white, not black"])
+            )
         screen.written(written)
         return command.DONE
 

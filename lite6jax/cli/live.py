@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
+from lite6jax import suffixes
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
@@ -60,7 +61,7 @@ class Read:
 
     def run(self) -> int:
         """Reads, writes and prints the calibration."""
-        if self.out and self.out.suffix.lower() not in (".yaml", ".yml"):
+        if self.out and self.out.suffix.lower() not in suffixes.YAML:
             raise InputError(f"{self.out}: the output is YAML; let the name end in .yaml")
         command.check_outputs([self.out], [self.arm], self.force)
         if not 0 < self.timeout < 3600:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from lite6jax import suffixes
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
@@ -91,7 +92,7 @@ class Simulate:
 
     def run(self) -> int:
         """Draws, measures, writes, prints."""
-        if self.out.suffix.lower() not in (".csv", ".parquet"):
+        if self.out.suffix.lower() not in suffixes.WRITTEN_TABLES:
             raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
         written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]

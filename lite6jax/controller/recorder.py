@@ -18,6 +18,7 @@ from pyarrow import csv as pa_csv
 from pyarrow import parquet as pa_parquet
 from scipy.spatial.transform import Rotation
 
+from lite6jax import suffixes
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address, ReportPort, Reports
@@ -57,7 +58,7 @@ class TableWriter:
         `sources` are phrases by column, which Parquet stores as column metadata.
         """
         self._path, self._overwrite, self._sources = path, overwrite, sources
-        self._parquet = path.suffix.lower() == ".parquet"
+        self._parquet = path.suffix.lower() == suffixes.PARQUET
         self.file = growing_path(path) if self._parquet else path
         self.waiting, self.refusal = 0, ""
         self._parts: list[Columns] = []
@@ -228,7 +229,7 @@ class LiveRecording:
 
 def list_targets(out: Path, factory: bool = True, live: bool = True) -> list[Path]:
     """The files that a recording of this name writes: of an arm in motion if `live`, else of computed poses."""
-    growing = [growing_path(out)] if live and out.suffix.lower() == ".parquet" else []
+    growing = [growing_path(out)] if live and out.suffix.lower() == suffixes.PARQUET else []
     return [out, *growing, sidecar_path(out), *([factory_path(out)] if factory else [])]
 
 
@@ -238,7 +239,7 @@ def check_targets(out: Path, overwrite: bool, factory: bool = True, live: bool =
     Raises:
         InputError: a file exists and `overwrite` is false, another suffix, or no such folder.
     """
-    if out.suffix.lower() not in (".csv", ".parquet"):
+    if out.suffix.lower() not in suffixes.WRITTEN_TABLES:
         raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")
     for path in list_targets(out, factory, live):
         check_writable(path, overwrite)

@@ -301,11 +301,17 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         beside: dict[str, Any] = {} if self.torques_refused is None else {"torques_refused": self.torques_refused}
         if self.torques is not None:
             beside = {"torques": self.torques.to_dict(), "shared": [each.to_dict() for each in self.shared]}
+        nuisance: dict[str, Any] = {
+            "numbers": len(problem.frames),
+            "parts": list(dict.fromkeys(at[0] for at in problem.frames)),
+        }
+        if problem.recording.stations:
+            nuisance["stations"] = len(problem.recording.stations) + 1
         return {
             "quality": self.quality.to_dict(),
             "rows_needed": self.rows_needed if self.verdict == "undetermined" else None,
             "left_out": problem.recording.row[self.left_out].tolist(),
-            "nuisance": {"numbers": len(problem.frames), "parts": list(dict.fromkeys(at[0] for at in problem.frames))},
+            "nuisance": nuisance,
             "model": model_entry(self.model, self._covariances),
             **beside,
         }

@@ -267,9 +267,11 @@ def model_from_document(
         domain: of which the model is, as of `read_model`.
 
     Raises:
-        InputError: not a diagnosis of the domain, or something in it is missing or not possible.
+        InputError: not a diagnosis of the domain, effects of a user's own that are not given, or something in it is
+            missing or not possible.
     """
     read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"), source)
+    _require_known(read, effects, source)
     with _refuse_damage(source):
         return _model(read, effects)
 
@@ -325,6 +327,24 @@ def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> Di
         heldout_rms=None if before is None or after is None else (before, after),
         sliding=sliding,
         **shared,
+    )
+
+
+def _require_known(read: PoseDocument | TorqueDocument, effects: Sequence[Effect], source: str) -> None:
+    """Refuses a model with effects that are neither in the catalogue nor given.
+
+    Raises:
+        InputError: as said; the file of these effects is the remedy.
+    """
+    kinds = kinds_of(effects, TORQUE_EFFECTS if isinstance(read, TorqueDocument) else POSE_EFFECTS)
+    entries = (entry for entry in read.model.effects if isinstance(entry, Mapping))
+    names = [name for entry in entries if isinstance(name := entry.get("effect"), str) and name not in kinds]
+    if not names:
+        return
+    given = "the file that was given has none of this name" if effects else "the catalogue has none of this name"
+    raise InputError(
+        f"{source}: its model has the effect {names[0][:60]!r}, and {given}; give the file of effects with which it "
+        "was diagnosed, --effects FILE.py (in Python effects=load_effects(FILE))"
     )
 
 

@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lite6jax import storage
+from lite6jax import storage, suffixes
 from lite6jax.calibration.quality import Quality, Result, quality_of_calibration
 from lite6jax.deferred import import_lazily
 from lite6jax.fleet.place import DIED, Place, attempt, divide, guess_kind, list_fleet
@@ -152,7 +152,7 @@ def fit_files(
 
 def _read_calibration(path: Path, nominal: "Arm | None") -> "factory.FactoryCalibration | str":
     """The calibration in a file, or why it is none."""
-    if path.suffix.lower() in (".yaml", ".yml") and not dh.is_table(content := storage.read_yaml(path)):
+    if path.suffix.lower() in suffixes.YAML and not dh.is_table(content := storage.read_yaml(path)):
         if not isinstance(content, dict) or "kinematics" not in content:
             return f"{path}: not a calibration (it has no key 'kinematics'); passed over"
         if "name" in content:

@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, TypeVar, final
 
-from lite6jax import storage
+from lite6jax import storage, suffixes
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, name_options
 
@@ -18,10 +18,6 @@ with import_lazily():
     from lite6jax import recordings
     from lite6jax.recordings import settings as sidecar
 
-CALIBRATIONS = (".yaml", ".yml", ".json", ".conf")
-RECORDINGS = (".csv", ".parquet")
-LOGS = (".mcap", ".bag")
-"""The suffixes of files; a recording may be a folder as well."""
 BATCH = 128
 """Calibrations fitted together."""
 DIED = "the process that read it was ended; the file is damaged or too large for this machine"
@@ -32,7 +28,7 @@ T = TypeVar("T")
 
 def guess_kind(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
-    return "calibration" if _suffix(name) in CALIBRATIONS else "recording"
+    return "calibration" if _suffix(name) in suffixes.CALIBRATIONS else "recording"
 
 
 def restore_url(path: str | Path) -> str | None:
@@ -154,7 +150,11 @@ def list_fleet(place: Place, out: Path) -> list[str]:
         InputError: none is there, the table would replace one of them, or as `Place.names`.
     """
     listed = _without_growing(place.names())
-    names = [name for name in listed if _suffix(name) in CALIBRATIONS + RECORDINGS and place.is_file(name)]
+    names = [
+        name
+        for name in listed
+        if _suffix(name) in suffixes.CALIBRATIONS + suffixes.WRITTEN_TABLES and place.is_file(name)
+    ]
     if not place.remote and out.name in names and out.parent.resolve() == Path(place.root).resolve():
         if not _holds_rows(out):
             raise InputError(f"{out}: is one of the files to be fitted and would be replaced; choose another name")
@@ -162,7 +162,7 @@ def list_fleet(place: Place, out: Path) -> list[str]:
     recordings = {_stem(name) for name in names if guess_kind(name) == "recording"}
     names = [name for name in names if _suffix(name) != ".yaml" or _stem(name) not in recordings]
     if not names:
-        accepted = ", ".join(CALIBRATIONS + RECORDINGS)
+        accepted = ", ".join(suffixes.CALIBRATIONS + suffixes.WRITTEN_TABLES)
         raise InputError(f"{place.shown}: has no calibration or recording ({accepted}); name another folder")
     return names
 
@@ -173,7 +173,7 @@ def list_recordings(place: Place) -> list[str]:
     Raises:
         InputError: there are none, or as `Place.names`.
     """
-    kinds = (*RECORDINGS, *LOGS)
+    kinds = (*suffixes.WRITTEN_TABLES, *suffixes.LOG_FILES)
 
     def is_recording(name: str) -> bool:
         if place.is_file(name):

@@ -7,6 +7,7 @@ from lite6jax.recordings.checks import (
     estimated_torque as estimated_torque,
     outside_limits as outside_limits,
     repeated_rows as repeated_rows,
+    require_one_station as require_one_station,
     require_samples as require_samples,
     time_disorder as time_disorder,
 )
@@ -17,6 +18,7 @@ from lite6jax.recordings.files import (
     read_recording as read_recording,
     read_targets as read_targets,
     recording_file as recording_file,
+    require_own_sidecar as require_own_sidecar,
     stranger as stranger,
     write_recording as write_recording,
 )

@@ -25,6 +25,19 @@ _FRICTION = 1.0
 """N m, or N, that friction may exert at any joint."""
 
 
+def require_one_station(recording: Recording) -> None:
+    """Refuses poses from several stations, which a diagnosis alone joins.
+
+    Raises:
+        InputError: as said.
+    """
+    if recording.stations:
+        raise InputError(
+            f"{recording.source}: its poses are from {len(recording.stations) + 1} stations, each in a frame of its "
+            "own, which `diagnose` joins; give the poses of one station here"
+        )
+
+
 def check_torque_scale(recording: Recording, arm: Arm) -> None:
     """Refuses torques so large that they must be N mm or mN m. Medians decide, so outliers pass.
 

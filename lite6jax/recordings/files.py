@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import pi
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -15,13 +15,15 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 from numpy.typing import ArrayLike
 
+from lite6jax import suffixes
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.recordings.columns import is_per_joint
-from lite6jax.recordings.parquet import INFO, one_line, open_lerobot, open_parquet
+from lite6jax.recordings.formats import Asked, find_format
+from lite6jax.recordings.parquet import one_line
 from lite6jax.recordings.recording import Recording, check_scale, drop_missing
-from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
+from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import (
     RecordingSettings,
     growing_path,
@@ -31,26 +33,22 @@ from lite6jax.recordings.settings import (
     write_settings,
 )
 from lite6jax.recordings.table import RawTable, tabulate
-from lite6jax.recordings.texts import open_text
 from lite6jax.recordings.units import require_radians
 from lite6jax.storage import check_readable, check_writable, exists, write_atomically
 
-LOGS = (".mcap", ".db3", ".bag")
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet")
-SUFFIXES = (*TABLES, *LOGS)
-"""Of the files that are recordings."""
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
 _STRANGERS = {
     **dict.fromkeys(
-        (".urdf", ".xacro", ".xml", ".mjcf"),
+        suffixes.ARM_XML,
         "describes an arm and holds no measurements; name a recording, and the arm with `arm='{name}'`",
     ),
     **dict.fromkeys(
-        (".xlsx", ".xls", ".xlsm", ".ods"),
-        "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `{init}`",
+        (".xls", ".ods"),
+        "is a workbook of an older form; save it as .xlsx, or its sheet as CSV (UTF-8), and name its columns by "
+        "`{init}`",
     ),
     **dict.fromkeys(
-        (".npy", ".npz", ".mat", ".h5", ".hdf5", ".pkl", ".pickle", ".feather"),
+        (".pkl", ".pickle", ".feather"),
         "is no recording; write it as {stem}.csv or .parquet with a name for each column",
     ),
 }
@@ -70,21 +68,7 @@ def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 def recording_file(path: str | Path) -> Path | None:
     """The file or folder that a recording's name names, without topics; None where it is no recording's name."""
     file, _ = split_topics(path)
-    return file if _kind_of(file) else None
-
-
-def _kind_of(path: Path) -> Literal["text", "parquet", "log", "lerobot", ""]:
-    """The kind of recording that a path names; empty where it names none."""
-    suffix = path.suffix.lower()
-    if suffix in LOGS or suffix in TABLES:
-        return "log" if suffix in LOGS else "parquet" if suffix == ".parquet" else "text"
-    if os.path.isdir(path):
-        return "lerobot" if exists(path / INFO) else "log" if exists(path / METADATA) or _logs(path) else ""
-    return ""
-
-
-def _logs(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap"))
+    return file if find_format(file) else None
 
 
 def stranger(path: str | Path) -> str:
@@ -93,7 +77,8 @@ def stranger(path: str | Path) -> str:
     if not os.path.isdir(path):
         init = command_line("init", path.with_suffix(".csv"))
         return _STRANGERS.get(path.suffix.lower(), "").format(name=path.name, stem=path.stem, init=init)
-    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in (".csv", ".parquet", ".mcap"))
+    listed = (*suffixes.WRITTEN_TABLES, *suffixes.LOG_FILES)
+    tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in listed)
     if tables:
         every = command_line("fleet", path)
         return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{every}`"
@@ -112,7 +97,8 @@ def require_table(path: str | Path, what: str = "targets") -> Path:
         InputError: a log, a folder or another file that is no table, with what helps.
     """
     path = Path(path)
-    if exists(path) and path.suffix.lower() not in TABLES:
+    known = find_format(path)
+    if exists(path) and (known is None or not known.is_table):
         raise InputError(
             f"{path}: {stranger(path) or f'{what} end in .csv or .parquet; convert it or correct the name'}"
         )
@@ -132,36 +118,37 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
     try:
-        kind, log = _kind_of(path), path
-        if kind == "parquet" and not exists(path) and exists(growing := growing_path(path)):
+        known = find_format(path)
+        if path.suffix.lower() == suffixes.PARQUET and not exists(path) and exists(growing := growing_path(path)):
             notes.append(
                 f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended"
             )
-            path, kind = growing, "text"
-        if kind == "lerobot":
-            return path, open_lerobot(path)
-        if not kind:
+            path, known = growing, find_format(growing)
+        if known is None:
             other = (
-                "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data "
-                "set; convert it or correct the name"
+                "a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is the folder of a "
+                "rosbag2 or of a LeRobot data set; convert it or correct the name"
             )
             missing = "no such file or folder; check the name"
             raise InputError(f"{path}: {stranger(path) or (other if path.suffix or exists(path) else missing)}")
-        if path.suffix.lower() in SUFFIXES:
+        if path.suffix.lower() in known.suffixes:
             check_readable(path)
-        elif not exists(path / METADATA):  # a recorder that was ended writes no metadata
-            log, *more = _logs(path)
-            if more:
-                raise InputError(
-                    f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`"
-                )
-        if kind != "log":
-            return path, open_parquet(path) if kind == "parquet" else open_text(path, notes, _was_ended(path))
-        columns = read_bag(log, topics, of_arm, notes)
-        # nothing says the unit of efforts
-        return path, RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
+        growing_text = path.suffix.lower() in suffixes.TEXT_TABLES and _was_ended(path)
+        return path, known.read(path, Asked(notes, topics, of_arm, growing_text))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
+
+
+def require_own_sidecar(path: Path) -> None:
+    """Refuses a recording whose sidecar would have its own name, as one in YAML: `init` makes a table of it.
+
+    Raises:
+        InputError: as said.
+    """
+    known = find_format(path)
+    if known is not None and sidecar_path(path) == path:
+        made = command_line("init", path, "--arm", "NAME")
+        raise InputError(f"{path}: holds {known.kind}; `{made}` makes a table of it, with a sidecar")
 
 
 def _was_ended(path: Path) -> bool:
@@ -191,8 +178,9 @@ def read_recording(
     """Reads a recording and its sidecar.
 
     Args:
-        path: a table (`.csv`, `.tsv`, `.txt`, `.dat`, `.log`, `.parquet`), a `.mcap` or `.bag` file, or the folder of a
-            rosbag2 or of a LeRobot data set; the sidecar is the `.yaml` of the same stem, if there is one. Of a log
+        path: a table (`.csv`, `.tsv`, `.txt`, `.dat`, `.log`, `.parquet`, `.xlsx`), arrays (`.h5`, `.npz`, `.mat`), a
+            program of a robot, a `.mcap` or `.bag` file, or the folder of a rosbag2 or of a LeRobot data set; the
+            sidecar is the `.yaml` of the same stem, if there is one. Of a log
             with several topics of a type, `run.mcap#/joint_states,/pose` names those to be read.
         dof: the number of joints expected, where the arm is known.
         arm: whose recording it is, or what is known of its joints: the joint states of a log do not say which are in m
@@ -209,10 +197,12 @@ def read_recording(
         InputError: the file or its sidecar cannot be used; one line names file, place and remedy.
     """
     path, topics = split_topics(path)
+    require_own_sidecar(path)
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
-    if _kind_of(path) == "log" and not of_arm.names:  # a diagnosis does not keep the names
+    known = find_format(path)
+    if known is not None and known.is_log and not of_arm.names:  # a diagnosis does not keep the names
         named = None if sidecar.settings.arm is None else read_arm(sidecar.settings.arm_reference(path.parent))
         declared = ArmJoints.of(named)._replace(dof=None)
         of_arm = declared if arm is None else of_arm
@@ -336,12 +326,15 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     written: row numbers and notes, which belong to the file of origin, and what `Recording.columns` leaves out.
 
     Raises:
-        InputError: another suffix, a file that exists while `overwrite` is false, or a disk that refuses.
+        InputError: another suffix, poses from several stations, a file that exists while `overwrite` is false, or a
+            disk that refuses.
     """
     require_type("recording", recording, Recording, "a Recording")
     path = Path(path)
-    if path.suffix.lower() not in (".csv", ".parquet"):
+    if path.suffix.lower() not in suffixes.WRITTEN_TABLES:
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")
+    if recording.stations:
+        raise InputError(f"{path}: the poses are from several stations, each in a frame of its own; write each alone")
     settings = recording.settings
     if exists(recording.source):
         settings = settings.moved(Path(recording.source).parent, path.parent)
@@ -370,7 +363,7 @@ def write_table(table: pa.Table, path: Path) -> None:
     Raises:
         OSError: the disk refuses.
     """
-    if path.suffix.lower() == ".parquet":
+    if path.suffix.lower() == suffixes.PARQUET:
         pa_parquet.write_table(table, path, use_dictionary=False, compression="zstd", write_page_checksum=True)
         return
     with open(path, "wb") as file:  # Arrow would put the names in quotes

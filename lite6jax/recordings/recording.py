@@ -61,6 +61,7 @@ class Recording(PublicResult):
         notes: what was dropped, assumed or normalised, one sentence each.
         sliding: the prismatic joints, counted from 0.
         readings: what was read where no poses were; of a camera beside the poses that they give.
+        stations: the first row of each further file of poses, whose sensor has a frame of its own.
     """
 
     joint_position: Float[np.ndarray, "sample joint"]
@@ -85,6 +86,7 @@ class Recording(PublicResult):
     notes: tuple[str, ...]
     sliding: tuple[int, ...] = ()
     readings: Readings | None = None
+    stations: tuple[int, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -196,6 +198,7 @@ class Recording(PublicResult):
         notes: Sequence[str] = (),
         sliding: tuple[int, ...] | None = None,
         readings: Readings | None = None,
+        stations: tuple[int, ...] = (),
         spelling: Mapping[str, str] | None = None,
         **others: ArrayLike | None,
     ) -> "Recording":
@@ -273,6 +276,7 @@ class Recording(PublicResult):
             notes=tuple(said),
             sliding=sliding or (),
             readings=readings,
+            stations=stations,
         )
 
     @property
@@ -339,6 +343,11 @@ class Recording(PublicResult):
         return {name: array[rows] for name, array in arrays.items() if isinstance(array, np.ndarray)} | readings
 
     @property
+    def station(self) -> Int[np.ndarray, " sample"]:
+        """From which station each sample was measured, counted from 0; each has a sensor's frame of its own."""
+        return np.searchsorted(self.stations, self.row, side="right")
+
+    @property
     def touches(self) -> Readings | None:
         """Its readings where they are no poses; None of poses, those of a camera among them."""
         return None if self.position is not None else self.readings
@@ -347,19 +356,21 @@ class Recording(PublicResult):
         """`count` masks, each a block of neighbouring rows to hold out; together they cover every row once.
 
         Neighbouring rows share drifts and dwells, so random folds would test a fit on what it has seen. Of touches, a
-        block is one of the rows of each point or plane: without any of them nothing is known of that.
+        block is one of the rows of each point or plane: without any of them nothing is known of that. Of poses from
+        several stations it is one of the rows of each.
 
         Raises:
             InputError: fewer than two folds or fewer samples than folds.
         """
         if not 2 <= count <= self.samples:
             raise InputError(f"{self.source}: {count} folds of {self.samples} samples; choose 2 to {self.samples}")
-        if self.touches is None:
+        if self.touches is None and not self.stations:
             return contiguous_blocks(self.samples, count)
-        order = np.argsort(self.touches.group, kind="stable")
+        groups = self.station if self.touches is None else self.touches.group
+        order = np.argsort(groups, kind="stable")
         place = np.empty(self.samples, np.int64)
-        for group in np.unique(self.touches.group):
-            rows = order[self.touches.group[order] == group]
+        for group in np.unique(groups):
+            rows = order[groups[order] == group]
             place[rows] = np.arange(len(rows)) * count // len(rows)
         return [mask for mask in (place == k for k in range(count)) if mask.any()]
 
@@ -389,7 +400,7 @@ class Recording(PublicResult):
             InputError: as `assembled`.
         """
         kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
-        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding", "readings")
+        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding", "readings", "stations")
         velocity = None if self.velocity_differentiated else self.joint_velocity
         arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
         return Recording.assembled(**(arguments | changes))
@@ -560,22 +571,25 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
-    """One recording of touches of one kind, distances or heights, with the tool, the arm and its effects shared.
+    """One recording of poses, or of touches of one kind, or distances, with the arm, its effects and the tool shared.
 
-    Each file is a run of its own. Points, planes and anchors get the name of their file before their own.
+    Each file is a run of its own, and rows are counted through all of them. Poses that are not in the arm's base frame
+    are from several stations: the sensor's frame is another one in each file. Points, planes and anchors get the name
+    of their file before their own.
 
     Raises:
-        InputError: poses, touches of several kinds, files that disagree on the arm, the tool or a noise, heights.
+        InputError: neither poses nor touches, several kinds, files that disagree on the arm, the tool or a noise,
+            heights, images.
     """
     usual = {field.name: field.default for field in fields(RecordingSettings)}
     # keys of which each file has its own; of all others they have the same
     own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
     first, touched = recordings[0], [one.touches for one in recordings if one.touches is not None]
-    kinds = {one.touches.kind if one.touches else "poses" for one in recordings}
-    if len(kinds) > 1 or kinds & {"poses", "axis"}:
+    kinds = {_kind_of(one) for one in recordings}
+    if len(kinds) > 1 or not kinds <= {"poses", "contact", "plane", "distance"}:
         raise InputError(
             f"{', '.join(one.source for one in recordings)}: hold {' and '.join(sorted(kinds))}; several files of one "
-            "arm are diagnosed together where all are touches of points, touches of planes, or distances"
+            "arm are diagnosed together where all are poses, touches of points, touches of planes, or distances"
         )
     for one in recordings[1:]:
         for key in (key for key in usual if key not in own):
@@ -591,8 +605,10 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     stems = [Path(one.source).stem for one in recordings]
     if len({*stems}) < len(stems):
         raise InputError(f"{first.source}: two files are called {stems[0]}; give each a name of its own")
-    arrays: dict[str, Any] = {}
-    for name in (*OF_ARRAY, "row"):
+    before = np.concatenate([[0], np.cumsum([one.row.max() for one in recordings])])
+    notes = [note for one in recordings for note in one.notes] + _describe_join(recordings, before)
+    arrays: dict[str, Any] = {"row": np.concatenate([one.row + k for one, k in zip(recordings, before, strict=False)])}
+    for name in OF_ARRAY:
         each = [getattr(one, name) for one in recordings]
         derived = name == "joint_velocity" and first.velocity_differentiated
         if all(array is not None for array in each) and not derived:
@@ -600,7 +616,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
     names: list[str] = []
     groups = []
-    for one, touches, stem in zip(recordings, touched, stems, strict=True):
+    for one, touches, stem in zip(recordings, touched, stems, strict=False):
         groups.append(touches.group + len(names))
         names += [f"{stem}/{name}" for name in touches.names]
         own["contact_distances"] += tuple(
@@ -611,12 +627,48 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
             given = getattr(one.settings, key)
             given = dict.fromkeys(touches.names, given) if isinstance(given, tuple) else given
             own[key] |= {f"{stem}/{name}": value for name, value in given.items()} if isinstance(given, Mapping) else {}
-    value, pixels = (np.concatenate([getattr(one, key) for one in touched]) for key in ("value", "pixels"))
+    readings = None
+    if touched:
+        value, pixels = (np.concatenate([getattr(one, key) for one in touched]) for key in ("value", "pixels"))
+        readings = Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels)
     return Recording.assembled(
         **arrays,
         settings=replace(first.settings, **{key: given or usual[key] for key, given in own.items()}),
         source=first.source,
-        notes=tuple(dict.fromkeys(note for one in recordings for note in one.notes)),
+        notes=tuple(dict.fromkeys(notes)),
         sliding=first.sliding,
-        readings=Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels),
+        readings=readings,
+        stations=tuple((before[1:-1] + 1).tolist()) if _has_stations(first) else (),
     )
+
+
+def _kind_of(recording: Recording) -> str:
+    """What a recording measured, for files that are joined."""
+    if recording.touches is not None:
+        return recording.touches.kind
+    if recording.readings is not None:
+        return "images"
+    return "torques" if recording.position is None else "poses"
+
+
+def _has_stations(recording: Recording) -> bool:
+    """Whether further files of such a recording are measured in frames of their own."""
+    return recording.position is not None and recording.settings.pose_frame != "base"
+
+
+def _describe_join(recordings: Sequence[Recording], before: Int[np.ndarray, " file"]) -> list[str]:
+    """What was done to join files, in sentences; `before` are the rows before each."""
+    first, *others = (Path(one.source).name for one in recordings)
+    counted = ", ".join(f"those of {name} from {rows + 1}" for name, rows in zip(others, before[1:], strict=False))
+    said = [f"rows are counted through all files, {counted}"]
+    if _has_stations(recordings[0]):
+        listed = ", ".join(others)
+        frames = "a frame of its own" if len(others) == 1 else "frames of their own"
+        said.append(
+            f"the sensor of {listed} has {frames}, which the poses determine; all that is said or predicted in a "
+            f"sensor's frame is in that of {first}"
+        )
+    if len({one.quaternion is None for one in recordings}) == 2:
+        lacking = next(Path(one.source).name for one in recordings if one.quaternion is None)
+        said.append(f"orientations are left out, as {lacking} has none")
+    return said

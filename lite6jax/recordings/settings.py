@@ -19,11 +19,11 @@ import msgspec
 import yaml
 from msgspec import Meta
 
+from lite6jax import suffixes
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
-ARM_FILE_SUFFIXES = {".yaml", ".yml", ".json", ".urdf", ".xacro", ".xml"}
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
 SMALLEST_SIGMA, LARGEST_SIGMA = 1e-12, 1.0  # m or rad; beyond, squares of residuals over it lose all digits
 LARGEST_GRAVITY = 100.0  # m/s²; that of no planet on which an arm stands
@@ -244,7 +244,7 @@ class RecordingSettings:
     def arm_is_file(self) -> bool:
         """Whether `arm` is the path of a description, not the name of a bundled arm."""
         arm = self.arm or ""
-        return "/" in arm or "\\" in arm or Path(arm.partition("#")[0]).suffix.lower() in ARM_FILE_SUFFIXES
+        return "/" in arm or "\\" in arm or Path(arm.partition("#")[0]).suffix.lower() in suffixes.ARM_FILES
 
     def arm_reference(self, folder: str | Path) -> str | Path:
         """The bundled arm's name, or the description's path when `folder` holds the sidecar.

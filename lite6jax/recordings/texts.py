@@ -299,7 +299,8 @@ def _of_units(row: Iterable[str]) -> bool:
     some = False
     for cell in filter(None, row):
         unit = cell.strip(_BRACKETS)
-        named = unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS
+        whole = not set("[](){}") & set(unit)  # `J1 [deg]` is a name with a unit
+        named = whole and (unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS)
         named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
         if not named and unit not in _NO_UNITS:
             return False
@@ -393,7 +394,7 @@ class _NoNumberError(InputError):
         self.index, self.text = index, text
 
 
-def open_text(path: Path, notes: list[str], growing: bool = False) -> RawTable:
+def open_text(path: Path, notes: list[str], growing: bool = False, content: bytes | None = None) -> RawTable:
     """The table in a file of text.
 
     Args:
@@ -402,11 +403,12 @@ def open_text(path: Path, notes: list[str], growing: bool = False) -> RawTable:
             line has no end.
         growing: whether it is of a recording that was not completed. A kill may leave a part of a row at its end, and
             a power cut zeros. They are left out, and a note says so.
+        content: the text itself, where it was made of the file.
 
     Raises:
         InputError: no text; from `load`, rows of another length than the names.
     """
-    whole = _whole_lines(path, notes) if growing else None
+    whole = _whole_lines(path, notes) if growing else content
     with open(path, "rb") if whole is None else io.BytesIO(whole) as file:
         start, encoding = _start(path, file.read(HEADER_LIMIT), notes)
         file.seek(0, 2)

@@ -1,8 +1,9 @@
 """What a terminal shows of fits, comparisons, predictions and connected arms: in mm and degrees, for 60 columns."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -403,6 +404,19 @@ def _missed(found: Compensation, rows: NDArray) -> str:
 def outside_sentence(outside: int, rows: int, noun: str) -> str:
     """How many rows are outside what was recorded; `noun` is what a row is called."""
     return fill(_SAID["outside"], {"outside": outside, "rows": rows, "noun": noun})
+
+
+def frame_of_stations(document: Mapping[str, Any]) -> str:
+    """In which of several stations' frames a diagnosed model predicts; empty where there is one frame."""
+    if "stations" not in document.get("nuisance", {}):
+        return ""
+    files = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
+    first = files[0] if files else "the first recording"
+    others = ", ".join(files[1:]) or "another"
+    return (
+        f"Poses are in the sensor's frame of {first}; with --register they are in that of the motion's own poses, such "
+        f"as those of {others}."
+    )
 
 
 def outside_warning(found: Compensation, model: DiagnosedArm) -> str:

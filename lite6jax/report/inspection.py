@@ -12,7 +12,7 @@ import yaml
 from rich.console import RenderableType
 
 from lite6jax.domains.pose.inspection import Inspection, Pose, poses_of
-from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
+from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
@@ -278,6 +278,12 @@ def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     facts = {"count": len(found.path.reached), "missing": int(np.sum(~found.path.reached))}
     return _sentences("solved", {**facts, "source": found.file.source, "arm": arm, "branches": found.path.branches})
+
+
+def describe_pairs(found: SolvedPairs, arm: str) -> list[str]:
+    """How pairs of poses became joints and poses."""
+    facts = {"inverted": found.inverted, "errors": found.errors, "solved": found.solved}
+    return [*describe_solved_joints(found.solved, arm), *_sentences("pairs", facts)]
 
 
 def describe_reflectors(found: WithPose) -> list[str]:

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lite6jax import suffixes
 from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.errors import command_line
-from lite6jax.recordings.files import SUFFIXES
+from lite6jax.recordings.formats import find_format
 from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, effect_name, remedy_of
 from lite6jax.report.words import capital, each_with_unit, fill, plus_minus, read_texts, torque_units
@@ -218,7 +219,7 @@ def steps(document: Document, files: Files) -> list[Step]:
     recording, findings, torques = files.recording, detailed(document), is_of_torques(document)
     named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
-    known, table = _known(document, own), recording.suffix.lower() in (".csv", ".parquet")
+    known, table = _known(document, own), recording.suffix.lower() in suffixes.WRITTEN_TABLES
     beside = lambda end: named.with_name(f"{recording.stem}_{end}")  # noqa: E731
     play = any(finding["effect"] == "joint_backlash" for finding in findings)
     side = ["--approach", "1"] if play else []
@@ -244,7 +245,7 @@ def steps(document: Document, files: Files) -> list[Step]:
         ),
         (geometry, "recalibrate", ["fit", recording, "--geometry", "free", "--out", beside("table.json")]),
         (
-            known and recording.suffix.lower() in SUFFIXES,
+            known and not recording.is_dir() and find_format(recording) is not None,
             "the arm and its errors in the browser",
             ["view", named, *shown, *own],
         ),

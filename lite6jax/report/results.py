@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from rich.console import RenderableType
 
+from lite6jax import suffixes
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution, write_solution
@@ -374,13 +375,10 @@ def _diagnosis_table(found: DomainDiagnosis) -> Columns:
 # ------------------------------------------------------------------ files
 
 
-_TABLES = (".csv", ".parquet")
-
-
 @write.register
 def _write(result: PublicResult, path: Path, overwrite: bool) -> Path:
     """A table, or the document of a class that has one."""
-    _check_suffix(result, path, (*_TABLES, *([".json"] if has_document(type(result)) else [])))
+    _check_suffix(result, path, (*suffixes.WRITTEN_TABLES, *([".json"] if has_document(type(result)) else [])))
     if path.suffix.lower() == ".json":
         return write_atomically(path, text(document(result), None) + "\n", overwrite)
     columns = pa.table({name: pa.array(values) for name, values in tabulate(result).items()})
@@ -402,8 +400,8 @@ def _write_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
 def _write_diagnosis(found: DomainDiagnosis, path: Path, overwrite: bool) -> Path:
     """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
     suffix = path.suffix.lower()
-    _check_suffix(found, path, (".json", ".html", *_TABLES))
-    if suffix in _TABLES:
+    _check_suffix(found, path, (".json", ".html", *suffixes.WRITTEN_TABLES))
+    if suffix in suffixes.WRITTEN_TABLES:
         return _write(found, path, overwrite)
     check_writable(path, overwrite)
     stated = statements.with_statements(found.to_dict())

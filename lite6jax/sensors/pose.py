@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.se3 import Frame, rotation_log_components
+from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components, transform
 from lite6jax.sensors.sensor import OwnNumber, Sensor
 
 Array = NDArray[np.floating]
@@ -33,9 +33,12 @@ class Measured(Sensor):
         at: `(number,)`, where these are.
         mean: `(number,)`, of their prior.
         deviation: `(number,)`, one sigma of it.
+        station: `(sample,)` int, from which station each was measured; empty of one alone.
+        stations: `(station - 1, 4, 4)`, from the frame of each further station to that of the first. They are unknowns,
+            six numbers each: a shift and a rotation vector by which its poses are displaced in the first one's frame.
     """
 
-    sampled = ("position", "rotation", "constants")
+    sampled = ("position", "rotation", "constants", "station")
     position: Any
     rotation: Any
     whitener: Any
@@ -43,6 +46,8 @@ class Measured(Sensor):
     at: Any = field(default_factory=lambda: np.zeros(0))
     mean: Any = field(default_factory=lambda: np.zeros(0))
     deviation: Any = field(default_factory=lambda: np.zeros(0))
+    station: Any = field(default_factory=lambda: np.zeros(0, np.int64))
+    stations: Any = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
     @property
     def rows(self) -> int:  # type: ignore[override]
@@ -51,36 +56,63 @@ class Measured(Sensor):
 
     @property
     def own(self) -> tuple[OwnNumber, ...]:
-        """Its unknowns, the constant errors."""
+        """Its unknowns: the constant errors, and then the frames of further stations."""
         spread = np.asarray(self.deviation) ** -2.0
         off = np.asarray(self.at) - np.asarray(self.mean)
-        return tuple(OwnNumber("camera and board", "", *map(float, one)) for one in zip(spread, off, strict=True))
+        constant = (OwnNumber("camera and board", "", *map(float, one)) for one in zip(spread, off, strict=True))
+        frames = (
+            OwnNumber(f"frame of station {k + 2}", unit) for k in range(len(self.stations)) for unit in _UNITS_OF_TWIST
+        )
+        return (*constant, *frames)
 
     @property
     def numbers(self) -> int:
         """How many unknowns it has."""
-        return len(self.at)
+        return len(self.at) + 6 * len(self.stations)
 
     def moved(self, numbers: Any) -> "Measured":
         """With its unknowns displaced by `numbers`."""
-        return replace(self, at=self.at + numbers) if self.numbers else self
+        twists = numbers[len(self.at) :].reshape(-1, 6)
+        return self._displaced(numbers, transform(rotation_exp(twists[:, 3:]), twists[:, :3]))
 
     def displaced(self, numbers: Array) -> "Measured":
         """`moved`; nothing is compiled."""
-        return self.moved(numbers)
+        twists = numbers[len(self.at) :].reshape(-1, 6)
+        T = np.tile(np.eye(4), (len(twists), 1, 1))
+        T[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix()
+        T[:, :3, 3] = twists[:, :3]
+        return self._displaced(numbers, T)
+
+    def _displaced(self, numbers: Any, frames: Any) -> "Measured":
+        """With the constant errors changed by the first of `numbers`, and the stations displaced by `frames`."""
+        constant = len(self.at)
+        moved = replace(self, at=self.at + numbers[:constant]) if constant else self
+        return replace(moved, stations=frames @ self.stations) if len(self.stations) else moved
+
+    def in_first_frame(self) -> tuple[Any, Any]:
+        """Position and rotation of every sample in the first station's frame."""
+        if not len(self.stations):
+            return self.position, self.rotation
+        xp = self.position.__array_namespace__()
+        T = xp.concat([xp.eye(4)[None], self.stations])[self.station]
+        position = xp.einsum("sab,bs->as", T[:, :3, :3], self.position) + T[:, :3, 3].T
+        if not self.rotation.shape[-1]:
+            return position, self.rotation
+        return position, xp.einsum("sab,bcs->acs", T[:, :3, :3], self.rotation)
 
     def readings(self, tool: Frame) -> jax.Array:
         """`differences` from what was measured, with the constant errors."""
-        apart = differences(self.position, self.rotation, tool)
-        return apart + jnp.tensordot(self.at, self.constants, 1) if self.numbers else apart
+        apart = differences(*self.in_first_frame(), tool)
+        return apart + jnp.tensordot(self.at, self.constants, 1) if len(self.at) else apart
 
     def differences(self, tool: Array) -> Array:
         """`readings` of predicted tools `(sample, 4, 4)`."""
-        apart = tool[:, :3, 3].T - self.position
+        position, rotation = self.in_first_frame()
+        apart = tool[:, :3, 3].T - position
         if self.rows == 6:
-            turned = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))
+            turned = _rotation_vector(np.einsum("abs,sac->bcs", rotation, tool[:, :3, :3]))
             apart = np.concatenate([apart, turned])
-        return apart + np.tensordot(self.at, self.constants, 1) if self.numbers else apart
+        return apart + np.tensordot(self.at, self.constants, 1) if len(self.at) else apart
 
     def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
         """How differences `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in sensor axes."""
@@ -88,13 +120,27 @@ class Measured(Sensor):
             return shift
         if turn is None:
             return np.concatenate([shift, np.zeros_like(shift)], -2)
-        in_tool = np.einsum("abs,...as->...bs", self.rotation, turn)
-        apart = _rotation_vector(np.einsum("abs,sac->bcs", self.rotation, tool[:, :3, :3]))
+        rotation = self.in_first_frame()[1] if len(self.stations) else self.rotation
+        in_tool = np.einsum("abs,...as->...bs", rotation, turn)
+        apart = _rotation_vector(np.einsum("abs,sac->bcs", rotation, tool[:, :3, :3]))
         return np.concatenate([shift, left_jacobian_inverse(apart, in_tool)], -2)
 
     def by_numbers(self, tool: Array) -> Array:
         """How differences change with its unknowns, `(number, row, sample)`."""
-        return np.asarray(self.constants) if self.numbers else np.zeros((0, self.rows, len(tool)))
+        constant = np.asarray(self.constants) if len(self.at) else np.zeros((0, self.rows, len(tool)))
+        if not len(self.stations):
+            return constant
+        position, none = np.asarray(self.in_first_frame()[0]), np.zeros((3, 3, len(tool)))
+        axes = np.broadcast_to(np.eye(3)[..., None], none.shape)
+        lever = np.cross(axes, position[None], axis=1)
+        # a displaced measurement is a prediction that is displaced the other way
+        twists = -self.columns(tool, np.concatenate([axes, lever]), np.concatenate([none, axes]))
+        further = np.arange(1, len(self.stations) + 1)
+        frames = np.where(self.station == further[:, None, None, None], twists, 0.0)
+        return np.concatenate([constant, frames.reshape(-1, self.rows, len(tool))])
+
+
+_UNITS_OF_TWIST = ("m", "m", "m", "rad", "rad", "rad")
 
 
 def differences(position: Any, rotation: Any, tool: Frame) -> jax.Array:

@@ -379,3 +379,48 @@ def test_a_coupled_joint_in_the_chain_is_refused_with_what_it_follows(tmp_path):
         " that move on their own, name a chain without it with --tip a, or as arm.urdf#a where a file is named"
     )
     assert read_urdf(path, tip="a").dof == 1
+
+
+# ------------------------------------------------------------------ franka_description
+
+FRANKA = (
+    (0, 0, 0.333, 0, 0, 0),
+    (0, 0, 0, -np.pi / 2, 0, 0),
+    (0, -0.316, 0, np.pi / 2, 0, 0),
+    (0.0825, 0, 0, np.pi / 2, 0, 0),
+    (-0.0825, 0.384, 0, -np.pi / 2, 0, 0),
+    (0, 0, 0, np.pi / 2, 0, 0),
+    (0.088, 0, 0, np.pi / 2, 0, 0),
+    (0, 0, 0.107, 0, 0, 0),
+)
+
+
+def write_franka(path, rows=FRANKA):
+    keys = ("x", "y", "z", "roll", "pitch", "yaw")
+    entries = (
+        f"joint{k}:\n  kinematic:\n" + "".join(f"    {key}: {value}\n" for key, value in zip(keys, row, strict=True))
+        for k, row in enumerate(rows, 1)
+    )
+    path.write_text("".join(entries))
+    return path
+
+
+def test_the_kinematics_of_franka_description_are_an_arm_of_seven_joints(tmp_path, capsys):
+    path = write_franka(tmp_path / "kinematics.yaml")
+    code, said, _ = run(capsys, "arms", path)
+    assert code == 0
+    assert "7 joints" in flat(said)
+    arm = read_arm(path)
+    q = np.random.default_rng(0).uniform(-1, 1, (5, 7))
+    expected = six_parameter_poses(np.array(FRANKA[:7]), q) @ np.block(
+        [[np.eye(3), np.array([[0], [0], [0.107]])], [np.zeros((1, 3)), np.ones((1, 1))]]
+    )
+    np.testing.assert_allclose(frames.chain(arm.links, q) @ arm.T_joint_flange, expected, atol=1e-12)
+    code, _, _ = run(capsys, "convert", path, tmp_path / "franka.urdf")
+    assert code == 0
+
+
+def test_a_joint_of_franka_description_that_lacks_a_number_is_refused(tmp_path):
+    path = write_franka(tmp_path / "kinematics.yaml")
+    path.write_text(path.read_text().replace("    yaw: 0\n", "", 1))
+    assert "joint1" in refusal(read_arm, path)

@@ -193,6 +193,9 @@ def test_without_the_package_the_line_names_the_extra(tmp_path, monkeypatch):
     path = write(tmp_path, f"{ARM}</body>")
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert refusal(read_arm, path) == f"{path}: MJCF files take the package mujoco; pip install 'lite6jax[mjcf]'"
+    made = path.with_name("made.xml")
+    assert "pip install 'lite6jax[mjcf]'" in refusal(convert_file, "lite6", made)
+    assert not made.exists()
 
 
 @pytest.mark.parametrize("prolog", ['<?xml version="1.0"?>', "<!-- <mujoco> -->", ""])

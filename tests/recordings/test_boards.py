@@ -127,3 +127,74 @@ def test_what_shows_no_board_ends_in_one_line(cv2, tmp_path, capsys):
         assert said in error
         assert error.count("\n") == 1
     assert not (tmp_path / "joints_corners.csv").exists()
+
+
+# ------------------------------------------------------------------ other layouts, and boards without markers
+
+
+def write_pictures(cv2, folder, drawn, T, mm_per_pixel):
+    """Images of a drawn board at poses of its upper left corner."""
+    folder.mkdir()
+    per_pixel = np.diag([1e-3 * mm_per_pixel, 1e-3 * mm_per_pixel, 1.0])
+    for k, one in enumerate(T):
+        H = K @ np.stack([one[:3, 0], one[:3, 1], one[:3, 3]], 1) @ per_pixel
+        image = cv2.warpPerspective(drawn, H, SIZE, flags=cv2.INTER_AREA, borderValue=200)
+        assert cv2.imwrite(str(folder / f"image{k}.png"), image)
+    return folder
+
+
+def draw_legacy(cv2, columns, rows):
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    board = cv2.aruco.CharucoBoard((columns, rows), 0.02, 0.015, markers)
+    board.setLegacyPattern(True)
+    return board.generateImage((columns * 200, rows * 200), marginSize=0)
+
+
+def test_a_board_of_the_pattern_before_opencv_4_6_is_found_and_that_is_said(cv2, tmp_path, capsys):
+    T = poses(5)
+    write_pictures(cv2, tmp_path / "images", draw_legacy(cv2, 7, 6), T, 0.1)
+    found = boards.detect_corners(boards.list_images([tmp_path / "images"]), boards.parse_board("charuco:7x6,20mm"))
+    assert found.legacy
+    assert found.shown.all()
+    write_joints(tmp_path / "joints.csv", rows=5)
+    command = ["detect", str(tmp_path / "images"), "--board", "charuco:7x6,20mm", "--arm", "lite6"]
+    assert main([*command, "--joints", str(tmp_path / "joints.csv")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "5 of 5 images show the board" in said
+    assert "pattern of OpenCV before 4.6" in said
+
+
+def test_markers_without_corners_are_said_to_be_in_another_layout(cv2, tmp_path):
+    write_pictures(cv2, tmp_path / "images", draw_legacy(cv2, 7, 6), poses(2), 0.1)
+    images = boards.list_images([tmp_path / "images"])
+    with pytest.raises(InputError, match=r"markers 0 to \d+ are seen, but in another layout"):
+        boards.detect_corners(images, boards.parse_board("charuco:4x11,20mm"))
+
+
+@pytest.mark.parametrize("turned", [0, 2])
+def test_a_checkerboard_is_found_from_its_dark_first_corner(cv2, tmp_path, turned):
+    columns, rows, pixels = 8, 5, 150
+    dark = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
+    drawn = np.kron(np.where(dark, 10, 245), np.ones((pixels, pixels))).astype(np.uint8)
+    drawn = cv2.copyMakeBorder(drawn, pixels, pixels, pixels, pixels, cv2.BORDER_CONSTANT, value=245)
+    T = poses(4, seed=3)
+    mm_per_pixel = 20 / pixels
+    folder = write_pictures(cv2, tmp_path / "images", np.rot90(drawn, turned).copy(), T, mm_per_pixel)
+    board = boards.parse_board("checkerboard:8x5,20mm")
+    found = boards.detect_corners(boards.list_images([folder]), board)
+    assert found.shown.all()
+    first = 0.04 - 0.5e-3 * mm_per_pixel
+    points = np.array(board.settings.points) + np.array([first, first, 0.0])
+    if turned:  # the same board, mounted the other way round
+        width, height = ((np.array([columns, rows]) + 2) * 0.02 - 1e-3 * mm_per_pixel).tolist()
+        points = np.array([width, height, 0.0]) - points
+    for k, one in enumerate(T):
+        seen = (points @ one[:3, :3].T + one[:3, 3]) @ K.T
+        off = np.abs(found.pixels[k] - seen[:, :2] / seen[:, 2:])
+        assert off.max() < 1.0  # another first corner is off by tens of pixels
+        assert np.median(off) < 0.15
+
+
+def test_a_checkerboard_that_looks_the_same_after_half_a_turn_is_refused():
+    with pytest.raises(InputError, match="looks the same after half a turn"):
+        boards.parse_board("checkerboard:9x7,20mm")

@@ -163,8 +163,11 @@ def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("run7.npy", "is no recording; write it as run7.csv or .parquet with a name for each column"),
-        ("run7.doc", "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a"),
+        ("run7.pkl", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        (
+            "run7.doc",
+            "a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is the folder of a",
+        ),
         ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),
         ("folder.csv", "is a folder; name a file"),
@@ -172,7 +175,7 @@ def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
 )
 def test_a_path_that_is_no_recording(tmp_path, name, message):
     (tmp_path / "folder.csv").mkdir()
-    (tmp_path / "run7.npy").write_text(FINE)
+    (tmp_path / "run7.pkl").write_text(FINE)
     assert message in unread(tmp_path / name)
 
 

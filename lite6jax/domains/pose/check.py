@@ -30,7 +30,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.hypotheses import tables_of_model, touches_one_point
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
-from lite6jax.recordings import Recording, outside_limits
+from lite6jax.recordings import Recording, outside_limits, require_one_station
 from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
@@ -116,6 +116,7 @@ def check_recording(
         InputError: as `fit_recording`.
     """
     options = options or ScreeningOptions()
+    require_one_station(recording)
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, options=options, allow_undecided=True)
     recording, arm = screened.recording, screened.arm

@@ -32,7 +32,7 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor, weights_left
 from lite6jax.estimation.terms import Terms
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings import Recording, require_one_station, require_samples
 from lite6jax.recordings.units import real_array
 from lite6jax.sensors.points import PointSensor
 
@@ -134,6 +134,7 @@ def fit_recording(
     Raises:
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
+    require_one_station(recording)
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, geometry, options)
     if recording.touches is not None:

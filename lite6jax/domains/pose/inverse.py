@@ -228,15 +228,7 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     if not rows.size:
         return None
     R, p = Rotation.from_quat(quaternion[rows], scalar_first=True), position[rows]
-    matrices = R.as_matrix()
-    model = arm_model(arm.kinematics.ravel(), T_flange_tool=arm.T_joint_flange)
-
-    def solved(some: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
-        target = Target(p[some].T, np.moveaxis(matrices[some], 0, -1))  # type: ignore[arg-type]
-        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
-        reached = (found.position_error <= _WRITTEN[0]) & (found.orientation_error <= _WRITTEN[1])
-        return found.joint_position.T, np.asarray(reached)
-
+    solved = _solver(arm, p, R.as_matrix())
     turned = np.concatenate([[0.0], (R[:-1].inv() * R[1:]).magnitude()])
     moved = np.concatenate([[0.0], np.linalg.norm(np.diff(p, axis=0), axis=1)])
     branches = _branches(arm, solved)
@@ -249,11 +241,57 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     return None
 
 
+def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.floating]) -> JointPath | None:
+    """The joints of a nominal arm at poses between which it moved far; None where most are not reached.
+
+    Each pose is solved from many joints. Of what reaches it, the nearest to the joints at the row before is taken, and
+    at the first row the nearest to the middle of the limits. Arguments as of `joint_path`.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
+    if not rows.size:
+        return None
+    solved = _solver(arm, position[rows], Rotation.from_quat(quaternion[rows], scalar_first=True).as_matrix())
+    every = np.arange(len(rows))
+    ends = [solved(every, np.tile(start, (len(rows), 1))) for start in _starts(arm)]
+    q, reached = np.stack([one for one, _ in ends], 1), np.stack([one for _, one in ends], 1)
+    if reached.any(1).mean() < _FOLLOWED:
+        return None
+    last = arm.joint_limits.mean(1)
+    found, there = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
+    for k in np.flatnonzero(reached.any(1)):
+        candidates = q[k, reached[k]]
+        last = candidates[np.argmin(np.sum((candidates - last) ** 2, 1))]
+        found[rows[k]], there[rows[k]] = last, True
+    first = q[np.argmax(reached.any(1))][reached[np.argmax(reached.any(1))]]
+    circle = np.where(arm.slides, first, np.exp(1j * first))  # whole turns are one branch
+    return JointPath(found, there, len(np.unique(np.round(circle, 1), axis=0)))
+
+
+def _solver(arm: Arm, position: NDArray[np.floating], matrices: NDArray[np.floating]) -> _Solve:
+    """What solves some of the poses of a nominal arm's flange from given joints."""
+    model = arm_model(arm.kinematics.ravel(), T_flange_tool=arm.T_joint_flange)
+
+    def solved(some: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
+        target = Target(position[some].T, np.moveaxis(matrices[some], 0, -1))  # type: ignore[arg-type]
+        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
+        reached = (found.position_error <= _WRITTEN[0]) & (found.orientation_error <= _WRITTEN[1])
+        return found.joint_position.T, np.asarray(reached)
+
+    return solved
+
+
+def _starts(arm: Arm) -> NDArray[np.floating]:
+    """`(start, joint)`, all over the limits."""
+    limits = np.where(arm.slides[:, None], arm.joint_limits, np.clip(arm.joint_limits, -np.pi, np.pi))
+    return np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_STARTS, arm.dof))
+
+
 def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
     """The joints `(joint,)` at the first row, the nearest to the middle of the limits first."""
-    limits = np.where(arm.slides[:, None], arm.joint_limits, np.clip(arm.joint_limits, -np.pi, np.pi))
     middle = np.where(arm.slides, arm.joint_limits.mean(1), np.clip(arm.joint_limits.mean(1), -np.pi, np.pi))
-    starts = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_STARTS, arm.dof))
+    starts = _starts(arm)
     parts = [solved(np.zeros(len(part), int), part) for part in np.split(starts, _STARTS // _TOGETHER)]
     ends = np.concatenate([q[reached] for q, reached in parts])
     turn, found = np.where(arm.slides, 0.0, 2 * np.pi), []

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import FEWEST, in_si
+from lite6jax.domains.pose.readings import CLEARLY, FEWEST, flange_poses, in_si, match_poses
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import FORMS, QUATERNION, spelled, with_quaternions
+from lite6jax.recordings.columns import FORMS, PLACE, QUATERNION, spelled, with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -76,6 +77,22 @@ class JoinedFiles(NamedTuple):
     left_out: tuple[str, ...] = ()
 
 
+class SolvedPairs(NamedTuple):
+    """Pairs of a robot's pose and a target's, with the joints of a nominal arm in place of the robot's.
+
+    Attributes:
+        columns: `(row,)` of joints and of the target's pose.
+        solved: how the joints were found.
+        inverted: whether the target's poses were inverted, as those of a camera on the flange.
+        errors: m, the median errors of the nominal arm as recorded and inverted.
+    """
+
+    columns: dict[str, Array]
+    solved: "WithJoints"
+    inverted: bool
+    errors: tuple[float, float]
+
+
 class WithJoints(NamedTuple):
     """A file whose poses of the flange were replaced by the joints of a nominal arm.
 
@@ -90,8 +107,10 @@ class WithJoints(NamedTuple):
     form: str
 
 
-def with_joints(file: File, arm: Arm) -> WithJoints:
+def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
     """A robot's file with joints in place of the poses that its controller computed, of the flange in the arm's base.
+
+    Between captures the arm moved far, so that each pose is solved alone.
 
     Raises:
         InputError: it has no positions and orientations, or no branch of the arm reaches them.
@@ -102,7 +121,9 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
             "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
         )
-    from lite6jax.domains.pose.inverse import joint_path  # imports JAX
+    from lite6jax.domains.pose import inverse  # imports JAX
+
+    solve = inverse.capture_joints if captures else inverse.joint_path
 
     assert turned.form is not None
     # as it was read; in doubt as any that it may be
@@ -111,7 +132,7 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     for form in dict.fromkeys([turned.form.choice, *others]):
         values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
-        path = joint_path(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
+        path = solve(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
         if path is not None:
             break
     if path is None:
@@ -128,6 +149,47 @@ def with_joints(file: File, arm: Arm) -> WithJoints:
     whole = rest | columns
     found = inspect(list(whole.items()), arm, given, file.source)
     return WithJoints(File(file.source, file.stem, whole, found), path, turned.renamed(form=form)[turned.columns[0]])
+
+
+def is_of_pairs(file: File) -> bool:
+    """Whether a file holds a robot's pose and a sensor's in each row, and no joints, as for a hand-eye calibration."""
+    roles = {source.role for source in file.found.sources}
+    return file.found.of("q") is None and roles >= {"controller", "sensor"}
+
+
+def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
+    """A file of pairs of poses as one of joints and poses.
+
+    Of a camera on the flange the pose of the target is that of the sensor's frame in the tool's: it is inverted where
+    the nominal arm then agrees clearly better.
+
+    Raises:
+        InputError: as `with_joints`.
+    """
+    of_target = next(source.columns for source in file.found.sources if source.role == "sensor")
+    robot = {name: column for name, column in file.columns.items() if name not in of_target}
+    alone = File(file.source, file.stem, robot, inspect(list(robot.items()), arm, {}, file.source))
+    moved = with_joints(alone, arm, captures=True)
+    reached = np.flatnonzero(moved.path.reached)
+    columns = {name: column[reached] for name, column in moved.file.columns.items()}
+    columns |= {name: file.columns[name][reached] for name in of_target}
+    found = inspect(list(columns.items()), arm, {}, file.source)
+    position, rotation = found.of("position"), found.of("rotation")
+    if position is None or rotation is None or rotation.form is None or len(reached) < FEWEST:
+        return SolvedPairs(columns, moved, False, (np.inf, np.inf))
+    q = _joint_columns(File(file.source, file.stem, columns, found), arm)
+    values = dict(zip(map(spelled, FORMS[rotation.form.choice]), rotation.in_si(columns).T, strict=True))
+    turns = with_quaternions(values, file.source)
+    R = Rotation.from_quat(np.stack([turns[name] for name in QUATERNION], 1), scalar_first=True)
+    places, flange = position.in_si(columns), flange_poses(arm, q)
+    inverse = -R.inv().apply(places)
+    errors = (match_poses(flange, places)[0], match_poses(flange, inverse)[0])
+    if errors[1] * CLEARLY > errors[0]:
+        return SolvedPairs(columns, moved, False, errors)
+    rest = {name: column for name, column in columns.items() if name not in of_target}
+    turned = R.inv().as_quat(scalar_first=True, canonical=True)
+    rest |= dict(zip(map(spelled, PLACE), inverse.T, strict=True)) | dict(zip(QUATERNION, turned.T, strict=True))
+    return SolvedPairs(rest, moved, True, errors)
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:

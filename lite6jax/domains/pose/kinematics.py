@@ -158,6 +158,9 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     assert position is not None
     rotation = np.zeros((3, 3, 0)) if turned is None else np.moveaxis(turned, 0, -1)
     found = Measured(np.ascontiguousarray(position.T), rotation, whitener)
+    if recording.stations:
+        further = np.tile(np.eye(4), (len(recording.stations), 1, 1))
+        found = replace(found, station=recording.station, stations=further)
     seen = None if recording.readings is None else recording.readings.seen
     if seen is None or not seen.mean.size:
         return found

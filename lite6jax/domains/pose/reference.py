@@ -30,7 +30,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.model import LEVER, ArmModel
-from lite6jax.recordings import Recording, RecordingSettings, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
 from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
@@ -173,6 +173,7 @@ def compare(
     """
     arm = arm or arm_of(recording)
     for side in (recording, reference):
+        require_one_station(side)
         if side.dof != arm.dof:
             raise InputError(f"{side.source}: has {side.dof} joints, but {arm.name} has {arm.dof}; give that arm's")
         if side.sliding != arm.sliding:

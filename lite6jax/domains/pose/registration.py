@@ -29,7 +29,7 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_one_station, require_samples
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
 
@@ -140,6 +140,7 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
         recording = read_motion(recording, model)
     if not isinstance(recording, Recording):
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
+    require_one_station(recording)
     require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
     model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
     by_a_metre = frames.transform_from_row([1, 0, 0, 0, 0, 0])

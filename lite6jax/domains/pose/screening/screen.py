@@ -20,7 +20,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, settling, stations
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
@@ -59,8 +59,24 @@ def drop_repeats(state: Screened) -> Screened:
 
 def convert_positions(state: Screened) -> Screened:
     """Positions in m, where some rows are a thousand times too far away or too near."""
-    recording, position, options = state.recording, state.recording.position, state.options
+    recording, position = state.recording, state.recording.position
     assert position is not None
+    factor = np.ones(recording.samples)
+    farthest: list[tuple[float, float]] = []
+    for station in np.unique(recording.station):  # each in a frame of its own
+        rows = recording.station == station
+        factor[rows], largest, size = _factors(position[rows], state.options)
+        farthest.append((largest, size))
+    if (factor == 1).all():
+        largest, size = max(farthest, key=lambda distances: distances[0] / distances[1])
+        return state.rule_out("position_unit", largest_distance_m=largest, median_distance_m=size)
+    numbers = {"factor": float(factor.max() if factor.max() > 1 else factor.min())}
+    fault = DataFault("position_unit", row_numbers(recording.row[factor != 1]), numbers)
+    return state.corrected(fault, replace(recording, position=position * (1 / factor)[:, None]))
+
+
+def _factors(position: Array, options: ScreeningOptions) -> tuple[Array, float, float]:
+    """By how much each position is too large `(sample,)`; and the largest and the median distance from their middle."""
     middle, size = np.median(position, axis=0), max(median_distance(position), 1e-6)
 
     def distance(points: Array) -> Array:
@@ -71,13 +87,7 @@ def convert_positions(state: Screened) -> Screened:
     near = np.linalg.norm(position, axis=1) < options.near_share * size
     near &= distance(position * 1000) < options.near_distances * size
     near &= np.mean(near) < options.most_in_another_unit  # positions of one point are near themselves in any unit
-    if not (far | near).any():
-        largest = float(distance(position).max())
-        return state.rule_out("position_unit", largest_distance_m=largest, median_distance_m=size)
-    factor = np.where(far, 1e3, np.where(near, 1e-3, 1.0))
-    numbers = {"factor": float(factor.max() if factor.max() > 1 else factor.min())}
-    fault = DataFault("position_unit", row_numbers(recording.row[factor != 1]), numbers)
-    return state.corrected(fault, replace(recording, position=position * (1 / factor)[:, None]))
+    return np.where(far, 1e3, np.where(near, 1e-3, 1.0)), float(distance(position).max()), size
 
 
 def note_commanded(state: Screened) -> Screened:
@@ -222,6 +232,7 @@ def screen(
         if coarse and entry.needs == "fit":
             break
         if entry.needs != "recording" and state.rigid is None:
+            state = stations.join_stations(state) if recording.stations else state
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
