@@ -20,6 +20,7 @@ from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
+from lite6jax.recordings.words import NamedColumns, Points
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.words import fill, read_texts, say
 
@@ -183,7 +184,8 @@ def _column_lines(found: Inspection) -> list[str]:
     told = dict(found.columns)
     for block in found.blocks:
         lines += _wrapped(statement(block))
-        lines += [_entry(own, told.pop(own)) for own in block.columns if own in told]
+        in_file = [found.in_file.get(own, own) for own in block.columns]
+        lines += [_entry(own, told.pop(own)) for own in in_file if own in told]
     rest = {own: name for own, name in told.items() if name != IGNORED}
     unused = {own: name for own, name in told.items() if name == IGNORED}
     for comment, entries in (("As given.", rest), ("Not used.", unused)):
@@ -260,7 +262,9 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
     """How the joints of one file and the poses of another were joined."""
     clocks = found.clocks
     facts: dict[str, Any] = {"found": found, "clocks": clocks, "pairing": found.pairing}
-    facts |= {"joints": joints, "poses": poses}
+    facts |= {"joints": joints, "poses": poses, "names": found.names}
+    if found.names is not None:
+        facts["alone"] = [_named(names) for names in found.names.alone]
     if clocks is not None:
         facts["offset"] = clocks.offset + found.start
         facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
@@ -274,10 +278,30 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
     return said
 
 
+def _named(names: Sequence[str]) -> str:
+    """Some names of rows, and how many more there are."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
+
+
 def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     facts = {"count": len(found.path.reached), "missing": int(np.sum(~found.path.reached))}
     return _sentences("solved", {**facts, "source": found.file.source, "arm": arm, "branches": found.path.branches})
+
+
+def describe_named_columns(found: NamedColumns) -> list[str]:
+    """Whose numbers cells name."""
+    facts = {"by": _columns(found.by), "words": _named(found.words), "ordered": bool(found.in_file)}
+    return _sentences("named", facts)
+
+
+def describe_points(found: Points, taken: str) -> list[str]:
+    """How rows of points became rows of states; `taken` is the one point whose position is read, or none."""
+    counts = dict(zip(found.labels, found.counts, strict=True))
+    states = len(next(iter(found.columns.values())))
+    facts = {"by": found.by, "labels": _named(found.labels), "count": len(found.labels), "states": states}
+    return _sentences("points", {**facts, "taken": taken, "seen": counts.get(taken), "whole": min(found.counts)})
 
 
 def describe_reflectors(found: WithPose) -> list[str]:

@@ -6,7 +6,7 @@ words are those of `report.inspection`, but for why a motion is one.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -112,6 +112,7 @@ class Inspection:
         motion: `static` or `trajectory`, and why in words.
         sources: the poses; where several are possible and none is taken, the caller is to choose.
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
+        in_file: of columns that are called otherwise in the file, their names there.
     """
 
     blocks: tuple[Block, ...]
@@ -126,10 +127,11 @@ class Inspection:
     motion: tuple[str, str]
     sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
+    in_file: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, str]:
-        """The sidecar's `columns`; empty where every name is one of a recording already."""
+        """The sidecar's `columns`, by their names in the file; empty where every name is one of a recording already."""
         pairs = [pair for block in self.blocks for pair in block.renamed().items()]
         taken = {name.partition("_")[0] for name in self.given.values()}
         told = {own: IGNORED if name.partition("_")[0] in taken else name for own, name in pairs} | dict(self.given)
@@ -137,7 +139,8 @@ class Inspection:
         read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
         needed = read or any(own != name for own, name in told.items()) or any(map(is_refused, unused))
-        return told | unused if needed else {}
+        needed = needed or bool(self.in_file)
+        return {self.in_file.get(own, own): name for own, name in (told | unused).items()} if needed else {}
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -212,7 +215,7 @@ def inspect(
     texts = tuple(name for name, values in columns if values is None)
     for name in given:
         if name not in dict(columns):
-            raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
+            raise InputError(f"{source}: has no column {name[:60]!r}; {near(name, list(dict(columns)))}")
     if not any(block.kind == "position" for block in naming.candidates([*numbers], ())):
         given = {name: name for name, _ in columns if reading_of(name)} | given
     free = [name for name in numbers if given.get(name) != IGNORED]
@@ -309,9 +312,10 @@ def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]
     return every if role is None else named or open_ or every
 
 
-def _near(name: str, names: Sequence[str]) -> str:
-    near = nearest_known(name)
-    return f"{'' if near is None else f'write COLUMN=MEANING, such as joint_1={near}; '}it has {list_names(names)}"
+def near(name: str, names: Sequence[str]) -> str:
+    """What may be meant by a name that a table does not have."""
+    known = nearest_known(name)
+    return f"{'' if known is None else f'write COLUMN=MEANING, such as joint_1={known}; '}it has {list_names(names)}"
 
 
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
