@@ -148,7 +148,9 @@ class Init:
 
         def look() -> "pose_inspection.Inspection":
             nominal, assumed = sources.load_nominal(arm), table.content.assumed
-            found = pose_inspection.inspect(table.columns, nominal, given, str(file), assumed=assumed, **said)
+            found = pose_inspection.inspect(
+                table.columns, nominal, given, str(file), assumed=assumed, words=table.words, **said
+            )
             return replace(found, in_file=table.in_file)
 
         found = look()

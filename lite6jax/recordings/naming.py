@@ -70,6 +70,19 @@ _CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch
 """Beside which `t` is a time still."""
 _AIR = _words("ambient amb room air env environment")
 _RUNS = _words("run episode trial segment")
+_READINGS = {
+    "contact": _words(
+        "socket sockets contact contacts nest ball cone hole point points target feature touched fiducial "
+        "punkt messpunkt kugel pfanne buchse"
+    ),
+    "plane": _words("plane planes plate plates face faces surface surfaces wall ebene fläche platte wand"),
+    "anchor": _words("anchor anchors post anker"),
+    "distance": _words(
+        "wire rope cable string draw distance dist length range extension seil seillänge länge abstand distanz"
+    ),
+    "axis": _words("dial gauge indicator height z plunger lvdt messuhr höhe taster uhr"),
+}
+"""Words by which people call readings that are no poses, by the quantity in `columns.READINGS`."""
 _LENGTHS = {
     "rad": "rad radian radians",
     "deg": "deg degree degrees °",
@@ -318,6 +331,18 @@ def units_allowed(kind: str, *slides: bool) -> set[str]:
 def unit_of(name: str) -> str | None:
     """The unit that a column's name states; None where it states none."""
     return _taken_apart(name).unit
+
+
+def reading_words(name: str) -> set[str]:
+    """The quantities of readings that the words of a column's name may mean, of `columns.READINGS`."""
+    spoken = spoken_words(name)
+    return {quantity for quantity, words in _READINGS.items() if words & spoken}
+
+
+def spoken_words(name: str) -> set[str]:
+    """The words of a name, whatever letters they are of."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", normalize("NFKC", name))
+    return {*re.findall(r"[^\W\d_]+", spaced.lower())}
 
 
 def is_of_gripper(name: str) -> bool:

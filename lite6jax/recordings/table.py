@@ -95,7 +95,8 @@ class RawTable(NamedTuple):
         without = {name for name, numbers in self.numbers() if numbers is None}
         wanted = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in without}
         read = {self.names[place].strip(): values for place, values in self.load(wanted).items()}
-        return {name: _strings(values) for name, values in read.items() if is_text(values)}
+        texts = {name: _strings(values) for name, values in read.items() if is_text(values)}
+        return {name: [word.strip("'\" ") for word in cells] for name, cells in texts.items()}
 
 
 def resolve_names(names: Iterable[str], given: Mapping[str, str]) -> dict[str, str]:

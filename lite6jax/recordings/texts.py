@@ -85,7 +85,10 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
     lists, text = (marked := mark_lists(text)) != text, marked
     lines = text.split("\n")
     possible = [mark for mark in _DELIMITERS if mark in (",", SPACES) or mark in text]
-    delimiter, rows, width, _ = max((_block(lines, mark) for mark in possible), key=lambda found: found[3])
+    blocks = {mark: _block(lines, mark) for mark in possible}
+    if "\t" in blocks and _is_even(blocks["\t"]):
+        del blocks[SPACES]  # which stand within the cells
+    delimiter, rows, width, _ = max(blocks.values(), key=lambda found: found[3])
     body = _body(rows, width)
     if body is None:
         return _of_names_alone(lines)
@@ -145,6 +148,14 @@ def _block(lines: Sequence[str], delimiter: str) -> tuple[str, list[Row], int, f
             scores[len(row)] += numbers**2 / (numbers + kinds["text"])
     width = max(scores, key=lambda key: scores[key], default=0)
     return delimiter, rows, width, scores[width]
+
+
+def _is_even(block: tuple[str, list[Row], int, float]) -> bool:
+    """Whether the rows of a block, and the names above them, are all there is, with two numbers or more in each row."""
+    _, rows, width, _ = block
+    filled = [[*map(_kind, row)] for row in rows if any(row)]
+    numbers = [kinds.count("number") + kinds.count("integer") for kinds in filled[1:] if len(kinds) == width]
+    return width > 1 and [*map(len, filled)] == [width] * len(filled) and min(numbers, default=0) > 1
 
 
 def _split(line: str, delimiter: str) -> Row:

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.recordings.naming import spoken_words
+
 Array = NDArray[np.floating]
 Words = Sequence[str]
 """One a row; empty where the cell is."""
@@ -193,8 +195,7 @@ def spread_points(
 
 def is_label(name: str) -> bool:
     """Whether whole numbers of a column of this name may say which point, pose or marker a row is of."""
-    spoken = re.findall(r"[a-z]+|[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
-    return not _IDENTIFIES.isdisjoint(spoken)
+    return not _IDENTIFIES.isdisjoint(spoken_words(name))
 
 
 _IDENTIFIES = {

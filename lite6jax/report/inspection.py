@@ -44,8 +44,11 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     for block in found.blocks:
         yield indented(statement(block))
         recognised |= block.renamed()
+    for own, (quantity, unit) in found.announced.items():
+        facts = {"own": own, "quantity": _TEXTS["readings"][quantity], "name": found.given[own]}
+        yield indented(fill(_TEXTS["announced"], facts, sure="" if unit is None else _sure(unit)))
     for own, name in found.given.items():
-        if recognised.get(own) != name:
+        if recognised.get(own) != name and own not in found.announced:
             yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
     for own, why in found.denied.items():
         yield indented(f"{own}: {_TEXTS['denied'][why]}, so it is not used.")
@@ -240,6 +243,7 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "said": settings.get("pose_source", "unknown"),
         "of_controller": any(one.taken and one.role == "controller" for one in found.sources),
         "nothing": nothing,
+        "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
     }
     yield from say(_TEXTS["next"], facts)

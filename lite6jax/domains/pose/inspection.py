@@ -41,9 +41,11 @@ from lite6jax.recordings.columns import (
     nearest_known,
     quaternions,
     reading_of,
+    spelled,
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
+from lite6jax.recordings.words import Words, is_label, write_whole
 
 Array = NDArray[np.floating]
 
@@ -113,6 +115,10 @@ class Inspection:
         sources: the poses; where several are possible and none is taken, the caller is to choose.
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
         in_file: of columns that are called otherwise in the file, their names there.
+        announced: columns of `given` that are readings as `pose_source` says, with what it says and the unit of those
+            that have one.
+        likely_readings: where `pose_source` does not say of readings, what it would say, of which column, and what that
+            would be.
     """
 
     blocks: tuple[Block, ...]
@@ -128,6 +134,8 @@ class Inspection:
     sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
     in_file: Mapping[str, str] = field(default_factory=dict)
+    announced: Mapping[str, tuple[str, sizes.Decision | None]] = field(default_factory=dict)
+    likely_readings: tuple[tuple[str, str, str], ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
@@ -190,6 +198,7 @@ def inspect(
     pose_source: str | None = None,
     motion: str | None = None,
     assumed: Collection[str] = (),
+    words: Mapping[str, Words] | None = None,
 ) -> Inspection:
     """What a table holds.
 
@@ -202,6 +211,7 @@ def inspect(
         motion: where it is known.
         assumed: columns whose unit is stated by nothing but a name that the reader of the file gave them; it is decided
             as if no name stated it.
+        words: of the columns of text.
 
     Raises:
         InputError: a column that is given is not there, there are no rows, or rows of poses are at no known joints.
@@ -250,6 +260,18 @@ def inspect(
     decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
+    announced: dict[str, tuple[str, sizes.Decision | None]] = {}
+    likely: list[tuple[str, str, str]] = []
+    if not read and not any(map(reading_of, given.values())):
+        rest = {name: values for name, values in numbers.items() if name not in used}
+        cells = {name: own for name, own in (words or {}).items() if name not in given}
+        if pose_source in READINGS_OF:
+            announced = _readings(pose_source, rest, cells)
+        else:
+            called = {of: _readings(of, rest, cells, by_name=True) for of in READINGS_OF}
+            likely = [(of, name, quantity) for of, own in called.items() for name, (quantity, _) in own.items()]
+        given |= {name: spelled(quantity, unit=unit and unit.choice) for name, (quantity, unit) in announced.items()}
+        used |= announced.keys()
     return Inspection(
         blocks=decided,
         given=given,
@@ -263,7 +285,54 @@ def inspect(
         motion=(motion, "as given") if motion else motion_of(decided, numbers),
         sources=tuple(pose._replace(taken=place == taken) for place, pose in enumerate(read)),
         motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, decided),
+        announced=announced,
+        likely_readings=tuple(likely),
     )
+
+
+READINGS_OF: Mapping[str, tuple[str, ...]] = {
+    "touch": ("contact", "plane"),
+    "draw_wire": ("distance",),
+    "height_gauge": ("axis",),
+}
+"""What is read by what measures no poses, by `pose_source`."""
+
+
+def _readings(
+    pose_source: str, numbers: Mapping[str, Array], words: Mapping[str, Words], by_name: bool = False
+) -> dict[str, tuple[str, sizes.Decision | None]]:
+    """The columns that are readings of a source: those that are called so, or the only ones that may be.
+
+    Args:
+        pose_source: of `READINGS_OF`.
+        numbers: columns that mean nothing else, `(sample,)` each.
+        words: of the columns of text.
+        by_name: whether only those are wanted that are called so.
+
+    Returns:
+        the quantity of each, and the unit of what has one; none where several columns may be meant.
+    """
+    kinds = READINGS_OF[pose_source]
+    labels = {name: [*cells] for name, cells in words.items()}
+    labels |= {name: write_whole(values) for name, values in numbers.items() if is_label(name)}
+    labels = {name: cells for name, cells in labels.items() if 2 * len({*cells} - {""}) <= len(cells) and any(cells)}
+    if pose_source == "touch":
+        possible = [*labels]
+    else:
+        possible = [name for name, values in numbers.items() if np.nanmax(values) > np.nanmin(values)]
+        possible = [name for name in possible if naming.unit_of(name) in (None, *units_of(kinds[0]))]
+    called = [name for name in possible if naming.reading_words(name) & {*kinds}]
+    chosen = called if called or by_name else possible
+    if len(chosen) != 1:
+        return {}
+    name = chosen[0]
+    if pose_source == "touch":
+        meant = naming.reading_words(name)
+        return {name: ("plane" if "plane" in meant and "contact" not in meant else "contact", None)}
+    stated = naming.unit_of(name)
+    unit = sizes.by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
+    anchors = [label for label in labels if "anchor" in naming.reading_words(label)] if kinds == ("distance",) else []
+    return {name: (kinds[0], unit)} | ({anchors[0]: ("anchor", None)} if len(anchors) == 1 else {})
 
 
 def _motors(
