@@ -89,7 +89,6 @@ class RawTable(NamedTuple):
             found.append((self.names[index].strip(), None if isinstance(read, str) else read))
         return found
 
-
     def words(self) -> dict[str, list[str]]:
         """The columns of text, one word a row; empty where a cell is."""
         without = {name for name, numbers in self.numbers() if numbers is None}
@@ -178,7 +177,9 @@ def is_text(values: Values) -> bool:
     if isinstance(values, str):
         return False
     kind = values.type
-    return types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind) or types.is_dictionary(kind)
+    return (
+        types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind) or types.is_dictionary(kind)
+    )
 
 
 def _strings(values: pa.Array | pa.ChunkedArray) -> list[str]:

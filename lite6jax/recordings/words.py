@@ -91,7 +91,9 @@ def _group(names: Iterable[str]) -> _Groups:
     return groups
 
 
-def _find_members(names: tuple[str, str], group: Mapping[int, str], numbers: _Groups) -> dict[tuple[str, str, int], str]:
+def _find_members(
+    names: tuple[str, str], group: Mapping[int, str], numbers: _Groups
+) -> dict[tuple[str, str, int], str]:
     """The columns of numbers that a group of columns of words may name, by stem, rest and number."""
     stem, rest = names
     if not _NAMING.search(re.split(r"[./]", stem)[-1] + rest):

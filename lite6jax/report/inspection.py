@@ -3,6 +3,7 @@
 The texts are in `templates/inspection.yaml`, with the keys of a sidecar.
 """
 
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
-from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.columns import IGNORED, MATRIX
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
@@ -111,13 +112,21 @@ def statement(block: Block) -> str:
     facts = {
         "kind": _kind(block),
         "columns": _columns(block.columns),
-        "form": form and f"{_TEXTS['forms'][form.choice]} ({_sure(form)})",
+        "form": form and f"{fill(_TEXTS['forms'][form.choice], {'order': _order(block.columns)})} ({_sure(form)})",
         "unit": unit,
         "commanded": block.kind == "cmd",
         "assumed": _commanded(block),
         "rivals": _listed(block.rivals) if block.rivals else "",
     }
     return fill(_TEXTS["block"], facts)
+
+
+def _order(columns: Sequence[str]) -> str:
+    """In which order the columns r11, r12, …, r33 of a matrix are numbered."""
+    numbers = [int(number) for name in columns for number in re.findall(r"\d+", name)[-1:]]
+    if len(numbers) != len(MATRIX) or len({*numbers}) < len(MATRIX):
+        return "rows"
+    return "rows" if numbers[1] < numbers[3] else "columns"
 
 
 def _commanded(block: Block) -> bool:
@@ -228,6 +237,9 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     q, tau, current, position = map(found.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
     timed = found.of("time") is not None or any(name.startswith("time") for name in found.given.values())
+    matrix = found.of("rotation")
+    matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
+    transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
     nothing = position is None and tau is None and current is None and not found.given
     facts = {
         "doubtful": [
@@ -242,6 +254,7 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "computed": found.computed,
         "said": settings.get("pose_source", "unknown"),
         "of_controller": any(one.taken and one.role == "controller" for one in found.sources),
+        "turned": matrix and [_column_option(own, name) for own, name in zip(matrix.columns, transposed, strict=True)],
         "nothing": nothing,
         "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
