@@ -16,6 +16,7 @@ import numpy as np
 
 from lite6jax.recordings.columns import (
     ANGLES,
+    DEVIATION,
     FORMS,
     MATRIX,
     PLACE,
@@ -36,9 +37,11 @@ def _words(text: str) -> set[str]:
 
 _MEASURED = _words("actual measured feedback real act meas present ist")
 _WANTED = _words(
-    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll"
+    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll nominal nom "
+    "theoretical theo"
 )
 _WANTED |= {"d"}  # libfranka
+_DEVIATIONS = _words("deviation deviations dev abweichung abweichungen abw difference diff delta")
 _UNUSED = _words(
     "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
@@ -124,7 +127,9 @@ _LETTERS = {
     "s": re.compile(r"t|stamp|clock|elapsed|[\[(]", re.IGNORECASE),
 }
 """Units that are letters by which columns are numbered too, with what stands beside them where they are units."""
-_GREEK = str.maketrans({"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "ω": " dq ", "α": " alpha ", "β": " beta "})
+_GREEK = str.maketrans(
+    {"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "Δ": " delta ", "ω": " dq ", "α": " alpha ", "β": " beta "}
+)
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -133,13 +138,17 @@ _ROBOTS = (
     tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
-KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "rotation", "time", "payload", "ambient", "run")
-_OF_POSES = {"position": "x", "rotation": "rx"}
+KINDS = (
+    *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "deviation", "rotation"),
+    *("time", "payload", "ambient", "run"),
+)
+_OF_POSES = {"position": "x", "deviation": "devx", "rotation": "rx"}
 """Quantities of the units of poses."""
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
-_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
+_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|d[xyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
+_IMPLIED |= {"d": "delta"}
 _TRIPLES: tuple[tuple[tuple[str, ...], str, Sureness], ...] = (
     (("roll", "pitch", "yaw"), "roll", "likely"),
     (("rx", "ry", "rz"), "", "assumed"),
@@ -190,7 +199,8 @@ class Block:
     @property
     def names(self) -> tuple[str, ...]:
         """Those that the columns have in a recording, once unit and form are decided."""
-        parts = FORMS[self.form.choice] if self.form else PLACE if self.kind == "position" else (self.kind,)
+        places = {"position": PLACE, "deviation": DEVIATION}
+        parts = FORMS[self.form.choice] if self.form else places.get(self.kind, (self.kind,))
         unit = self.unit.choice if self.unit else ""
         return tuple(spelled(part, joint, unit) for part in parts for joint in self.joints or (0,))
 
@@ -228,10 +238,14 @@ class Block:
 
 
 class Source(NamedTuple):
-    """A pose by one source: its position, and the readings of its orientation of which one is right."""
+    """A pose by one source: its position, the readings of its orientation of which one is right, and a deviation.
+
+    The deviation may be that of the measured position from this one.
+    """
 
     position: Block
     rotations: tuple[Block, ...]
+    deviation: Block | None = None
 
     @property
     def role(self) -> Role | None:
@@ -284,7 +298,7 @@ def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str]
     """
     taken: dict[str, Block] = {}
     driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in found)
-    for kind in (kind for kind in KINDS if kind not in ("position", "rotation")):
+    for kind in (kind for kind in KINDS if kind not in _OF_POSES):
         q = taken.get("q")
         moved = q is not None and q.rank < 2
         used = {name for block in taken.values() for name in block.columns}
@@ -319,7 +333,8 @@ def sources(found: Sequence[Block]) -> list[Source]:
         own = [block for block in turns if block.source == place.source]
         if not own and len(places) == 1 and {block.source for block in turns} == {()}:
             own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
-        listed.append(Source(place, tuple(own)))
+        deviations = [block for block in found if block.kind == "deviation" and block.source == of_whom(place.source)]
+        listed.append(Source(place, tuple(own), deviations[0] if len(deviations) == 1 else None))
     return listed
 
 
@@ -379,7 +394,7 @@ def _taken_apart(name: str) -> _Word:
         number = _NUMBERS.index(parts.pop(letters[0])) + 1
     elif places:
         component = parts.pop(at := places[-1])
-        if at and len(component) == 1 and parts[at - 1] in {*"ptqr"}:
+        if at and len(component) == 1 and parts[at - 1] in {*"ptqrd"}:
             component = parts.pop(at - 1) + component  # q_w is qw
         implied = next((word for start, word in _IMPLIED.items() if component in {start + axis for axis in "wxyz"}), "")
         component, parts = (component[-1], [*parts, implied]) if implied else (component, parts)
@@ -432,6 +447,11 @@ def _side(words: Iterable[str]) -> tuple[str, ...]:
 def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
     """The words that say whose a pose is; letters such as the T of `T00` do not."""
     return tuple(sorted(set(words) - _SHARED - {*letters}))
+
+
+def of_whom(source: Iterable[str]) -> tuple[str, ...]:
+    """Words of a source that do not say whether it is nominal, measured or the difference."""
+    return tuple(sorted({*source} - _WANTED - _MEASURED - _DEVIATIONS))
 
 
 def _form(words: Iterable[str]) -> Decision | None:
@@ -540,6 +560,8 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
             yield from _block("rotation", members, said, form=by_name("scalar_first"), source=source)
         elif turned and len(place) == 3:
             yield from _block("rotation", place, said, source=source, form=_form(said))
+        elif len(place) == 3 and _DEVIATIONS & {*said}:
+            yield from _block("deviation", place, said, source=of_whom(source))
         elif len(place) == 3 and not _JOINT & {*said}:
             weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)

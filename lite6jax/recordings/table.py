@@ -13,10 +13,10 @@ from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings.columns import (
-    IGNORED,
     LABELS,
     OF_ARRAY,
     Column,
+    add_deviations,
     is_scalar,
     name_columns,
     nearest_known,
@@ -362,7 +362,7 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     Raises:
         InputError: a run that is not a whole number.
     """
-    values, arrays = with_quaternions(table.values, source), {}
+    values, arrays = with_quaternions(add_deviations(table.values, notes), source), {}
     for name in OF_ARRAY:
         listed = name_columns(name, table.joints)
         block = [values[column] for column in listed if column in values]

@@ -17,7 +17,7 @@ from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
-from lite6jax.recordings.columns import IGNORED, MATRIX
+from lite6jax.recordings.columns import DEVIATION, IGNORED, MATRIX
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
@@ -255,6 +255,10 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "said": settings.get("pose_source", "unknown"),
         "of_controller": any(one.taken and one.role == "controller" for one in found.sources),
         "turned": matrix and [_column_option(own, name) for own, name in zip(matrix.columns, transposed, strict=True)],
+        "deviations": [
+            _column_option(own, f"{name}_{unit_of(own) or 'mm'}")
+            for own, name in zip(found.unclear_deviations, DEVIATION, strict=False)
+        ],
         "nothing": nothing,
         "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),

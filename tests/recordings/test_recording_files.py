@@ -136,9 +136,18 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         (FINE + "0.1,0.2,0.3", "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated;"),
         (FINE + "0.1,0.2\n" + FINE[-20:], "row 4 has 2 of 5 columns, x_m is the first without a value: the row is cut"),
         (FINE + "0,1,0,2,0,3,0,4,0,5\n", "row 4 has 10 of 5 columns, twice as many, as where decimal commas"),
-        (FINE + "0.1,0.2,0.3,0.4,0.5,ok\n", "row 4 has 6 of 5 columns: of 4 rows 3 have 5, 1 have 6 fields, and there are 5"),
-        (FINE.replace("0.5", "0.5,0"), "row 1 has 6 of 5 columns: of 3 rows 3 have 6 fields, and there are 5 names; name"),
-        (FINE + "0,0,0,0\n0,0\n", "row 4 has 4 of 5 columns, z_m is the first without a value: of 5 rows 1 have 2, 1 have"),
+        (
+            FINE + "0.1,0.2,0.3,0.4,0.5,ok\n",
+            "row 4 has 6 of 5 columns: of 4 rows 3 have 5, 1 have 6 fields, and there are 5",
+        ),
+        (
+            FINE.replace("0.5", "0.5,0"),
+            "row 1 has 6 of 5 columns: of 3 rows 3 have 6 fields, and there are 5 names; name",
+        ),
+        (
+            FINE + "0,0,0,0\n0,0\n",
+            "row 4 has 4 of 5 columns, z_m is the first without a value: of 5 rows 1 have 2, 1 have",
+        ),
         (FINE + "0.1,oops,0.3,0.4,0.5\n", "column q2_rad: row 4 holds 'oops', which is no number; give numbers with a"),
         (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),

@@ -7,6 +7,7 @@ words are those of `report.inspection`, but for why a motion is one.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,15 +18,19 @@ from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.readings import (
     CLEARLY,
+    CLOSE,
     Agreement,
     agreement,
     computed_by_controller,
     decide,
+    digit_step,
+    median_distance,
     motion_of,
 )
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
+    DEVIATION,
     FORMS,
     IGNORED,
     MATRIX,
@@ -119,6 +124,7 @@ class Inspection:
             that have one.
         likely_readings: where `pose_source` does not say of readings, what it would say, of which column, and what that
             would be.
+        unclear_deviations: columns of deviations from positions of which nothing says that they are nominal.
     """
 
     blocks: tuple[Block, ...]
@@ -136,6 +142,7 @@ class Inspection:
     in_file: Mapping[str, str] = field(default_factory=dict)
     announced: Mapping[str, tuple[str, sizes.Decision | None]] = field(default_factory=dict)
     likely_readings: tuple[tuple[str, str, str], ...] = ()
+    unclear_deviations: tuple[str, ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
@@ -246,7 +253,19 @@ def inspect(
     lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _at_poses(numbers, [*blocks, *poses], source)
-    read = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    poses = _without_differences(poses, numbers)
+    told = {name for name, column in said.items() if column.quantity in DEVIATION}
+    at_times = any(block.kind == "time" for block in blocks)
+    read, unclear = [], []
+    for pose in naming.sources(poses):
+        read.append(_read_pose(pose, blocks, numbers, arm))
+        if (deviation := pose.deviation) is None:
+            continue
+        nominal = pose.position.rank == 2 or (read[-1].computed and not at_times)
+        if nominal or told >= {*deviation.columns}:
+            read[-1] = _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm)
+        else:
+            unclear += deviation.columns
     read = [pose for pose in read if pose.travel > 0] or read
     taken = _choose_pose(read, pose_source)
     found = Pose(arm=read[0].arm if read else arm) if taken is None else read[taken]
@@ -287,6 +306,7 @@ def inspect(
         motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, decided),
         announced=announced,
         likely_readings=tuple(likely),
+        unclear_deviations=tuple(unclear),
     )
 
 
@@ -467,13 +487,16 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
-    for form, parts in {"": PLACE, **FORMS}.items():
+    for form, parts in {"": PLACE, "deviation": DEVIATION, **FORMS}.items():
         if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
         columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
         unit = sizes.by_name(units[0]) if units[0] and len({*units}) == 1 else None
         if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
+        elif parts == DEVIATION:
+            places = [naming.of_whom(other.source) for other in found if other.kind == "position"]
+            block = Block("deviation", columns, unit, source=places[0] if len(places) == 1 else ())
         else:
             source = next((other.source for other in found if other.kind == "position"), ())
             block = Block("rotation", columns, unit, sizes.by_name(form), source=source)
@@ -558,6 +581,54 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     if form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
         return best._replace(agreed=best.agreed._replace(form=form._replace(sure="likely")))
     return best
+
+
+def _without_differences(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> list[Block]:
+    """Blocks without positions that are the difference of two others, to the digits written, whatever they are called.
+
+    Which of the two is nominal their names say, or that it is computed; it is not needed beside them.
+    """
+    places = [block for block in blocks if block.kind in ("position", "deviation") and block.weak < 2]
+    values = [block.values(numbers) for block in places]
+    steps = [digit_step(of_block) for of_block in values]
+    differences = set()
+    for k, nominal, measured in permutations(range(len(places)), 3):
+        small = 10 * _median_size(values[k]) < median_distance(_whole(values[nominal]))
+        for scale in (1.0, 1e3, 1e-3) if small else ():
+            missed = values[nominal] + scale * values[k] - values[measured]
+            tolerance = 0.6 * (steps[nominal] + scale * steps[k] + steps[measured]) + 1e-9
+            missed = np.abs(missed[np.isfinite(missed)])
+            if missed.size and np.mean(missed <= tolerance) > 0.99:
+                differences.add(places[k].columns)
+    return [block for block in blocks if block.columns not in differences]
+
+
+def _whole(values: Array) -> Array:
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _median_size(values: Array) -> float:
+    return float(np.median(np.linalg.norm(_whole(values), axis=1))) if len(_whole(values)) else np.inf
+
+
+def _read_sum(
+    position: Block,
+    deviation: Block,
+    nominal: Pose,
+    blocks: Sequence[Block],
+    numbers: Mapping[str, Array],
+    arm: Arm | None,
+) -> Pose:
+    """The measured pose that is the sum of a nominal position and its deviation; the orientation is nominal too."""
+    places, offsets = position.values(numbers), deviation.values(numbers)
+    of_places = position.unit or nominal.agreed.units.get(position.key) or sizes.length_unit(places)
+    unit = deviation.unit
+    if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
+        unit = sizes.Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
+    scale = 1.0 if unit is None else deviation.units[of_places.choice] / deviation.units[unit.choice]
+    summed = {**numbers, **dict(zip(position.columns, (places + scale * offsets).T, strict=True))}
+    pose = _read_pose(Source(position, ()), blocks, summed, arm)
+    return pose._replace(blocks=(position, replace(deviation, unit=unit)), role="sensor")
 
 
 def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:

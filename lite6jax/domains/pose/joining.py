@@ -29,7 +29,7 @@ Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
 
 _OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "payload", "ambient")
-_OF_POSES = ("position", "rotation", "ambient")
+_OF_POSES = ("position", "deviation", "rotation", "ambient")
 """Kinds of blocks that are taken from either file."""
 _TIME = "time_s"
 _MOST_CAPTURES = 2000
