@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal, NamedTuple, final
-from unicodedata import normalize
+from unicodedata import combining, normalize
 
 import numpy as np
 
@@ -35,13 +35,14 @@ def _words(text: str) -> set[str]:
     return set(text.split())
 
 
-_MEASURED = _words("actual measured feedback real act meas present ist")
+_MEASURED = _words("actual measured feedback real act meas present ist gemessen mesure mesuree medido misurato")
 _WANTED = _words(
-    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll nominal nom "
-    "theoretical theo"
+    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll "
+    "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka
-_DEVIATIONS = _words("deviation deviations dev abweichung abweichungen abw difference diff delta")
+_ERRORS = _words("err error errors")
+_DEVIATIONS = _ERRORS | _words("deviation deviations dev abweichung abw difference diff delta ecart desviacion fehler")
 _UNUSED = _words(
     "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
@@ -277,12 +278,18 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
     words = [_taken_apart(name) for name in names]
     found = [*_joint_labels(words, joint_names)]
     labelled = {name for block in found for name in block.columns}
-    words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
+    words = [word for word in words if word.name not in labelled and not _is_unused(word)]
     found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
     if not any(block.kind == "q" for block in found):
         found += _unnumbered(words)
     place = {name: k for k, name in enumerate(names)}
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
+
+
+def _is_unused(word: _Word) -> bool:
+    """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
+    unused = _UNUSED & {*word.every}
+    return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
 def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
@@ -384,7 +391,8 @@ def _taken_apart(name: str) -> _Word:
     letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
     if match and (letter is None or letter.search(name[: match.start(1)])):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", normalize("NFKC", text).translate(_GREEK))
+    plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts, number, component = [*every], None, None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
@@ -558,8 +566,10 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
             yield from _block("rotation", members, said, form=by_name("scalar_first"), source=source)
-        elif turned and len(place) == 3:
+        elif turned and len(place) == 3 and not _DEVIATIONS & {*said}:
             yield from _block("rotation", place, said, source=source, form=_form(said))
+        elif turned and _DEVIATIONS & {*said}:
+            continue  # of an orientation none is read
         elif len(place) == 3 and _DEVIATIONS & {*said}:
             yield from _block("deviation", place, said, source=of_whom(source))
         elif len(place) == 3 and not _JOINT & {*said}:

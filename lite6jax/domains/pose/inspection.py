@@ -264,7 +264,7 @@ def inspect(
         nominal = pose.position.rank == 2 or (read[-1].computed and not at_times)
         if nominal or told >= {*deviation.columns}:
             read[-1] = _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm)
-        else:
+        elif not _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm, sign=-1.0).computed:
             unclear += deviation.columns
     read = [pose for pose in read if pose.travel > 0] or read
     taken = _choose_pose(read, pose_source)
@@ -614,19 +614,30 @@ def _median_size(values: Array) -> float:
 def _read_sum(
     position: Block,
     deviation: Block,
-    nominal: Pose,
+    alone: Pose,
     blocks: Sequence[Block],
     numbers: Mapping[str, Array],
     arm: Arm | None,
+    sign: float = 1.0,
 ) -> Pose:
-    """The measured pose that is the sum of a nominal position and its deviation; the orientation is nominal too."""
+    """The measured pose that is the sum of a nominal position and its deviation; the orientation is nominal too.
+
+    Args:
+        position: nominal.
+        deviation: of the measured position from it.
+        alone: the position as it is read without the deviation.
+        blocks: of everything else.
+        numbers: `(sample,)` by name.
+        arm: as given.
+        sign: −1 for the nominal position, where the other is measured.
+    """
     places, offsets = position.values(numbers), deviation.values(numbers)
-    of_places = position.unit or nominal.agreed.units.get(position.key) or sizes.length_unit(places)
+    of_places = position.unit or alone.agreed.units.get(position.key) or sizes.length_unit(places)
     unit = deviation.unit
     if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
         unit = sizes.Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
     scale = 1.0 if unit is None else deviation.units[of_places.choice] / deviation.units[unit.choice]
-    summed = {**numbers, **dict(zip(position.columns, (places + scale * offsets).T, strict=True))}
+    summed = {**numbers, **dict(zip(position.columns, (places + sign * scale * offsets).T, strict=True))}
     pose = _read_pose(Source(position, ()), blocks, summed, arm)
     return pose._replace(blocks=(position, replace(deviation, unit=unit)), role="sensor")
 
