@@ -34,6 +34,18 @@ _SHOWN = 8
 KEYS: Mapping[str, tuple[str, str]] = {key: (one["meaning"], one["example"]) for key, one in _TEXTS["keys"].items()}
 """The keys of `recording` in a sidecar: what each means, and an example."""
 
+_NOISES: Mapping[str, tuple[str, ...]] = {
+    "tau": ("torque_noise_Nm",),
+    "position": ("position_noise_m",),
+    "rotation": ("orientation_noise_rad",),
+    "contact": ("contact_noise_m",),
+    "plane": ("plane_noise_m",),
+    "distance": ("distance_noise_m",),
+    "axis": ("axis_noise_m",),
+    "camera": ("pixel_noise_px",),
+}
+"""The keys of the noise of each kind of block and of reading."""
+
 
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
@@ -237,6 +249,10 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     q, tau, current, position = map(found.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
     timed = found.of("time") is not None or any(name.startswith("time") for name in found.given.values())
+    noises = list(_NOISES["tau"]) if tau is not None or current is not None else []
+    for measured in ("position", "rotation") if position is not None and not found.computed else ():
+        noises += _NOISES[measured] if found.of(measured) is not None else ()
+    noises += [key for kind in found.readings for key in _NOISES[kind]]
     matrix = found.of("rotation")
     matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
     transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
@@ -259,6 +275,8 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
             _column_option(own, f"{name}_{unit_of(own) or 'mm'}")
             for own, name in zip(found.unclear_deviations, DEVIATION, strict=False)
         ],
+        "noises": [key for key in noises if key not in settings],
+        "announced": settings["pose_source"] if settings.get("pose_source") in READINGS_OF else "",
         "nothing": nothing,
         "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
