@@ -260,8 +260,7 @@ def test_readings_are_what_pose_source_announces(tmp_path, capsys, column, value
     table = write(tmp_path / "run.csv", [*joints(), column, "remark"], [[*q[k], cells[k], "ok"] for k in range(len(q))])
     code, out, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", width=300)
     assert code == 0
-    if column != "Fläche":
-        assert f"add --set pose_source={source}" in flat(out)
+    assert f"add --set pose_source={source}" in flat(out)
     announced = ["--set", f"pose_source={source}"]
     code, out, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", "--force", *announced, width=300)
     assert code == 0

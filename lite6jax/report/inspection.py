@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from rich.console import RenderableType
 
-from lite6jax.domains.pose.inspection import Inspection, Pose, poses_of
+from lite6jax.domains.pose.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
