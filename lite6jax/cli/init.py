@@ -333,7 +333,7 @@ def _read_table(
     table, notes = read[0], read[0].notes
     if len(read) == 2:
         assert arm is not None
-        table, notes = _join(*read, arm, pose_source)
+        table, notes = _join(read[0], read[1], arm, pose_source)
     if not table.made:
         return table
     suffix = opened[0].path.suffix.lower() if opened[0].path.suffix.lower() in tables.TABLES else ".csv"
@@ -346,7 +346,9 @@ def _read_table(
 def _open(source: str, arm: "arms.Arm | None") -> _Table:
     notes: list[str] = []
     path, content = tables.open_table(*tables.split_topics(source), recordings.ArmJoints.of(arm), notes)
-    return _Table(path, content, content.numbers(), content.words(), notes)
+    columns = content.numbers()
+    words = content.words(name for name, numbers in columns if numbers is None)
+    return _Table(path, content, columns, words, notes)
 
 
 def _name_columns(opened: Sequence[_Table], names: Sequence[str]) -> list[_Table]:

@@ -89,10 +89,10 @@ class RawTable(NamedTuple):
             found.append((self.names[index].strip(), None if isinstance(read, str) else read))
         return found
 
-    def words(self) -> dict[str, list[str]]:
-        """The columns of text, one word a row; empty where a cell is."""
-        without = {name for name, numbers in self.numbers() if numbers is None}
-        wanted = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in without}
+    def words(self, columns: Iterable[str]) -> dict[str, list[str]]:
+        """Those of some columns that are of text, one word a row; empty where a cell is."""
+        listed = {*columns}
+        wanted = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in listed}
         read = {self.names[place].strip(): values for place, values in self.load(wanted).items()}
         texts = {name: _strings(values) for name, values in read.items() if is_text(values)}
         return {name: [word.strip("'\" ") for word in cells] for name, cells in texts.items()}

@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,15 +157,18 @@ def spread_points(
         values: the columns of numbers that may be of the point; those that do not change within a state are not.
         averaged: columns of numbers whose mean is taken, where they are read anew for each point.
     """
-    codes = {name: _codes(of_rows) for name, of_rows in (*columns.items(), *words.items())}
-    rows = len(next(iter(codes.values()), ()))
-    if not state or not rows:
+    every = {**columns, **words}
+    if not state or not len(every[state[0]]):
         return None
-    states = _codes(np.stack([codes[name] for name in state], 1))
+    rows = len(every[state[0]])
+    states = _codes(np.stack([_codes(every[name]) for name in state], 1))
     first = np.unique(states, return_index=True)[1]
+    if rows < _LEAST_REPEATED * len(first):
+        return None
+    codes = {name: _codes(of_rows) for name, of_rows in every.items()}
     constant = [name for name, code in codes.items() if (code == code[first][states]).all()]
     values = [name for name in values if name not in constant]
-    if rows < _LEAST_REPEATED * len(first) or not values:
+    if not values:
         return None
     for by in (*words, *filter(is_label, columns)):
         label = [word.strip() for word in words[by]] if by in words else write_whole(columns[by])
@@ -190,7 +193,7 @@ def spread_points(
                 column[states[there[own]]] = columns[name][there[own]]
                 spread[f"{word} {name}"] = column
             points.append(tuple(f"{word} {name}" for name in values))
-        of_states = {name: [words[name][row] for row in first] for name in constant if name in words}
+        of_states = {name: [words[name][int(row)] for row in first] for name in constant if name in words}
         return Points(spread, of_states, by, labels, tuple(counts.tolist()), tuple(points), (*values,), states)
     return None
 
@@ -206,7 +209,7 @@ _IDENTIFIES = {
 }
 
 
-def _codes(values: Words | Array) -> NDArray[np.integer]:
+def _codes(values: Words | NDArray[Any]) -> NDArray[np.integer]:
     """`(row,)` whole numbers that are equal where rows are, counted in the order in which these first stand there."""
     _, first, code = np.unique(np.asarray(values), axis=0, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[code.ravel()]

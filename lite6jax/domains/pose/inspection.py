@@ -284,7 +284,7 @@ def inspect(
     if not read and not any(map(reading_of, given.values())):
         rest = {name: values for name, values in numbers.items() if name not in used}
         cells = {name: own for name, own in (words or {}).items() if name not in given}
-        if pose_source in READINGS_OF:
+        if pose_source is not None and pose_source in READINGS_OF:
             announced = _readings(pose_source, rest, cells)
         else:
             called = {of: _readings(of, rest, cells, by_name=True) for of in READINGS_OF}
@@ -351,8 +351,11 @@ def _readings(
         return {name: ("plane" if "plane" in meant and "contact" not in meant else "contact", None)}
     stated = naming.unit_of(name)
     unit = sizes.by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
-    anchors = [label for label in labels if "anchor" in naming.reading_words(label)] if kinds == ("distance",) else []
-    return {name: (kinds[0], unit)} | ({anchors[0]: ("anchor", None)} if len(anchors) == 1 else {})
+    readings: dict[str, tuple[str, sizes.Decision | None]] = {name: (kinds[0], unit)}
+    anchors = [label for label in labels if "anchor" in naming.reading_words(label)]
+    if kinds == ("distance",) and len(anchors) == 1:
+        readings[anchors[0]] = "anchor", None
+    return readings
 
 
 def _motors(
