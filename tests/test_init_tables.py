@@ -48,6 +48,14 @@ def columns_of(table):
 # ------------------------------------------------------------------ words in cells
 
 
+def test_names_in_one_cell_are_of_the_list_beside_them(tmp_path, capsys):
+    _, q, point, _ = measured(UR5E)
+    rows = [[f'"{PUBLISHED}"', f'"{q[k, ALONG_THE_ARM].tolist()}"', *point[k]] for k in range(len(q))]
+    table = write(tmp_path / "echo.csv", ["name", "position", "x_m", "y_m", "z_m"], rows)
+    assert run(capsys, "init", table, "--arm", "ur5e", "--yes")[0] == 0
+    np.testing.assert_allclose(read_recording(table).joint_position, q, atol=1e-12)
+
+
 def test_names_in_cells_say_which_joint_a_column_is_of(tmp_path, capsys):
     _, q, point, _ = measured(UR5E)
     names = [f"field.name{k}" for k in range(6)] + [f"field.position{k}" for k in range(6)] + ["x_m", "y_m", "z_m"]
@@ -136,11 +144,14 @@ def markers(rng, q, point, rotation, seen=0.9):
                 yield [str(k), *q[k], f"{marker}", *(1e3 * place)]
 
 
-@pytest.mark.parametrize("sorted_by", ["state", "marker"])
-def test_a_row_for_each_marker_becomes_a_row_for_each_state(tmp_path, capsys, sorted_by):
+@pytest.mark.parametrize("written", ["by state", "by marker", "joints once"])
+def test_a_row_for_each_marker_becomes_a_row_for_each_state(tmp_path, capsys, written):
     rng, q, point, rotation = measured()
     rows = list(markers(rng, q, point, rotation))
-    rows.sort(key=lambda row: row[7] if sorted_by == "marker" else 0)
+    rows.sort(key=lambda row: row[7] if written == "by marker" else 0)
+    if written == "joints once":
+        first = {row[0]: k for k, row in reversed([*enumerate(rows)])}
+        rows = [row if first[row[0]] == k else [row[0], *[""] * 6, *row[7:]] for k, row in enumerate(rows)]
     table = write(tmp_path / "long.csv", ["step", *joints(), "marker_id", "px", "py", "pz"], rows)
     code, out, _ = run(capsys, "init", table, "--arm", "lite6", "--yes", width=300)
     assert code == 0

@@ -51,6 +51,7 @@ def name_by_cells(columns: Mapping[str, Array], words: Mapping[str, Words]) -> N
         words: of the columns of text, one a row.
     """
     numbered = _group(columns)
+    words = _spread_lists(words)
     for names, group in _group(words).items():
         members = _find_members(names, group, numbered)
         cells = np.array([[word.strip() for word in words[name]] for name in group.values()])
@@ -77,6 +78,20 @@ def name_by_cells(columns: Mapping[str, Array], words: Mapping[str, Words]) -> N
         rest_of_table = {name: column for name, column in columns.items() if name not in named}
         return NamedColumns(rest_of_table | new, in_file if same else {}, tuple(group.values()), every)
     return None
+
+
+def _spread_lists(words: Mapping[str, Words]) -> dict[str, Words]:
+    """Columns of text with one for each element, `name[0]`, `name[1]`, …, of those that hold lists of equal length."""
+    spread: dict[str, Words] = {}
+    for name, cells in words.items():
+        lists = [[word.strip("'\" ") for word in re.split(r"[,;]\s*|\s+", cell.strip("[]() "))] for cell in cells]
+        sizes = {len(elements) for elements in lists}
+        listed = all(cell[:1] in "[(" and cell for cell in cells)
+        if listed and len(sizes) == 1 and sizes != {1}:
+            spread |= {f"{name}[{k}]": elements for k, elements in enumerate(zip(*lists, strict=True))}
+        else:
+            spread[name] = cells
+    return spread
 
 
 _Groups = Mapping[tuple[str, str], Mapping[int, str]]
@@ -184,7 +199,10 @@ def spread_points(
             continue
         spread = {name: columns[name][first] for name in constant if name in columns}
         for name in averaged:
-            spread[name] = np.bincount(states, columns[name]) / np.bincount(states)
+            given = np.isfinite(columns[name])
+            total = np.bincount(states[given], columns[name][given], minlength=len(first))
+            with np.errstate(invalid="ignore"):
+                spread[name] = total / np.bincount(states[given], minlength=len(first))
         points = []
         for k, word in enumerate(labels):
             own = single[at[single] == k]
