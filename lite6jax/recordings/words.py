@@ -21,7 +21,7 @@ Words = Sequence[str]
 
 MOST_WORDS = 64
 """Different words, above which cells are remarks and not names."""
-_NAMING = re.compile(r"names?|joints?|frames?|ids?|labels?|child|marker|body|bodies", re.IGNORECASE)
+_NAMING = {"name", "names", "joint", "joints", "frame", "id", "ids", "label", "labels", "marker", "body", "child"}
 """In what columns of names are called."""
 
 
@@ -111,7 +111,7 @@ def _find_members(
 ) -> dict[tuple[str, str, int], str]:
     """The columns of numbers that a group of columns of words may name, by stem, rest and number."""
     stem, rest = names
-    if not _NAMING.search(re.split(r"[./]", stem)[-1] + rest):
+    if _NAMING.isdisjoint(spoken_words(f"{re.split(r'[./]', stem)[-1]} {rest}")):
         return {}
     found = {}
     for (other, behind), columns in numbers.items():
