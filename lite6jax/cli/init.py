@@ -366,8 +366,8 @@ def _name_columns(opened: Sequence[_Table], names: Sequence[str]) -> list[_Table
         columns = " and ".join(f"{count} of {table.path}" for count, table in zip(counts, nameless, strict=True))
         said = " and ".join(str(len(listed)) for listed in lists)
         raise InputError(f"--names gives {said} names for the columns {columns}; give each one, or one --names a file")
-    of_table = {table.path: listed for table, listed in zip(nameless, lists, strict=True)}
-    return [_name_in_order(table, of_table[table.path]) if table in nameless else table for table in opened]
+    in_order = iter(lists)
+    return [_name_in_order(table, next(in_order)) if table.content.nameless else table for table in opened]
 
 
 def _name_in_order(table: _Table, names: Sequence[str]) -> _Table:
