@@ -224,7 +224,9 @@ def is_label(name: str) -> bool:
 _IDENTIFIES = {
     *("id", "ids", "nr", "no", "num", "number", "nummer", "name", "label", "point", "points", "pt", "pts", "punkt"),
     *("marker", "tag", "reflector", "smr", "target", "ball", "pose", "position", "posn", "pos", "index", "idx"),
+    *("step", "state", "sample", "measurement", "messung", "configuration", "config", "posture"),
 }
+"""Words of columns of whole numbers that tell rows from each other."""
 
 
 def _codes(values: Words | NDArray[Any]) -> NDArray[np.integer]:
