@@ -56,6 +56,7 @@ COLUMNS = {
     "cmd": "commanded joint positions beside the measured ones: kept, and used by nothing yet",
     "time": "time of the sample; without it the order of the rows is the sequence",
     **dict.fromkeys("xyz", "measured position of the tool point"),
+    **dict.fromkeys(columns.DEVIATION, "deviation of the measured position from `x y z`, which are nominal beside it"),
     **dict.fromkeys(("qw", "qx", "qy", "qz"), "measured orientation as a unit quaternion, scalar first"),
     **dict.fromkeys(("rx", "ry", "rz"), "the same as a rotation vector, axis times angle (Universal Robots)"),
     **dict.fromkeys(

@@ -5,10 +5,12 @@ Two files with clocks of their own, and points on one body, are joined to one ta
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, final
 
 from tyro.conf import Positional, UseAppendAction, arg
@@ -26,6 +28,7 @@ with import_lazily():
     from lite6jax.calibration import source as sources
     from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
+    from lite6jax.domains.pose import points as pose_points
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
@@ -34,6 +37,7 @@ with import_lazily():
     from lite6jax.recordings import files as tables
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
+    from lite6jax.recordings import words as table_words
     from lite6jax.report import faults, inspection, screen
 
 if TYPE_CHECKING:
@@ -53,13 +57,46 @@ _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 class _Table(NamedTuple):
-    """A table as it is looked at: its columns and their numbers, how it was read, and whether it is made of others."""
+    """A table as it is looked at.
+
+    Attributes:
+        path: of its file, or of the one that it is written to.
+        content: what the file holds.
+        columns: their numbers; None of text.
+        words: of the columns of text.
+        notes: how it was read.
+        in_file: of columns that are called otherwise here, their names in the file.
+        given: meanings that are known, by the names here.
+        made: what it is called after, where it is made of others; empty where it is a file's own.
+    """
 
     path: Path
     content: "tabulation.RawTable"
     columns: "list[tuple[str, np.ndarray | None]]"
+    words: Mapping[str, Sequence[str]]
     notes: list[str]
-    made: bool = False
+    in_file: Mapping[str, str] = MappingProxyType({})
+    given: Mapping[str, str] = MappingProxyType({})
+    made: str = ""
+
+    @property
+    def numbers(self) -> "dict[str, np.ndarray]":
+        """The columns of numbers."""
+        return {name: values for name, values in self.columns if values is not None}
+
+    def called(self, names: Mapping[str, str]) -> "_Table":
+        """With other names of some columns, which are given by the new one."""
+        here = {before: name for name, before in names.items()}
+        columns = [(here.get(name, name), values) for name, values in self.columns]
+        words = {here.get(name, name): cells for name, cells in self.words.items()}
+        given = {here.get(name, name): meaning for name, meaning in self.given.items()}
+        in_file = {name: own for name, own in self.in_file.items() if name not in here}
+        in_file |= {name: self.in_file.get(before, before) for name, before in names.items()}
+        return self._replace(columns=columns, words=words, given=given, in_file=in_file)
+
+    def remade(self, columns: "Mapping[str, np.ndarray]", words: Mapping[str, Sequence[str]], made: str) -> "_Table":
+        """With other columns, which no file has."""
+        return self._replace(columns=list(columns.items()), words=words, in_file={}, made=self.made or made)
 
 
 @final
@@ -86,8 +123,9 @@ class Init:
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
     """What a column is, such as joint_1=q1_deg, tcp_x=x_mm, or foo=ignore. May be repeated."""
-    names: str = ""
-    """What the columns of a table without names are, in order: q1_deg,q2_deg,x_mm; nothing for one to be ignored."""
+    names: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME,NAME,...")] = ()
+    """The names of the columns of a table without names, in order: q1_deg,q2_deg,x_mm, or SMR1_x,SMR1_y; nothing for
+    one to be ignored. Of two such tables one after the other, or by one --names each."""
     set: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="KEY=VALUE")] = ()
     """A key of the sidecar, such as pose_frame=base or tool=none. May be repeated."""
     yes: bool = False
@@ -103,16 +141,19 @@ class Init:
         given = command.parse_pairs("--column", self.column)
         sidecar_settings.declared_settings(None, None, settings)
         arm, shown = self.arm, False
-        table = _read_table(self.source, sources.load_nominal(arm), given, self.force)
+        said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
+        nominal = sources.load_nominal(arm)
+        table = _read_table(self.source, nominal, given, self.names, said.get("pose_source"), self.force)
         source, file, notes = str(table.path) if table.made else self.source[0], table.path, [*table.notes]
         sidecar = check_writable(recordings.sidecar_path(tables.split_topics(source)[0]), self.force)
-        given = {name: said for name, said in given.items() if not table.made or name in table.content.names}
-        given = table.content.renamed(str(file), given, self.names)
+        given = dict(table.given)
 
         def look() -> "pose_inspection.Inspection":
-            said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
             nominal, assumed = sources.load_nominal(arm), table.content.assumed
-            return pose_inspection.inspect(table.columns, nominal, given, str(file), assumed=assumed, **said)
+            found = pose_inspection.inspect(
+                table.columns, nominal, given, str(file), assumed=assumed, words=table.words, **said
+            )
+            return replace(found, in_file=table.in_file)
 
         found = look()
         if arm and (shorter := _leave_out_jaw(arm, found)):
@@ -124,7 +165,7 @@ class Init:
             if not arm and found.arm is None:
                 arm = input("Arm (a bundled name or a file; nothing for later): ").strip() or None
             if arm and not self.arm and not table.made:  # the joint states of a log are in the units of its joints
-                table = _open(source, sources.load_nominal(arm))
+                table = _read_table(self.source, sources.load_nominal(arm), given, self.names, None, self.force)
                 notes = [*table.notes]
             before = dict(given)
             for ask in (_ask_motors, _ask_pose, _ask_columns):
@@ -268,80 +309,160 @@ def _ask(question: str, choices: Sequence[str], usual: str) -> str:
 # ------------------------------------------------------------------ join
 
 
-def _read_table(sources: tuple[str, ...], arm: "arms.Arm | None", given: Mapping[str, str], overwrite: bool) -> _Table:
-    """The table of a file, or one that is made: of two files, or of one with three or more points on one body."""
+def _read_table(
+    sources: tuple[str, ...],
+    arm: "arms.Arm | None",
+    given: Mapping[str, str],
+    names: tuple[str, ...],
+    pose_source: str | None,
+    overwrite: bool,
+) -> _Table:
+    """The table of a file; or one that is made of two files, of points on one body, or of names that change places."""
     if not 1 <= len(sources) <= 2:
         raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
     if len(sources) == 2 and arm is None:
         example = command_line("init", *sources, "--arm", "NAME")
         raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
-    opened, columns, notes = [_open(source, arm) for source in sources], [], []
+    opened = _name_columns([_open(source, arm) for source in sources], names)
     for table in opened:
-        numbers = {name: values for name, values in table.columns if values is not None}
-        known = formats.find_format(table.path)
-        of_points = len(sources) == 2 or (known is not None and known.is_table)
-        if of_points and (found := reflectors.with_pose_of_reflectors(numbers)) is not None:
-            numbers = found.columns
-            of_file = f"{table.path.name}: " if len(sources) == 2 else ""
-            notes += [f"{of_file}{said}" for said in inspection.describe_reflectors(found)]
-        columns.append(numbers)
-    first, other = opened[0].path, "poses"
-    if len(sources) == 1:
-        joined = columns[0]
-        alone = pose_joining.File(
-            str(first), first.stem, joined, pose_inspection.inspect(list(joined.items()), arm, {}, str(first))
-        )
-        if pose_joining.is_of_pairs(alone):
-            if arm is None:
-                named = command_line("init", *sources, "--arm", "NAME")
-                raise InputError(
-                    f"{first}: holds pairs of poses and no joints, which the nominal kinematics of the arm give; name "
-                    f"it, `{named}`"
-                )
-            pairs = pose_joining.solve_pairs(alone, arm)
-            joined = pairs.columns
-            notes += inspection.describe_pairs(pairs, arm.name)
-        elif recordings.sidecar_path(first) == first:
-            other = "table"
-        elif not notes:
-            return opened[0]
-        notes = [*opened[0].notes, *notes]
-    else:
+        table.content.renamed(str(table.path), table.in_file or given)  # without names it says what to do
+    read = [_reshape(_give_meanings(table, given), arm, given, len(sources) == 2) for table in opened]
+    names_there = [name for table in (*opened, *read) for name in (*dict(table.columns), *table.in_file.values())]
+    unknown = [name for name in tabulation.resolve_names(names_there, given) if name not in names_there]
+    if unknown:
+        files = " and ".join(sources)
+        raise InputError(f"{files}: has no column {unknown[0][:60]!r}; {pose_inspection.near(unknown[0], names_there)}")
+    table, notes = read[0], read[0].notes
+    if len(read) == 2:
         assert arm is not None
-        files = []
-        for table, numbers in zip(opened, columns, strict=True):
-            own = {name: meaning for name, meaning in given.items() if name in numbers}
-            meanings = pose_inspection.inspect(list(numbers.items()), arm, own, str(table.path))
-            files.append(pose_joining.File(str(table.path), table.path.stem, numbers, meanings))
-        if named := sorted(given.keys() - columns[0].keys() - columns[1].keys()):
-            raise InputError(f"--column {named[0][:60]}: neither {sources[0]} nor {sources[1]} has it; check the name")
-        joints, poses = _assign_roles(*files)
-        if joints.found.of("q") is None:
-            moved = pose_joining.with_joints(joints, arm)
-            joints = moved.file
-            notes += inspection.describe_solved_joints(moved, arm.name)
-        other = files[1].stem
-        whole = pose_joining.join_files(joints, poses, arm)
-        notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
-        joined = whole.columns
+        table, notes = _join(read[0], read[1], arm, pose_source)
+    else:
+        table, notes = _solve_pairs(table, arm, sources[0])
+    first = opened[0].path
+    if not table.made and recordings.sidecar_path(first) == first:
+        table = table.remade(table.numbers, table.words, "table")
+    if not table.made:
+        return table
     known = formats.find_format(first)
     written = known is not None and known.suffixes in (suffixes.TEXT_TABLES, (suffixes.PARQUET,))
     suffix = first.suffix.lower() if written else suffixes.WRITTEN_TABLES[0]
-    place = check_writable(first.with_name(f"{first.stem}_{other}{suffix}"), overwrite)
-    made = tabulation.RawTable.of_arrays(joined)
-    return _Table(place, made, made.numbers(), notes, made=True)
+    place = check_writable(first.with_name(f"{first.stem}_{table.made}{suffix}"), overwrite)
+    content = tabulation.RawTable.of_arrays(table.numbers)
+    kept = {name: meaning for name, meaning in table.given.items() if name in content.names}
+    return table._replace(path=place, content=content, columns=content.numbers(), given=kept, notes=notes)
 
 
 def _open(source: str, arm: "arms.Arm | None") -> _Table:
     notes: list[str] = []
     path, content = tables.open_table(*tables.split_topics(source), recordings.ArmJoints.of(arm), notes)
-    return _Table(path, content, content.numbers(), notes)
+    columns = content.numbers()
+    words = content.words(name for name, numbers in columns if numbers is None)
+    return _Table(path, content, columns, words, notes)
+
+
+def _name_columns(opened: Sequence[_Table], names: Sequence[str]) -> list[_Table]:
+    """Tables without names with those that are given, of one after the other."""
+    nameless = [table for table in opened if table.content.nameless]
+    if names and not nameless:
+        raise InputError(f"{opened[0].path}: names its columns already; say what they are by --column NAME=MEANING")
+    if not names:
+        return [*opened]
+    lists = [[name.strip() for name in listed.split(",")] for listed in names]
+    counts = [len(table.content.names) for table in nameless]
+    if len(lists) == 1 and len(lists[0]) == sum(counts):
+        lists = [lists[0][sum(counts[:k]) : sum(counts[: k + 1])] for k in range(len(counts))]
+    if len(lists) != len(nameless):
+        columns = " and ".join(f"{count} of {table.path}" for count, table in zip(counts, nameless, strict=True))
+        said = " and ".join(str(len(listed)) for listed in lists)
+        raise InputError(f"--names gives {said} names for the columns {columns}; give each one, or one --names a file")
+    in_order = iter(lists)
+    return [_name_in_order(table, next(in_order)) if table.content.nameless else table for table in opened]
+
+
+def _name_in_order(table: _Table, names: Sequence[str]) -> _Table:
+    """A table without names with these; those that are empty are ignored."""
+    if len(names) != len(table.content.names):
+        count = len(table.content.names)
+        raise InputError(f"{table.path}: --names gives {len(names)} names for {count} columns; give each one")
+    if twice := [name for name, count in Counter(filter(None, names)).items() if count > 1]:
+        raise InputError(f"{table.path}: --names gives {twice[0][:40]!r} twice; give each column a name of its own")
+    in_file = {name: own for name, own in zip(names, table.content.names, strict=True) if name and name != "ignore"}
+    rest = {own: "ignore" for own in table.content.names if own not in in_file.values()}
+    return table.called(in_file)._replace(given=rest)
+
+
+def _give_meanings(table: _Table, given: Mapping[str, str]) -> _Table:
+    """With the meanings that are given, by names in the file or here; those of no column are left out."""
+    here = {own: name for name, own in table.in_file.items()}
+    names = [name for name, _ in table.columns]
+    resolved = tabulation.resolve_names(names, {here.get(name, name): meaning for name, meaning in given.items()})
+    known = {**table.given, **resolved}
+    return table._replace(given={name: meaning for name, meaning in known.items() if name in names})
+
+
+def _reshape(table: _Table, arm: "arms.Arm | None", given: Mapping[str, str], joined: bool) -> _Table:
+    """With columns called by the words in cells beside them, a row for each state, and points on a body as its pose."""
+    known = formats.find_format(table.path)
+    if not joined and (known is None or not known.is_table):
+        return table
+    about = f"{table.path.name}: " if joined else ""
+    notes = [*table.notes]
+    if (named := table_words.name_by_cells(table.numbers, table.words)) is not None:
+        notes += [f"{about}{said}" for said in inspection.describe_named_columns(named)]
+        words = {name: cells for name, cells in table.words.items() if name not in named.by}
+        table = table.called(named.in_file) if named.in_file else table.remade(named.columns, words, "named")
+        table = _give_meanings(table, given)
+    states = pose_points.gather_points(table.numbers, table.words, arm, table.given, str(table.path))
+    if states is not None:
+        notes += [f"{about}{said}" for said in inspection.describe_points(states.found, states.taken)]
+        table = table.remade(states.columns, states.found.words, "poses")
+    body = reflectors.with_pose_of_reflectors(table.numbers) if states is None else states.pose
+    if body is not None:
+        notes += [f"{about}{said}" for said in inspection.describe_reflectors(body)]
+        table = table.remade(body.columns, table.words, "poses")
+    return _give_meanings(table, given)._replace(notes=notes)
+
+
+def _solve_pairs(table: _Table, arm: "arms.Arm | None", source: str) -> tuple[_Table, list[str]]:
+    """Pairs of poses as joints and poses, as of a hand-eye calibration; any other table as it is."""
+    given = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
+    meanings = pose_inspection.inspect([*table.numbers.items()], arm, given, str(table.path))
+    alone = pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words)
+    if not pose_joining.is_of_pairs(alone):
+        return table, table.notes
+    if arm is None:
+        named = command_line("init", source, "--arm", "NAME")
+        raise InputError(
+            f"{table.path}: holds pairs of poses and no joints, which the nominal kinematics of the arm give; name it, "
+            f"`{named}`"
+        )
+    pairs = pose_joining.solve_pairs(alone, arm)
+    return table.remade(pairs.columns, {}, "poses"), [*table.notes, *inspection.describe_pairs(pairs, arm.name)]
+
+
+def _join(one: _Table, other: _Table, arm: "arms.Arm", pose_source: str | None) -> tuple[_Table, list[str]]:
+    """The table of two files, called after the second, and how they were joined."""
+    notes = [*one.notes, *other.notes]
+    joined = []
+    for table in (one, other):
+        given = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
+        meanings = pose_inspection.inspect([*table.numbers.items()], arm, given, str(table.path), pose_source)
+        joined.append(pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words))
+    joints, poses = _assign_roles(*joined)
+    if joints.found.of("q") is None:
+        moved = pose_joining.with_joints(joints, arm)
+        joints = moved.file
+        notes += inspection.describe_solved_joints(moved, arm.name)
+    whole = pose_joining.join_files(joints, poses, arm)
+    notes += inspection.describe_joined_files(whole, Path(joints.source).name, Path(poses.source).name)
+    given = {name: meaning for name, meaning in {**one.given, **other.given}.items() if name in whole.columns}
+    return one.remade(whole.columns, {}, "")._replace(made=other.path.stem, given=given), notes
 
 
 def _write(table: _Table, overwrite: bool) -> Path:
     import pyarrow as pa
 
-    numbers = pa.table({name: values for name, values in table.columns if values is not None})
+    numbers = pa.table(table.numbers)
     return write_atomically(table.path, lambda target: tables.write_table(numbers, target), overwrite)
 
 

@@ -48,6 +48,8 @@ FORMS: Mapping[str, tuple[str, ...]] = {
 }
 """The parts of an orientation in the order of its columns, by the name of its form."""
 PLACE = ("x", "y", "z")
+DEVIATION = ("devx", "devy", "devz")
+"""Of the measured position from a nominal one, which x y z are where they stand beside them."""
 LABELS = ("contact", "plane", "anchor", "image")
 """Columns of words that tell rows of one point, plane, anchor or image from the others."""
 READINGS = {
@@ -78,6 +80,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "payload": Quantity({"kg": 1.0}, array="payload", largest=1e5),
     "run": Quantity(_NONE, array="run"),
     **dict.fromkeys(PLACE, Quantity(_LENGTH, array="position", largest=1e7)),  # which a float resolves to nanometres
+    **dict.fromkeys(DEVIATION, Quantity(_LENGTH, common=False)),
     **dict.fromkeys(QUATERNION, Quantity(_NONE, array="quaternion")),
     **dict.fromkeys(MATRIX, Quantity(_NONE)),
     **{part: Quantity(_ANGLE, common=False) for form in ANGLES for part in form},
@@ -338,9 +341,9 @@ def _check_joints(found: Mapping[str, Column], given: int, joints: int, unclear:
 def _check_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
     """What is wrong with positions and orientations in part, twice, or without each other."""
     problems, given = [], []
-    for group in (PLACE, QUATERNION, MATRIX, *ANGLES):
+    for group in (PLACE, DEVIATION, QUATERNION, MATRIX, *ANGLES):
         missing = [quantity for quantity in group if spelled(quantity) not in found]
-        if len(missing) < len(group) and group != PLACE:
+        if len(missing) < len(group) and group not in (PLACE, DEVIATION):
             given.append(group)
         if 0 < len(missing) < len(group) and not unclear & set(group):
             problems.append(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
@@ -348,6 +351,8 @@ def _check_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
         problems.append(f"has the orientation twice, {_together(given[0])} and {_together(given[1])}; keep one")
     if given and "x_m" not in found and not unclear & set(PLACE):
         problems.append(f"has the orientation {_together(given[0])} without a position; add x_m y_m z_m")
+    if spelled(DEVIATION[0]) in found and "x_m" not in found and not unclear & set(PLACE):
+        problems.append(f"has deviations {_together(DEVIATION)} without the nominal positions; add x_m y_m z_m")
     return problems
 
 
@@ -404,6 +409,17 @@ def is_no_rotation(matrix: Array) -> NDArray[np.bool_]:
     with np.errstate(all="ignore"):
         far = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > NEARLY
         return np.isfinite(matrix).all(1) & (far | (np.linalg.det(R) < 0))
+
+
+def add_deviations(values: Mapping[str, Array], notes: list[str]) -> dict[str, Array]:
+    """Columns in SI units by their names, with the measured position in place of a nominal one and its deviation."""
+    told = dict(values)
+    for axis, deviation in zip(map(spelled, PLACE), map(spelled, DEVIATION), strict=True):
+        if axis in told and deviation in told:
+            told[axis] = told[axis] + told.pop(deviation)
+    if len(told) < len(values):
+        notes.append("the measured position is the sum of the nominal one, x y z, and the deviation, devx devy devz")
+    return told
 
 
 def with_quaternions(values: Mapping[str, Array], source: str = "recording") -> dict[str, Array]:

@@ -10,12 +10,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal, NamedTuple, final
-from unicodedata import normalize
+from unicodedata import combining, normalize
 
 import numpy as np
 
 from lite6jax.recordings.columns import (
     ANGLES,
+    DEVIATION,
     FORMS,
     MATRIX,
     PLACE,
@@ -34,11 +35,14 @@ def _words(text: str) -> set[str]:
     return set(text.split())
 
 
-_MEASURED = _words("actual measured feedback real act meas present ist")
+_MEASURED = _words("actual measured feedback real act meas present ist gemessen mesure mesuree medido misurato")
 _WANTED = _words(
-    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll"
+    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll "
+    "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka
+_ERRORS = _words("err error errors")
+_DEVIATIONS = _ERRORS | _words("deviation deviations dev abweichung abw difference diff delta ecart desviacion fehler")
 _UNUSED = _words(
     "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
@@ -70,6 +74,19 @@ _CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch
 """Beside which `t` is a time still."""
 _AIR = _words("ambient amb room air env environment")
 _RUNS = _words("run episode trial segment")
+_READINGS = {
+    "contact": _words(
+        "socket sockets contact contacts nest ball cone hole point points target feature touched fiducial "
+        "punkt messpunkt kugel pfanne buchse"
+    ),
+    "plane": _words("plane planes plate plates face faces surface surfaces wall ebene fläche platte wand"),
+    "anchor": _words("anchor anchors post anker"),
+    "distance": _words(
+        "wire rope cable string draw distance dist length range extension seil seillänge länge abstand distanz"
+    ),
+    "axis": _words("dial gauge indicator height z plunger lvdt messuhr höhe taster uhr"),
+}
+"""Words by which people call readings that are no poses, by the quantity in `columns.READINGS`."""
 _LENGTHS = {
     "rad": "rad radian radians",
     "deg": "deg degree degrees °",
@@ -111,7 +128,9 @@ _LETTERS = {
     "s": re.compile(r"t|stamp|clock|elapsed|[\[(]", re.IGNORECASE),
 }
 """Units that are letters by which columns are numbered too, with what stands beside them where they are units."""
-_GREEK = str.maketrans({"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "ω": " dq ", "α": " alpha ", "β": " beta "})
+_GREEK = str.maketrans(
+    {"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "Δ": " delta ", "ω": " dq ", "α": " alpha ", "β": " beta "}
+)
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -120,13 +139,17 @@ _ROBOTS = (
     tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
-KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "rotation", "time", "payload", "ambient", "run")
-_OF_POSES = {"position": "x", "rotation": "rx"}
+KINDS = (
+    *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "deviation", "rotation"),
+    *("time", "payload", "ambient", "run"),
+)
+_OF_POSES = {"position": "x", "deviation": "devx", "rotation": "rx"}
 """Quantities of the units of poses."""
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
-_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
+_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|d[xyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
+_IMPLIED |= {"d": "delta"}
 _TRIPLES: tuple[tuple[tuple[str, ...], str, Sureness], ...] = (
     (("roll", "pitch", "yaw"), "roll", "likely"),
     (("rx", "ry", "rz"), "", "assumed"),
@@ -177,7 +200,8 @@ class Block:
     @property
     def names(self) -> tuple[str, ...]:
         """Those that the columns have in a recording, once unit and form are decided."""
-        parts = FORMS[self.form.choice] if self.form else PLACE if self.kind == "position" else (self.kind,)
+        places = {"position": PLACE, "deviation": DEVIATION}
+        parts = FORMS[self.form.choice] if self.form else places.get(self.kind, (self.kind,))
         unit = self.unit.choice if self.unit else ""
         return tuple(spelled(part, joint, unit) for part in parts for joint in self.joints or (0,))
 
@@ -215,10 +239,14 @@ class Block:
 
 
 class Source(NamedTuple):
-    """A pose by one source: its position, and the readings of its orientation of which one is right."""
+    """A pose by one source: its position, the readings of its orientation of which one is right, and a deviation.
+
+    The deviation may be that of the measured position from this one.
+    """
 
     position: Block
     rotations: tuple[Block, ...]
+    deviation: Block | None = None
 
     @property
     def role(self) -> Role | None:
@@ -250,12 +278,18 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
     words = [_taken_apart(name) for name in names]
     found = [*_joint_labels(words, joint_names)]
     labelled = {name for block in found for name in block.columns}
-    words = [word for word in words if word.name not in labelled and not _UNUSED & set(word.every)]
+    words = [word for word in words if word.name not in labelled and not _is_unused(word)]
     found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
     if not any(block.kind == "q" for block in found):
         found += _unnumbered(words)
     place = {name: k for k, name in enumerate(names)}
     return sorted(found, key=lambda block: min(place[name] for name in block.columns))
+
+
+def _is_unused(word: _Word) -> bool:
+    """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
+    unused = _UNUSED & {*word.every}
+    return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
 def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
@@ -271,7 +305,7 @@ def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str]
     """
     taken: dict[str, Block] = {}
     driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in found)
-    for kind in (kind for kind in KINDS if kind not in ("position", "rotation")):
+    for kind in (kind for kind in KINDS if kind not in _OF_POSES):
         q = taken.get("q")
         moved = q is not None and q.rank < 2
         used = {name for block in taken.values() for name in block.columns}
@@ -306,7 +340,8 @@ def sources(found: Sequence[Block]) -> list[Source]:
         own = [block for block in turns if block.source == place.source]
         if not own and len(places) == 1 and {block.source for block in turns} == {()}:
             own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
-        listed.append(Source(place, tuple(own)))
+        deviations = [block for block in found if block.kind == "deviation" and block.source == of_whom(place.source)]
+        listed.append(Source(place, tuple(own), deviations[0] if len(deviations) == 1 else None))
     return listed
 
 
@@ -318,6 +353,18 @@ def units_allowed(kind: str, *slides: bool) -> set[str]:
 def unit_of(name: str) -> str | None:
     """The unit that a column's name states; None where it states none."""
     return _taken_apart(name).unit
+
+
+def reading_words(name: str) -> set[str]:
+    """The quantities of readings that the words of a column's name may mean, of `columns.READINGS`."""
+    spoken = spoken_words(name)
+    return {quantity for quantity, words in _READINGS.items() if words & spoken}
+
+
+def spoken_words(name: str) -> set[str]:
+    """The words of a name, whatever letters they are of."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", normalize("NFKC", name))
+    return {*re.findall(r"[^\W\d_]+", spaced.lower())}
 
 
 def is_of_gripper(name: str) -> bool:
@@ -344,7 +391,8 @@ def _taken_apart(name: str) -> _Word:
     letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
     if match and (letter is None or letter.search(name[: match.start(1)])):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", normalize("NFKC", text).translate(_GREEK))
+    plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts, number, component = [*every], None, None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
@@ -354,7 +402,7 @@ def _taken_apart(name: str) -> _Word:
         number = _NUMBERS.index(parts.pop(letters[0])) + 1
     elif places:
         component = parts.pop(at := places[-1])
-        if at and len(component) == 1 and parts[at - 1] in {*"ptqr"}:
+        if at and len(component) == 1 and parts[at - 1] in {*"ptqrd"}:
             component = parts.pop(at - 1) + component  # q_w is qw
         implied = next((word for start, word in _IMPLIED.items() if component in {start + axis for axis in "wxyz"}), "")
         component, parts = (component[-1], [*parts, implied]) if implied else (component, parts)
@@ -407,6 +455,11 @@ def _side(words: Iterable[str]) -> tuple[str, ...]:
 def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
     """The words that say whose a pose is; letters such as the T of `T00` do not."""
     return tuple(sorted(set(words) - _SHARED - {*letters}))
+
+
+def of_whom(source: Iterable[str]) -> tuple[str, ...]:
+    """Words of a source that do not say whether it is nominal, measured or the difference."""
+    return tuple(sorted({*source} - _WANTED - _MEASURED - _DEVIATIONS))
 
 
 def _form(words: Iterable[str]) -> Decision | None:
@@ -513,8 +566,12 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
             yield from _block("rotation", members, said, form=by_name("scalar_first"), source=source)
-        elif turned and len(place) == 3:
+        elif turned and len(place) == 3 and not _DEVIATIONS & {*said}:
             yield from _block("rotation", place, said, source=source, form=_form(said))
+        elif turned and _DEVIATIONS & {*said}:
+            continue  # of an orientation none is read
+        elif len(place) == 3 and _DEVIATIONS & {*said}:
+            yield from _block("deviation", place, said, source=of_whom(source))
         elif len(place) == 3 and not _JOINT & {*said}:
             weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)

@@ -213,12 +213,12 @@ class Recording(PublicResult):
                 settings with a number per joint that are of another number of joints, or over half of the rows with
                 implausible numbers.
         """
-        settings, said = settings or RecordingSettings(), [*notes]
+        said = [*notes]
         q = real_array(f"{source}: joint_position", joint_position)
         if q.ndim != 2 or 0 in q.shape:
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
-        settings.require_joints(dof, source)
+        settings = (settings or RecordingSettings()).for_joints(dof, source)
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
         given = {"joint_position": q, "payload": np.zeros(samples)}

@@ -187,8 +187,8 @@ class RecordingSettings:
     payload_uncertainty_kg: Annotated[float, Meta(ge=0.0, le=1000.0), "one sigma in kg, zero or more"] = 0.0
     torque_source: TorqueSource = "unknown"
     torque_noise_Nm: Annotated[  # noqa: N815 (the sidecar's key)
-        Annotated[tuple[TorqueSigma, ...], Meta(min_length=1)] | None,
-        "a list with one sigma in N m per joint, each more than zero (leave it out where unknown)",
+        TorqueSigma | Annotated[tuple[TorqueSigma, ...], Meta(min_length=1)] | None,
+        "one sigma in N m of all joints, or a list with one per joint, more than zero (leave it out where unknown)",
     ] = None
     inertial: Annotated[
         Literal["declared", "unknown"] | Annotated[float, Meta(gt=0.0, le=0.5)],
@@ -260,18 +260,21 @@ class RecordingSettings:
         """The factory calibration's path when `folder` holds the sidecar; None where there is none."""
         return Path(folder) / self.factory_calibration if self.factory_calibration else None
 
-    def require_joints(self, joints: int, source: str) -> None:
-        """Refuses lists with a number per joint that are of an arm with another number of joints.
+    def for_joints(self, joints: int, source: str) -> "RecordingSettings":
+        """The same settings with a number for each joint, where one was given for all.
 
         Raises:
-            InputError: as said; the message begins with `source`.
+            InputError: lists that are of another number of joints; the message begins with `source`.
         """
+        noise = self.torque_noise_Nm
+        each = replace(self, torque_noise_Nm=(noise,) * joints) if isinstance(noise, float) else self
         for key in ("torque_noise_Nm", "torque_constant_Nm_per_A"):
-            given = getattr(self, key)
+            given = getattr(each, key)
             if given is not None and len(given) != joints:
                 raise InputError(
                     f"{source}: recording.{key} has {len(given)} numbers for {joints} joints; give one per joint"
                 )
+        return each
 
     def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":
         """The same settings for a sidecar in another folder: relative paths still lead to the same files."""

@@ -1,7 +1,7 @@
 """From the columns of a table to the arrays of a recording: the same for files and for data frames in memory."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from types import MappingProxyType
@@ -13,10 +13,10 @@ from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings.columns import (
-    IGNORED,
     LABELS,
     OF_ARRAY,
     Column,
+    add_deviations,
     is_scalar,
     name_columns,
     nearest_known,
@@ -62,35 +62,20 @@ class RawTable(NamedTuple):
         arrays = list(values.values())
         return cls([*values], lambda wanted: {k: pa.array(arrays[k]) for k in wanted}, assumed=tuple(assumed))
 
-    def renamed(self, source: str, given: Mapping[str, str], in_order: str = "") -> dict[str, str]:
+    def renamed(self, source: str, given: Mapping[str, str]) -> dict[str, str]:
         """The names that columns are to have, by those that they have in the table.
 
         Args:
             source: what messages begin with.
             given: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one alone.
-            in_order: of a table without names, the names of all columns between commas, empty for `IGNORED`.
 
         Raises:
-            InputError: a table without names gets none, or not one for each column; or a table has them already.
+            InputError: a table without names gets none.
         """
-        listed = [name.strip() or IGNORED for name in in_order.split(",")] if in_order else []
-        if listed and not self.nameless:
-            raise InputError(f"{source}: names its columns already; say what they are by --column NAME=MEANING")
-        if listed and len(listed) != len(self.names):
-            raise InputError(
-                f"{source}: --names gives {len(listed)} names for {len(self.names)} columns; give each one"
-            )
-        if self.nameless and not (listed or given):
+        if self.nameless and not given:
             command = command_line("init", source, "--names", "q1_deg,q2_deg,...")
             raise InputError(f"{source}: its first row holds numbers, and no line names the columns; `{command}` does")
-        of_part: dict[str, list[str]] = {}
-        for name in self.names:
-            of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
-        found = {}
-        for name, meaning in given.items():
-            alike = [] if name in self.names else of_part.get(name, [])
-            found[alike[0] if len(alike) == 1 else name] = meaning
-        return dict(zip(self.names, listed, strict=False)) | found
+        return resolve_names(self.names, given)
 
     def numbers(self) -> list[tuple[str, np.ndarray | None]]:
         """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.
@@ -103,6 +88,27 @@ class RawTable(NamedTuple):
             read = read.start + read.seconds if isinstance(read, ClockTimes) else read
             found.append((self.names[index].strip(), None if isinstance(read, str) else read))
         return found
+
+    def words(self, columns: Iterable[str]) -> dict[str, list[str]]:
+        """Those of some columns that are of text, one word a row; empty where a cell is."""
+        listed = {*columns}
+        wanted = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in listed}
+        read = {self.names[place].strip(): values for place, values in self.load(wanted).items()}
+        texts = {name: _strings(values) for name, values in read.items() if is_text(values)}
+        return {name: [word.strip("'\" ") for word in cells] for name, cells in texts.items()}
+
+
+def resolve_names(names: Iterable[str], given: Mapping[str, str]) -> dict[str, str]:
+    """What is given by names of columns, or by the part of a name before its unit, ` [mm]`, where that is of one."""
+    listed = [*names]
+    of_part: dict[str, list[str]] = {}
+    for name in listed:
+        of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
+    found = {}
+    for name, meaning in given.items():
+        alike = [] if name in listed else of_part.get(name, [])
+        found[alike[0] if len(alike) == 1 else name] = meaning
+    return found
 
 
 # ------------------------------------------------------------------ clock times
@@ -166,13 +172,26 @@ def _parse_moment(text: str) -> tuple[int, bool] | None:
     return None
 
 
+def is_text(values: Values) -> bool:
+    """Whether a column holds text."""
+    if isinstance(values, str):
+        return False
+    kind = values.type
+    return (
+        types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind) or types.is_dictionary(kind)
+    )
+
+
+def _strings(values: pa.Array | pa.ChunkedArray) -> list[str]:
+    return [(word or "").strip() for word in values.cast(pa.string()).to_pylist()]
+
+
 def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:
     """A column as `(sample,)` float64, NaN where empty; or what is wrong with it. A time may be given by a clock."""
     if isinstance(values, str):
         return values
     kind = values.type
-    text = types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind)
-    if quantity == "time" and (text or types.is_timestamp(kind)):
+    if quantity == "time" and (is_text(values) or types.is_timestamp(kind)):
         return clock_times(values)
     if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind):
         return values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
@@ -181,7 +200,7 @@ def _read(values: Values, quantity: str) -> np.ndarray | ClockTimes | str:
 
 def _count_words(values: pa.Array | pa.ChunkedArray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Words as the number of each among all, in the order in which they first stand there; NaN of missing ones."""
-    words = [(word or "").strip() for word in values.cast(pa.string()).to_pylist()]
+    words = _strings(values)
     names = tuple(dict.fromkeys(filter(None, words)))
     place = {name: float(k) for k, name in enumerate(names)} | {"": np.nan}
     return np.array([place[word] for word in words]), names
@@ -343,7 +362,7 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     Raises:
         InputError: a run that is not a whole number.
     """
-    values, arrays = with_quaternions(table.values, source), {}
+    values, arrays = with_quaternions(add_deviations(table.values, notes), source), {}
     for name in OF_ARRAY:
         listed = name_columns(name, table.joints)
         block = [values[column] for column in listed if column in values]

@@ -21,6 +21,7 @@ import pyarrow.csv as pa_csv
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import LABELS, is_standard
 from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.pairs import holds_pairs, read_pairs
 from lite6jax.recordings.parquet import one_line
 from lite6jax.recordings.table import RawTable, Values, like_a_clock
 
@@ -85,7 +86,10 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
     lists, text = (marked := mark_lists(text)) != text, marked
     lines = text.split("\n")
     possible = [mark for mark in _DELIMITERS if mark in (",", SPACES) or mark in text]
-    delimiter, rows, width, _ = max((_block(lines, mark) for mark in possible), key=lambda found: found[3])
+    blocks = {mark: _block(lines, mark) for mark in possible}
+    if "\t" in blocks and _is_even(blocks["\t"]):
+        del blocks[SPACES]  # which stand within the cells
+    delimiter, rows, width, _ = max(blocks.values(), key=lambda found: found[3])
     body = _body(rows, width)
     if body is None:
         return _of_names_alone(lines)
@@ -114,13 +118,41 @@ def _without_names(table: Layout, lines: Sequence[str], rows: Sequence[Row], col
     above = next((row for row in reversed(rows[:body]) if any(row)), [])
     named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
     if named and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
-        return table._replace(names=_unique(above, []), fields=len(above), nameless=False)
+        listed = _continue_lists(_unique(above, []), max(map(len, rows[body:])))
+        return table._replace(names=listed, fields=len(listed), nameless=False)
     counted = [str(k) for k in range(len(rows[body]) + 1)]
     numbered = rows[body] in (counted[:-1], counted[1:]) and "number" in map(_kind, (rows[body + 1 :] or [[]])[0])
     if numbered:
         notes.append(f"line {body + 1} counts the columns and is not read")
     _say_above(lines[:body], notes)
     return table._replace(names=tuple(f"column_{k + 1}" for k in range(columns)), skip=body + numbered)
+
+
+def _element(name: str) -> tuple[str, int] | None:
+    """The list and the number of the element to which a column belongs, by its name; None where it names none."""
+    match = re.fullmatch(r"(.*?)(\d+)\D*", name, re.DOTALL)
+    return (match[1], int(match[2])) if match else None
+
+
+def _continue_lists(names: tuple[str, ...], fields: int) -> tuple[str, ...]:
+    """Names with those of further elements of the list at their end, where rows hold such beyond them."""
+    last = _element(names[-1])
+    columns = [name for name in names if _element(name) == last]
+    surplus = fields - len(names)
+    if last is None or surplus <= 0 or surplus % len(columns) or names[-len(columns) :] != tuple(columns):
+        return names
+    stem, number = last
+    numbers = range(number + 1, number + 1 + surplus // len(columns))
+    return (*names, *(f"{stem}{k}{name[len(f'{stem}{number}') :]}" for k in numbers for name in columns))
+
+
+def _ends_a_list(names: Sequence[str], fields: int) -> bool:
+    """Whether rows of so many fields lack whole elements at the end of lists, as messages of unequal length do."""
+    present = {_element(name) for name in names[:fields]}
+    lacking = Counter(_element(name) for name in names[fields:])
+    stems = {element[0] for element in present if element}
+    whole = not present & lacking.keys() and all(element and element[0] in stems for element in lacking)
+    return whole and min(lacking.values(), default=0) > 1
 
 
 def mark_lists(text: str, mark: str = _ELEMENT) -> str:
@@ -145,6 +177,14 @@ def _block(lines: Sequence[str], delimiter: str) -> tuple[str, list[Row], int, f
             scores[len(row)] += numbers**2 / (numbers + kinds["text"])
     width = max(scores, key=lambda key: scores[key], default=0)
     return delimiter, rows, width, scores[width]
+
+
+def _is_even(block: tuple[str, list[Row], int, float]) -> bool:
+    """Whether the rows of a block, and the names above them, are all there is, with two numbers or more in each row."""
+    _, rows, width, _ = block
+    filled = [[*map(_kind, row)] for row in rows if any(row)]
+    numbers = [kinds.count("number") + kinds.count("integer") for kinds in filled[1:] if len(kinds) == width]
+    return width > 1 and [*map(len, filled)] == [width] * len(filled) and min(numbers, default=0) > 1
 
 
 def _split(line: str, delimiter: str) -> Row:
@@ -193,8 +233,9 @@ def _body(rows: Sequence[Row], width: int) -> int | None:
         if len(above) == width:  # whose numbers are missing, or damaged
             here = [above[k] for k in of_numbers]
             within = "text" not in here or "number" in here
-        else:  # cut short, or too long
-            within = any(above) and "text" not in above
+        else:  # cut short, too long, or of fewer elements
+            alike = [kind == "text" for kind in above] == [kind == "text" for kind in kinds[fullest][: len(above)]]
+            within = any(above) and ("text" not in above or ("number" in above and alike))
         if not within:
             break
         body -= 1
@@ -411,6 +452,8 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
     whole = _whole_lines(path, notes) if growing else content
     with open(path, "rb") if whole is None else io.BytesIO(whole) as file:
         start, encoding = _start(path, file.read(HEADER_LIMIT), notes)
+        if holds_pairs("\n".join(LINE_BREAK.split(start, LINES)[:LINES])):
+            return _open_pairs(path.read_bytes().decode(encoding, "replace"), notes)
         file.seek(0, 2)
         file.seek(max(0, file.tell() - HEADER_LIMIT))
         tail = file.read()
@@ -420,13 +463,27 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
     plain = whole is None and encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
     rewritten = cache(lambda: _rewritten(path.read_bytes() if whole is None else whole, layout, encoding))
 
+    @cache
+    def filled() -> bytes:
+        notes.append("lists have fewer elements in some rows, which are read as missing there")
+        return _filled(rewritten(), layout)
+
     def load(columns: Mapping[int, str]) -> dict[int, Values]:
         wanted, wrong = [*columns], {}
         texts = {index for index, quantity in columns.items() if quantity in LABELS}
+        ragged = False
         while True:
             try:
-                table = _read(path, layout, wanted, tail if plain else rewritten(), texts, plain)
+                content = filled() if ragged else None if plain else rewritten()
+                table = _read(path, layout, wanted, content, texts)
                 break
+            except _RaggedError as error:
+                widths = _widths(rewritten(), layout)
+                short = {width for width in widths if width != layout.fields}
+                cut = error.row == len(widths)
+                if cut or any(width > layout.fields or not _ends_a_list(layout.names, width) for width in short):
+                    raise InputError(f"{path}: {_describe_shape(error.row, error.fields, widths, layout)}") from error
+                ragged = True
             except _NoNumberError as error:
                 if columns[error.index] == "time" and like_a_clock(error.text):
                     texts.add(error.index)
@@ -436,6 +493,38 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
         return {index: wrong.get(index) or table[str(index)] for index in columns}
 
     return RawTable(layout.names, load, layout.nameless)
+
+
+def _widths(content: bytes, layout: Layout) -> list[int]:
+    """The number of fields of each row."""
+    return [len(_split(line, layout.delimiter)) for line in content.decode("utf-8", "replace").splitlines() if line]
+
+
+def _filled(content: bytes, layout: Layout) -> bytes:
+    """The rows with empty fields for what lists lack at their end."""
+    lines = [line for line in content.decode("utf-8", "replace").splitlines() if line]
+    missing = (layout.fields - width for width in _widths(content, layout))
+    return "\n".join(line + layout.delimiter * count for line, count in zip(lines, missing, strict=True)).encode()
+
+
+def _open_pairs(text: str, notes: list[str]) -> RawTable:
+    """The table of a log of pairs."""
+    found = read_pairs(text)
+    rows = len(next(iter(found.columns.values())))
+    repeated = f", of which some hold several readings: {rows} rows" if rows != found.blocks else ""
+    notes.append(f"the file holds no table but KEY=VALUE pairs, in {found.blocks} blocks{repeated}; keys are columns")
+    if found.single:
+        shown = ", ".join(found.single[:6]) + (", …" if len(found.single) > 6 else "")
+        notes.append(f"keys that stand there once are not read: {shown}")
+    return RawTable.of_arrays(found.columns)
+
+
+class _RaggedError(Exception):
+    """A row with another number of fields than there are names."""
+
+    def __init__(self, row: int, fields: int) -> None:
+        super().__init__(row, fields)
+        self.row, self.fields = row, fields
 
 
 def _whole_lines(path: Path, notes: list[str]) -> bytes | None:
@@ -464,24 +553,23 @@ def _read(
     path: Path,
     layout: Layout,
     indices: Sequence[int],
-    content: bytes,
+    content: bytes | None,
     texts: Set[int],
-    plain: bool,
     threads: bool = True,
 ) -> pa.Table:
     """The columns wanted, named by their index: two ignored columns may share a name. Those of `texts` are of text.
 
-    `content` is the end of the file where that is plain, else all of its rows, rewritten.
+    `content` has the rows below the names; None where those of the file are read as they are.
     """
     if not indices:
         return pa.table({})
     wanted = [str(index) for index in indices]
     kinds = {str(index): pa.string() if index in texts else pa.float64() for index in indices}
     numbers = [str(index) for index in range(layout.fields)]
-    skip = layout.skip if plain else 0
+    skip = layout.skip if content is None else 0
     try:
         return pa_csv.read_csv(
-            path if plain else pa.py_buffer(content),
+            path if content is None else pa.py_buffer(content),
             pa_csv.ReadOptions(column_names=numbers, skip_rows=skip, use_threads=threads),
             pa_csv.ParseOptions(delimiter=layout.delimiter),
             pa_csv.ConvertOptions(
@@ -494,9 +582,9 @@ def _read(
         if "Could not skip" in str(error) or "Empty CSV" in str(error):  # Arrow's words for names and nothing below
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
-            return _read(path, layout, indices, content, texts, plain, threads=False)
+            return _read(path, layout, indices, content, texts, threads=False)
         if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
-            raise InputError(_ragged(path, int(match[1]) - skip, int(match[2]), layout, content)) from error
+            raise _RaggedError(int(match[1]) - skip, int(match[2])) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
             raise _no_number(int(match[2]) - skip, int(match[1]), match[3], layout) from error
         raise InputError(f"{path}: is not a table of numbers ({one_line(error)}); check the file") from error
@@ -514,15 +602,27 @@ def _no_number(row: int, index: int, text: str, layout: Layout) -> _NoNumberErro
     return _NoNumberError(problem, index, text)
 
 
-def _ragged(path: Path, row: int, fields: int, layout: Layout, content: bytes) -> str:
-    place = f"{path}: row {row} has {fields} of {layout.fields} columns"
-    if fields < layout.fields:
-        last = content.rstrip().rpartition(b"\n")[2]
-        cut = last.count(layout.delimiter.encode()) + 1 == fields
-        problem = "the file is truncated" if cut else "the row is cut short"
-        first = layout.names[min(fields, len(layout.names) - 1)]
-        return f"{place}, {first} is the first without a value: {problem}; complete the row or remove it"
-    return f"{place}; remove the surplus fields, and write decimals with a point"
+def _describe_shape(row: int, fields: int, widths: Sequence[int], layout: Layout) -> str:
+    """What is seen of rows that have another number of fields than there are names, and what helps."""
+    place = f"row {row} has {fields} of {layout.fields} columns"
+    others = [width for width in widths if width != layout.fields]
+    shapes = ", ".join(f"{count} have {width}" for width, count in sorted(Counter(widths).items()))
+    seen = f"of {len(widths)} rows {shapes} fields, and there are {layout.fields} names"
+    if fields == 2 * layout.fields:
+        return (
+            f"{place}, twice as many, as where decimal commas separate fields too; write decimals with a point, or "
+            "separate fields by another mark"
+        )
+    if fields > layout.fields:
+        remedy = (
+            "name each column" if len(others) == len(widths) else "remove the surplus fields, or put texts in quotes"
+        )
+        return f"{place}: {seen}; {remedy}"
+    place = f"{place}, {layout.names[min(fields, len(layout.names) - 1)]} is the first without a value"
+    if len(others) > 1:
+        return f"{place}: {seen}; complete the rows or remove them"
+    problem = "the file is truncated" if row == len(widths) else "the row is cut short"
+    return f"{place}: {problem}; complete the row or remove it"
 
 
 def _start(path: Path, start: bytes, notes: list[str]) -> tuple[str, str]:

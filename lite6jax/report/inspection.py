@@ -3,6 +3,7 @@
 The texts are in `templates/inspection.yaml`, with the keys of a sidecar.
 """
 
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -11,15 +12,16 @@ import numpy as np
 import yaml
 from rich.console import RenderableType
 
-from lite6jax.domains.pose.inspection import Inspection, Pose, poses_of
+from lite6jax.domains.pose.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
-from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.columns import DEVIATION, IGNORED, MATRIX
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
+from lite6jax.recordings.words import NamedColumns, Points
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.words import fill, read_texts, say
 
@@ -32,6 +34,18 @@ _SHOWN = 8
 KEYS: Mapping[str, tuple[str, str]] = {key: (one["meaning"], one["example"]) for key, one in _TEXTS["keys"].items()}
 """The keys of `recording` in a sidecar: what each means, and an example."""
 
+_NOISES: Mapping[str, tuple[str, ...]] = {
+    "tau": ("torque_noise_Nm",),
+    "position": ("position_noise_m",),
+    "rotation": ("orientation_noise_rad",),
+    "contact": ("contact_noise_m",),
+    "plane": ("plane_noise_m",),
+    "distance": ("distance_noise_m",),
+    "axis": ("axis_noise_m",),
+    "camera": ("pixel_noise_px",),
+}
+"""The keys of the noise of each kind of block and of reading."""
+
 
 def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
@@ -43,8 +57,11 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     for block in found.blocks:
         yield indented(statement(block))
         recognised |= block.renamed()
+    for own, (quantity, unit) in found.announced.items():
+        facts = {"own": own, "quantity": _TEXTS["readings"][quantity], "name": found.given[own]}
+        yield indented(fill(_TEXTS["announced"], facts, sure="" if unit is None else _sure(unit)))
     for own, name in found.given.items():
-        if recognised.get(own) != name:
+        if recognised.get(own) != name and own not in found.announced:
             yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
     for own, why in found.denied.items():
         yield indented(f"{own}: {_TEXTS['denied'][why]}, so it is not used.")
@@ -107,13 +124,21 @@ def statement(block: Block) -> str:
     facts = {
         "kind": _kind(block),
         "columns": _columns(block.columns),
-        "form": form and f"{_TEXTS['forms'][form.choice]} ({_sure(form)})",
+        "form": form and f"{fill(_TEXTS['forms'][form.choice], {'order': _order(block.columns)})} ({_sure(form)})",
         "unit": unit,
         "commanded": block.kind == "cmd",
         "assumed": _commanded(block),
         "rivals": _listed(block.rivals) if block.rivals else "",
     }
     return fill(_TEXTS["block"], facts)
+
+
+def _order(columns: Sequence[str]) -> str:
+    """In which order the columns r11, r12, …, r33 of a matrix are numbered."""
+    numbers = [int(number) for name in columns for number in re.findall(r"\d+", name)[-1:]]
+    if len(numbers) != len(MATRIX) or len({*numbers}) < len(MATRIX):
+        return "rows"
+    return "rows" if numbers[1] < numbers[3] else "columns"
 
 
 def _commanded(block: Block) -> bool:
@@ -183,7 +208,8 @@ def _column_lines(found: Inspection) -> list[str]:
     told = dict(found.columns)
     for block in found.blocks:
         lines += _wrapped(statement(block))
-        lines += [_entry(own, told.pop(own)) for own in block.columns if own in told]
+        in_file = [found.in_file.get(own, own) for own in block.columns]
+        lines += [_entry(own, told.pop(own)) for own in in_file if own in told]
     rest = {own: name for own, name in told.items() if name != IGNORED}
     unused = {own: name for own, name in told.items() if name == IGNORED}
     for comment, entries in (("As given.", rest), ("Not used.", unused)):
@@ -223,6 +249,13 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     q, tau, current, position = map(found.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
     timed = found.of("time") is not None or any(name.startswith("time") for name in found.given.values())
+    noises = list(_NOISES["tau"]) if tau is not None or current is not None else []
+    for measured in ("position", "rotation") if position is not None and not found.computed else ():
+        noises += _NOISES[measured] if found.of(measured) is not None else ()
+    noises += [key for kind in found.readings for key in _NOISES[kind]]
+    matrix = found.of("rotation")
+    matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
+    transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
     nothing = position is None and tau is None and current is None and not found.given
     facts = {
         "doubtful": [
@@ -237,7 +270,15 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "computed": found.computed,
         "said": settings.get("pose_source", "unknown"),
         "of_controller": any(one.taken and one.role == "controller" for one in found.sources),
+        "turned": matrix and [_column_option(own, name) for own, name in zip(matrix.columns, transposed, strict=True)],
+        "deviations": [
+            _column_option(own, f"{name}_{unit_of(own) or 'mm'}")
+            for own, name in zip(found.unclear_deviations, DEVIATION, strict=False)
+        ],
+        "noises": [key for key in noises if key not in settings],
+        "announced": settings["pose_source"] if settings.get("pose_source") in READINGS_OF else "",
         "nothing": nothing,
+        "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
         "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
     }
     yield from say(_TEXTS["next"], facts)
@@ -260,7 +301,9 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
     """How the joints of one file and the poses of another were joined."""
     clocks = found.clocks
     facts: dict[str, Any] = {"found": found, "clocks": clocks, "pairing": found.pairing}
-    facts |= {"joints": joints, "poses": poses}
+    facts |= {"joints": joints, "poses": poses, "names": found.names}
+    if found.names is not None:
+        facts["alone"] = [_named(names) for names in found.names.alone]
     if clocks is not None:
         facts["offset"] = clocks.offset + found.start
         facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
@@ -274,6 +317,12 @@ def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[s
     return said
 
 
+def _named(names: Sequence[str]) -> str:
+    """Some names of rows, and how many more there are."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
+
+
 def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     facts = {"count": len(found.path.reached), "missing": int(np.sum(~found.path.reached))}
@@ -284,6 +333,20 @@ def describe_pairs(found: SolvedPairs, arm: str) -> list[str]:
     """How pairs of poses became joints and poses."""
     facts = {"inverted": found.inverted, "errors": found.errors, "solved": found.solved}
     return [*describe_solved_joints(found.solved, arm), *_sentences("pairs", facts)]
+
+
+def describe_named_columns(found: NamedColumns) -> list[str]:
+    """Whose numbers cells name."""
+    facts = {"by": _columns(found.by), "words": _named(found.words), "ordered": bool(found.in_file)}
+    return _sentences("named", facts)
+
+
+def describe_points(found: Points, taken: str) -> list[str]:
+    """How rows of points became rows of states; `taken` is the one point whose position is read, or none."""
+    counts = dict(zip(found.labels, found.counts, strict=True))
+    states = len(next(iter(found.columns.values())))
+    facts = {"by": found.by, "labels": _named(found.labels), "count": len(found.labels), "states": states}
+    return _sentences("points", {**facts, "taken": taken, "seen": counts.get(taken), "whole": min(found.counts)})
 
 
 def describe_reflectors(found: WithPose) -> list[str]:

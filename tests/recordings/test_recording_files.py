@@ -135,18 +135,30 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         ("0.1,0.2\n0.3,0.4\n", "its first row holds numbers, and no line names the columns; `lite6jax init"),
         (FINE + "0.1,0.2,0.3", "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated;"),
         (FINE + "0.1,0.2\n" + FINE[-20:], "row 4 has 2 of 5 columns, x_m is the first without a value: the row is cut"),
-        (FINE + "0,1,0,2,0,3,0,4,0,5\n", "row 4 has 10 of 5 columns; remove the surplus fields, and write decimals"),
+        (FINE + "0,1,0,2,0,3,0,4,0,5\n", "row 4 has 10 of 5 columns, twice as many, as where decimal commas"),
+        (
+            FINE + "0.1,0.2,0.3,0.4,0.5,ok\n",
+            "row 4 has 6 of 5 columns: of 4 rows 3 have 5, 1 have 6 fields, and there are 5",
+        ),
+        (
+            FINE.replace("0.5", "0.5,0"),
+            "row 1 has 6 of 5 columns: of 3 rows 3 have 6 fields, and there are 5 names; name",
+        ),
+        (
+            FINE + "0,0,0,0\n0,0\n",
+            "row 4 has 4 of 5 columns, z_m is the first without a value: of 5 rows 1 have 2, 1 have",
+        ),
         (FINE + "0.1,oops,0.3,0.4,0.5\n", "column q2_rad: row 4 holds 'oops', which is no number; give numbers with a"),
         (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),
         (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
-        (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns; remove the surplus fields"),
+        (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns, twice as many, as where"),
         ("q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n", "column q2_rad: row 2 holds '0.2', which is no number; give numbers"),
         ("<html><body>404</body></html>\n", "is a page or XML, and no table; write its numbers as CSV"),
         ('{"q1_rad": [0.1,\n0.2]}\n', "is JSON, and no table; write its numbers as CSV with a name for each column"),
         (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
     ],
-    ids=range(15),
+    ids=range(18),
 )
 def test_a_csv_that_is_none(tmp_path, content, message):
     assert message in unread(file(tmp_path, content))

@@ -90,7 +90,10 @@ def test_round_trip_is_exact(tmp_path, settings):
         ("recording: {gravity_m_per_s2: -9.81}", "-9.81 is not accepted; give three numbers [x, y, z] in m/s^2"),
         ("recording: {payload_com_m: [0, 0, 50]}", "[0, 0, 50] is not accepted (expected float <= 5.0, at [2]); give"),
         ("recording: {inertial_uncertainty: 10}", "10 is not accepted (expected float <= 0.5); give one sigma"),
-        ("recording: {torque_noise_Nm: 0.1}", "recording.torque_noise_Nm: 0.1 is not accepted; give a list with one"),
+        (
+            "recording: {torque_noise_Nm: much}",
+            "recording.torque_noise_Nm: 'much' is not accepted; give one sigma in N m of",
+        ),
         ("recording: {torque_noise_Nm: [0.1, 0]}", "torque_noise_Nm: [0.1, 0] is not accepted (expected float >="),
         ("recording: {inertial: fitted}", "inertial: 'fitted' is not accepted; give declared, unknown (they are"),
         ("recording: {torque_constant_Nm_per_A: [12, 0]}", "[12, 0] is not accepted (zero); give a list with one"),

@@ -6,7 +6,8 @@ words are those of `report.inspection`, but for why a motion is one.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,15 +18,19 @@ from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.readings import (
     CLEARLY,
+    CLOSE,
     Agreement,
     agreement,
     computed_by_controller,
     decide,
+    digit_step,
+    median_distance,
     motion_of,
 )
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
+    DEVIATION,
     FORMS,
     IGNORED,
     MATRIX,
@@ -41,9 +46,11 @@ from lite6jax.recordings.columns import (
     nearest_known,
     quaternions,
     reading_of,
+    spelled,
     units_of,
 )
 from lite6jax.recordings.naming import Block, Role, Source
+from lite6jax.recordings.words import Words, is_label, write_whole
 
 Array = NDArray[np.floating]
 
@@ -112,6 +119,12 @@ class Inspection:
         motion: `static` or `trajectory`, and why in words.
         sources: the poses; where several are possible and none is taken, the caller is to choose.
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
+        in_file: of columns that are called otherwise in the file, their names there.
+        announced: columns of `given` that are readings as `pose_source` says, with what it says and the unit of those
+            that have one.
+        likely_readings: where `pose_source` does not say of readings, what it would say, of which column, and what that
+            would be.
+        unclear_deviations: columns of deviations from positions of which nothing says that they are nominal.
     """
 
     blocks: tuple[Block, ...]
@@ -126,10 +139,14 @@ class Inspection:
     motion: tuple[str, str]
     sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
+    in_file: Mapping[str, str] = field(default_factory=dict)
+    announced: Mapping[str, tuple[str, sizes.Decision | None]] = field(default_factory=dict)
+    likely_readings: tuple[tuple[str, str, str], ...] = ()
+    unclear_deviations: tuple[str, ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
-        """The sidecar's `columns`; empty where every name is one of a recording already."""
+        """The sidecar's `columns`, by their names in the file; empty where every name is one of a recording already."""
         pairs = [pair for block in self.blocks for pair in block.renamed().items()]
         taken = {name.partition("_")[0] for name in self.given.values()}
         told = {own: IGNORED if name.partition("_")[0] in taken else name for own, name in pairs} | dict(self.given)
@@ -137,7 +154,8 @@ class Inspection:
         read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
         needed = read or any(own != name for own, name in told.items()) or any(map(is_refused, unused))
-        return told | unused if needed else {}
+        needed = needed or bool(self.in_file)
+        return {self.in_file.get(own, own): name for own, name in (told | unused).items()} if needed else {}
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -187,6 +205,7 @@ def inspect(
     pose_source: str | None = None,
     motion: str | None = None,
     assumed: Collection[str] = (),
+    words: Mapping[str, Words] | None = None,
 ) -> Inspection:
     """What a table holds.
 
@@ -199,6 +218,7 @@ def inspect(
         motion: where it is known.
         assumed: columns whose unit is stated by nothing but a name that the reader of the file gave them; it is decided
             as if no name stated it.
+        words: of the columns of text.
 
     Raises:
         InputError: a column that is given is not there, there are no rows, or rows of poses are at no known joints.
@@ -212,7 +232,7 @@ def inspect(
     texts = tuple(name for name, values in columns if values is None)
     for name in given:
         if name not in dict(columns):
-            raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
+            raise InputError(f"{source}: has no column {name[:60]!r}; {near(name, list(dict(columns)))}")
     if not any(block.kind == "position" for block in naming.candidates([*numbers], ())):
         given = {name: name for name, _ in columns if reading_of(name)} | given
     free = [name for name in numbers if given.get(name) != IGNORED]
@@ -233,7 +253,19 @@ def inspect(
     lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _at_poses(numbers, [*blocks, *poses], source)
-    read = [_read_pose(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    poses = _without_differences(poses, numbers)
+    told = {name for name, column in said.items() if column.quantity in DEVIATION}
+    at_times = any(block.kind == "time" for block in blocks)
+    read, unclear = [], []
+    for pose in naming.sources(poses):
+        read.append(_read_pose(pose, blocks, numbers, arm))
+        if (deviation := pose.deviation) is None:
+            continue
+        nominal = pose.position.rank == 2 or (read[-1].computed and not at_times)
+        if nominal or told >= {*deviation.columns}:
+            read[-1] = _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm)
+        elif not _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm, sign=-1.0).computed:
+            unclear += deviation.columns
     read = [pose for pose in read if pose.travel > 0] or read
     taken = _choose_pose(read, pose_source)
     found = Pose(arm=read[0].arm if read else arm) if taken is None else read[taken]
@@ -247,6 +279,18 @@ def inspect(
     decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
+    announced: dict[str, tuple[str, sizes.Decision | None]] = {}
+    likely: list[tuple[str, str, str]] = []
+    if not read and not any(map(reading_of, given.values())):
+        rest = {name: values for name, values in numbers.items() if name not in used}
+        cells = {name: own for name, own in (words or {}).items() if name not in given}
+        if pose_source is not None and pose_source in READINGS_OF:
+            announced = _readings(pose_source, rest, cells)
+        else:
+            called = {of: _readings(of, rest, cells, by_name=True) for of in READINGS_OF}
+            likely = [(of, name, quantity) for of, own in called.items() for name, (quantity, _) in own.items()]
+        given |= {name: spelled(quantity, unit=unit and unit.choice) for name, (quantity, unit) in announced.items()}
+        used |= announced.keys()
     return Inspection(
         blocks=decided,
         given=given,
@@ -260,7 +304,58 @@ def inspect(
         motion=(motion, "as given") if motion else motion_of(decided, numbers),
         sources=tuple(pose._replace(taken=place == taken) for place, pose in enumerate(read)),
         motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, decided),
+        announced=announced,
+        likely_readings=tuple(likely),
+        unclear_deviations=tuple(unclear),
     )
+
+
+READINGS_OF: Mapping[str, tuple[str, ...]] = {
+    "touch": ("contact", "plane"),
+    "draw_wire": ("distance",),
+    "height_gauge": ("axis",),
+}
+"""What is read by what measures no poses, by `pose_source`."""
+
+
+def _readings(
+    pose_source: str, numbers: Mapping[str, Array], words: Mapping[str, Words], by_name: bool = False
+) -> dict[str, tuple[str, sizes.Decision | None]]:
+    """The columns that are readings of a source: those that are called so, or the only ones that may be.
+
+    Args:
+        pose_source: of `READINGS_OF`.
+        numbers: columns that mean nothing else, `(sample,)` each.
+        words: of the columns of text.
+        by_name: whether only those are wanted that are called so.
+
+    Returns:
+        the quantity of each, and the unit of what has one; none where several columns may be meant.
+    """
+    kinds = READINGS_OF[pose_source]
+    labels = {name: [*cells] for name, cells in words.items()}
+    labels |= {name: write_whole(values) for name, values in numbers.items() if is_label(name)}
+    labels = {name: cells for name, cells in labels.items() if 2 * len({*cells} - {""}) <= len(cells) and any(cells)}
+    if pose_source == "touch":
+        possible = [*labels]
+    else:
+        possible = [name for name, values in numbers.items() if np.nanmax(values) > np.nanmin(values)]
+        possible = [name for name in possible if naming.unit_of(name) in (None, *units_of(kinds[0]))]
+    called = [name for name in possible if naming.reading_words(name) & {*kinds}]
+    chosen = called if called or by_name else possible
+    if len(chosen) != 1:
+        return {}
+    name = chosen[0]
+    if pose_source == "touch":
+        meant = naming.reading_words(name)
+        return {name: ("plane" if "plane" in meant and "contact" not in meant else "contact", None)}
+    stated = naming.unit_of(name)
+    unit = sizes.by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
+    readings: dict[str, tuple[str, sizes.Decision | None]] = {name: (kinds[0], unit)}
+    anchors = [label for label in labels if "anchor" in naming.reading_words(label)]
+    if kinds == ("distance",) and len(anchors) == 1:
+        readings[anchors[0]] = "anchor", None
+    return readings
 
 
 def _motors(
@@ -309,9 +404,10 @@ def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]
     return every if role is None else named or open_ or every
 
 
-def _near(name: str, names: Sequence[str]) -> str:
-    near = nearest_known(name)
-    return f"{'' if near is None else f'write COLUMN=MEANING, such as joint_1={near}; '}it has {list_names(names)}"
+def near(name: str, names: Sequence[str]) -> str:
+    """What may be meant by a name that a table does not have."""
+    known = nearest_known(name)
+    return f"{'' if known is None else f'write COLUMN=MEANING, such as joint_1={known}; '}it has {list_names(names)}"
 
 
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
@@ -394,13 +490,16 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
-    for form, parts in {"": PLACE, **FORMS}.items():
+    for form, parts in {"": PLACE, "deviation": DEVIATION, **FORMS}.items():
         if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
         columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
         unit = sizes.by_name(units[0]) if units[0] and len({*units}) == 1 else None
         if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
+        elif parts == DEVIATION:
+            places = [naming.of_whom(other.source) for other in found if other.kind == "position"]
+            block = Block("deviation", columns, unit, source=places[0] if len(places) == 1 else ())
         else:
             source = next((other.source for other in found if other.kind == "position"), ())
             block = Block("rotation", columns, unit, sizes.by_name(form), source=source)
@@ -485,6 +584,65 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     if form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
         return best._replace(agreed=best.agreed._replace(form=form._replace(sure="likely")))
     return best
+
+
+def _without_differences(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> list[Block]:
+    """Blocks without positions that are the difference of two others, to the digits written, whatever they are called.
+
+    Which of the two is nominal their names say, or that it is computed; it is not needed beside them.
+    """
+    places = [block for block in blocks if block.kind in ("position", "deviation") and block.weak < 2]
+    values = [block.values(numbers) for block in places]
+    steps = [digit_step(of_block) for of_block in values]
+    differences = set()
+    for k, nominal, measured in permutations(range(len(places)), 3):
+        small = 10 * _median_size(values[k]) < median_distance(_whole(values[nominal]))
+        for scale in (1.0, 1e3, 1e-3) if small else ():
+            missed = values[nominal] + scale * values[k] - values[measured]
+            tolerance = 0.6 * (steps[nominal] + scale * steps[k] + steps[measured]) + 1e-9
+            missed = np.abs(missed[np.isfinite(missed)])
+            if missed.size and np.mean(missed <= tolerance) > 0.99:
+                differences.add(places[k].columns)
+    return [block for block in blocks if block.columns not in differences]
+
+
+def _whole(values: Array) -> Array:
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _median_size(values: Array) -> float:
+    return float(np.median(np.linalg.norm(_whole(values), axis=1))) if len(_whole(values)) else np.inf
+
+
+def _read_sum(
+    position: Block,
+    deviation: Block,
+    alone: Pose,
+    blocks: Sequence[Block],
+    numbers: Mapping[str, Array],
+    arm: Arm | None,
+    sign: float = 1.0,
+) -> Pose:
+    """The measured pose that is the sum of a nominal position and its deviation; the orientation is nominal too.
+
+    Args:
+        position: nominal.
+        deviation: of the measured position from it.
+        alone: the position as it is read without the deviation.
+        blocks: of everything else.
+        numbers: `(sample,)` by name.
+        arm: as given.
+        sign: −1 for the nominal position, where the other is measured.
+    """
+    places, offsets = position.values(numbers), deviation.values(numbers)
+    of_places = position.unit or alone.agreed.units.get(position.key) or sizes.length_unit(places)
+    unit = deviation.unit
+    if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
+        unit = sizes.Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
+    scale = 1.0 if unit is None else deviation.units[of_places.choice] / deviation.units[unit.choice]
+    summed = {**numbers, **dict(zip(position.columns, (places + sign * scale * offsets).T, strict=True))}
+    pose = _read_pose(Source(position, ()), blocks, summed, arm)
+    return pose._replace(blocks=(position, replace(deviation, unit=unit)), role="sensor")
 
 
 def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:

@@ -6,6 +6,7 @@ those of `report.inspection`.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,11 +16,20 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import CLEARLY, FEWEST, flange_poses, in_si, match_poses
+from lite6jax.domains.pose.readings import (
+    CLEARLY,
+    CLOSE,
+    FEWEST,
+    flange_poses,
+    in_si,
+    match_poses,
+    median_distance,
+)
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import FORMS, PLACE, QUATERNION, spelled, with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
+from lite6jax.recordings.words import Names, Words, is_label, match_names, write_whole
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.inverse import JointPath
@@ -28,7 +38,7 @@ Array = NDArray[np.floating]
 Rows = NDArray[np.integer]
 
 _OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "payload", "ambient")
-_OF_POSES = ("position", "rotation", "ambient")
+_OF_POSES = ("position", "deviation", "rotation", "ambient")
 """Kinds of blocks that are taken from either file."""
 _TIME = "time_s"
 _MOST_CAPTURES = 2000
@@ -43,12 +53,21 @@ class File(NamedTuple):
         stem: of its name, before columns whose names both files have.
         columns: `(row,)` numbers by name.
         found: what they mean.
+        words: its columns of text.
     """
 
     source: str
     stem: str
     columns: Mapping[str, Array]
     found: Inspection
+    words: Mapping[str, Words] = MappingProxyType({})
+
+    @property
+    def names(self) -> dict[str, Words]:
+        """Columns that may name the rows: of text, and of whole numbers that are called so."""
+        used = {name for block in self.found.blocks if block.kind != "run" for name in block.columns}
+        whole = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
+        return {**self.words, **{name: write_whole(values) for name, values in whole.items()}}
 
 
 class JoinedFiles(NamedTuple):
@@ -60,6 +79,7 @@ class JoinedFiles(NamedTuple):
         clocks: where they were joined by time; `start` is the robot's first time less the sensor's, s, which is to be
             added to the offset.
         pairing: where they were joined by order.
+        names: where they were joined by the names of their rows; `error` m, of the nominal arm then.
         joined: how joints were interpolated.
         unit: of the joints in `joined`.
         left_out: columns of numbers in either file that are not in the table.
@@ -72,6 +92,8 @@ class JoinedFiles(NamedTuple):
     clocks: Clocks | None = None
     start: float = 0.0
     pairing: Pairing | None = None
+    names: Names | None = None
+    error: float = np.inf
     joined: Joined | None = None
     unit: str = "rad"
     left_out: tuple[str, ...] = ()
@@ -193,7 +215,7 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
-    """The joints of one file at the times of the poses of another, or captures of both in their order.
+    """The joints of one file at the poses of another: of the same name, at their times, or captures in their order.
 
     Raises:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
@@ -206,6 +228,8 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     times = [in_si(file.found.blocks, "time", file.columns) for file in (joints, poses)]
     taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
+    if (named := _joined_by_name(joints, poses, arm, q, position)) is not None:
+        return named._replace(left_out=left_out)
     clock, at = times
     if clock is not None and at is not None:
         joined = _joined_by_time(joints, poses, arm, q, position, clock[:, 0], at[:, 0])
@@ -228,6 +252,27 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         f"{joints.source} and {poses.source}: their {len(state_rows)} joint states and {len(pose_rows)} poses do not "
         f"agree in their order; {remedy}"
     )
+
+
+def _joined_by_name(joints: File, poses: File, arm: Arm, q: Array, position: Array) -> JoinedFiles | None:
+    """Joints and positions of rows that have the same name; None where they have none.
+
+    Whole numbers may count the rows of each file for themselves: they are names where the arm agrees.
+    """
+    names = match_names(joints.names, poses.names)
+    if names is None:
+        return None
+    whole = np.isfinite(q[names.rows[0]]).all(axis=1) & np.isfinite(position[names.rows[1]]).all(axis=1)
+    states, placed = (rows[whole] for rows in names.rows)
+    if len(states) < FEWEST:
+        return None
+    error, _ = match_poses(flange_poses(arm, q[states]), position[placed])
+    told = all(column in file.words for file, column in zip((joints, poses), names.columns, strict=True))
+    if not told and error > CLOSE * median_distance(position[placed]):
+        return None
+    moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
+    table = _table(joints, poses, moved, placed)
+    return JoinedFiles(table, len(states), len(position), len(q), names=names, error=error)
 
 
 def _joined_by_time(

@@ -236,6 +236,9 @@ def decide(
             unit = sizes.unit_of_command(values, q.in_si(numbers), block.slides, unit and unit.choice)
             if unit is None:
                 continue
+        elif unit is None and block.kind == "deviation" and ("position", False) in found:
+            places = found["position", False].unit
+            unit = places and Decision(places.choice, "assumed", "as_positions", {})
         elif unit is None and block.kind == "time":
             unit = sizes.time_unit(values[:, 0], in_si(found.values(), "q", numbers))
         elif q is not None and unit is None and block.kind in ("dq", "ddq"):

@@ -81,9 +81,16 @@ class WithPose(NamedTuple):
     unit: str
 
 
-def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
-    """A table with a pose in place of three or more points of a rigid body; None where it has no such points."""
-    points = _rigid_points(reflector_columns(list(columns)), columns)
+def with_pose_of_reflectors(
+    columns: Mapping[str, Array], candidates: Sequence[tuple[str, str, str]] | None = None
+) -> WithPose | None:
+    """A table with a pose in place of three or more points of a rigid body; None where it has no such points.
+
+    Args:
+        columns: `(row,)` numbers by name.
+        candidates: the columns x y z of each point; by their names where not given.
+    """
+    points = _rigid_points(reflector_columns(list(columns)) if candidates is None else candidates, columns)
     if not points:
         return None
     found = _rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
