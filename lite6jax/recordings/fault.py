@@ -16,6 +16,8 @@ class DataFault:
     The numbers are plain JSON values in SI units; joints count from 1, rows as in the file. Numbers of a fault that was
     found, by code (those marked * are added where it is compared with physics):
 
+        placeholder             array ("joint_position", "position", "joint_torque" or "motor_current"), value (none
+                                where several repeat together), unit, column (where it is one)
         time_order              largest_step_back_s
         repeated_rows           first_rows: the rows that `rows` repeat
         position_unit           factor: by which the rows are too large

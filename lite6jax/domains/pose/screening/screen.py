@@ -20,7 +20,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, placeholders, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
@@ -154,6 +154,7 @@ class Screen:
 
 
 SCREENS = (
+    Screen(("placeholder",), "recording", placeholders.leave_out_placeholders),
     Screen(("time_order",), "recording", sort_rows),
     Screen(("repeated_rows",), "recording", drop_repeats),
     Screen(("position_unit",), "recording", convert_positions),
@@ -245,10 +246,10 @@ def screen(
     return state
 
 
-def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
-    """The recording in order, each row once and positions in m: the screens that need no arm."""
+def screen_rows(recording: Recording, options: ScreeningOptions, arm: Arm | None = None) -> Screened:
+    """The recording without placeholders, in order, each row once and positions in m: the screens of rows."""
     require_samples(recording, 1)
-    state = Screened(recording, None, "declared", Corrections(), options)
+    state = Screened(recording, arm, "declared", Corrections(), options)
     for entry in SCREENS:
         if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
             state = entry.run(state)
