@@ -42,6 +42,7 @@ class DataFault:
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
         unsettled_readouts      shape ("move", "velocity" or "constant"), joints, all_joints, rest (a share, s
                                 or rad by the shape), rest_std, largest_rms_rad, log_likelihood_gap*, rival_terms*
+        distance_offset         constant_m, std_m, log_likelihood_gap*, rival_terms*
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*
                                 ("as_published" or "fitted"), numbers_more*

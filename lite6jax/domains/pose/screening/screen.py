@@ -20,7 +20,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, placeholders, settling
+from lite6jax.domains.pose.screening import frame_jumps, hypotheses, placeholders, reading_zero, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
@@ -166,7 +166,10 @@ SCREENS = (
     Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
     Screen(("nominal_table",), "fit", hypotheses.use_other_table),
 )
-"""All screens, in order."""
+"""All screens of poses, in order."""
+
+TOUCH_SCREENS = (Screen(("distance_offset",), "arm", reading_zero.free_constant, estimated=lambda fault: 1),)
+"""All screens of touches, distances and heights."""
 
 
 def price(screened: Screened, numbers: float, samples: int) -> float:
@@ -177,7 +180,7 @@ def price(screened: Screened, numbers: float, samples: int) -> float:
         numbers: how many were measured, n: rows times samples.
         samples: how many.
     """
-    found = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
+    found = [(screen, fault) for screen in (*SCREENS, *TOUCH_SCREENS) for fault in screened.found if fault.code in screen.codes]
     quantities = sum(screen.estimated(fault) for screen, fault in found)
     located = sum(screen.located for screen, _ in found)
     return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
@@ -214,10 +217,13 @@ def screen(
     require_samples(recording, 1)
     options = options or ScreeningOptions()
     state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
-    if recording.touches is not None:  # all faults that are screened for are of poses
+    if recording.touches is not None:  # all other faults that are screened for are of poses
         rigid = rigid_arm(recording, arm, geometry, factory)
         require_radians(recording.joint_position, rigid.arm.joint_limits, f"{recording.source}: joint_position")
-        return replace(state, rigid=rigid, arm=rigid.arm)
+        state = replace(state, rigid=rigid, arm=rigid.arm)
+        for entry in TOUCH_SCREENS:
+            state = state if coarse else entry.run(state)
+        return state
     fitted = False
     for entry in SCREENS:
         if coarse and entry.needs == "fit":
