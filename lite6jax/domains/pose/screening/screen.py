@@ -180,7 +180,8 @@ def price(screened: Screened, numbers: float, samples: int) -> float:
         numbers: how many were measured, n: rows times samples.
         samples: how many.
     """
-    found = [(screen, fault) for screen in (*SCREENS, *TOUCH_SCREENS) for fault in screened.found if fault.code in screen.codes]
+    screens = (*SCREENS, *TOUCH_SCREENS)
+    found = [(screen, fault) for screen in screens for fault in screened.found if fault.code in screen.codes]
     quantities = sum(screen.estimated(fault) for screen, fault in found)
     located = sum(screen.located for screen, _ in found)
     return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
