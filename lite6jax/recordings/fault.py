@@ -60,7 +60,8 @@ class DataFault:
         estimated_torque        reason: "no_friction" where there is none; nothing where torques are constant at rest
         swapped_torques         joints, columns that hold their torques
         swapped_positions       joints; swapped_columns likewise, of positions and torques
-        reversed_torque         joints; reversed_positions and reversed_joint (both) likewise
+        reversed_torque         joints; reversed_positions, reversed_joint (both) and reversed_sign
+                                (of either) likewise
         coupled_positions       joint, added_joint, factor (±1)
         joint_zero              joint, added_rad
         wrong_gravity           declared_m_per_s2, found_m_per_s2, tilt_rad

@@ -301,7 +301,7 @@ def without_marks(values: Array) -> Array:
 
     They stand where nothing was measured (`recordings.placeholders`) and say nothing of a unit.
     """
-    if not len(values):
+    if not values.size:
         return values
     size = np.where(np.isfinite(values), np.abs(values), 0.0).reshape(len(values), -1)
     largest = size.max(axis=1)

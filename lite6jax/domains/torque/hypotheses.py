@@ -57,6 +57,10 @@ _AXES = {
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
 """Rotations that turn z into another axis of a frame."""
+_SIGNS = ("reversed_torque", "reversed_positions")
+"""Of which a joint without weight may show only that one is there: its friction would exert power."""
+_FELT = 0.01
+"""Of a joint's torque, RMS: what another gravity changes at least, where it is a hypothesis."""
 
 
 class ScreenedTorques(NamedTuple):
@@ -83,6 +87,8 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
         found = [axis]
     elif compared.found:
         found = faults_of(compared.found, data)
+        if compared.signs_alike:
+            found = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in found]
         data = undo(compared.found, data)
     elif compared.alternatives:
         listed = [[{"fault": f.code, **f.numbers} for f in faults_of(h, data)] for h in compared.alternatives]
@@ -92,10 +98,10 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
     ruled_out = [
         DataFault(code, (), {})
         for code, others in (
-            ("swapped_torques", {"swapped_torques", "reversed_torque", "reversed_joint", "swapped_columns"}),
+            ("swapped_torques", {"swapped_torques", *_SIGNS, "reversed_joint", "swapped_columns"}),
             ("wrong_gravity", set(GRAVITY)),
             ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
-            ("joint_zero", {*POSITIONS, "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis"}),
+            ("joint_zero", {*POSITIONS, "reversed_sign", "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis"}),
         )
         if not (codes | doubted) & others
     ]
@@ -179,11 +185,13 @@ class _Comparison(NamedTuple):
         found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
         alternatives: where none is taken, two or more that cannot be told apart.
         evidence: of what is taken, or of the best alternative.
+        signs_alike: whether the positions of the joints whose torques are reversed may be so instead.
     """
 
     found: Hypothesis = ()
     alternatives: tuple[Hypothesis, ...] = ()
     evidence: float = -np.inf
+    signs_alike: bool = False
 
 
 def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
@@ -204,13 +212,25 @@ def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
     fewest = min(map(faults_in, likely))
     simple = [h for h in likely if faults_in(h) == fewest]
     simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
+    beyond = {h: rows.beyond_limits(h) for h in simple}
+    simple = [h for h in simple if beyond[h] == min(beyond.values())]
     distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
+    signs_alike = len(distinct) > 1 and len({_without_signs(h) for h in distinct}) == 1
+    if signs_alike:
+        distinct = [min(distinct, key=lambda h: sum(c.code == "reversed_positions" for c in h))]
     if len(distinct) > 1:
         return rows, _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
     (found,) = distinct
     common = _with_one_constant(found)
     together = rows.evidence(common) - rows.price(common)
-    return rows, _Comparison(common if together > evidence[found] else found, evidence=max(together, evidence[found]))
+    taken = common if together > evidence[found] else found
+    return rows, _Comparison(taken, evidence=max(together, evidence[found]), signs_alike=signs_alike)
+
+
+def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]:
+    """Its changes of other kinds, and the joints of which a position or a torque is reversed."""
+    joints = sorted(change.joints[0] for change in hypothesis if change.code in _SIGNS)
+    return tuple(change for change in hypothesis if change.code not in _SIGNS), tuple(joints)
 
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
@@ -224,7 +244,7 @@ def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
 
 def _search(rows: Samples) -> list[Scored]:
     """Hypotheses worth their evidence: the best by squares, of few changes first, more where these do not suffice."""
-    simple = list(single_changes(rows.data))
+    simple = [h for h in single_changes(rows.data) if h[0].code not in GRAVITY or rows.feels(h, _FELT)]
     scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
     beam: list[Hypothesis] = [()]
     for first in (True, False):

@@ -75,9 +75,10 @@ class _Evidence(NamedTuple):
                 return every
         if self.missed is not None:
             missed = self.missed[rows]
-            alone = mark.column is None and mark.value is not None
-            # of what was read last one row is right, and so may be a mark in one column
-            if missed.sum() < max(len(rows) - 1, 1 if alone else 2):
+            fewest = min(2, len(rows)) if mark.value is not None else 2
+            if mark.column is not None or mark.value is None:
+                fewest = max(fewest, len(rows) - 1)  # of what was read last, or of one column, one row may be right
+            if missed.sum() < fewest or (mark.column is not None and len(rows) < 2):
                 return none
             return missed if mark.column is None else every
         return every if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows) else none
