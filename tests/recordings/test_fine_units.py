@@ -29,7 +29,12 @@ def written(path, angle, length=None):
 
 @pytest.mark.parametrize(
     ("angle", "length", "units"),
-    [(1e3, 1e6, ("mdeg", "um")), (1e2, 1e4, ("cdeg", "dmm")), (1e4, 1e6, ("1e-4deg", "um")), (1e3, 1e3, ("mdeg", "mm"))],
+    [
+        (1e3, 1e6, ("mdeg", "um")),
+        (1e2, 1e4, ("cdeg", "dmm")),
+        (1e4, 1e6, ("1e-4deg", "um")),
+        (1e3, 1e3, ("mdeg", "mm")),
+    ],
 )
 def test_kinematics_decide_the_unit_of_whole_numbers(tmp_path, capsys, angle, length, units):
     path = tmp_path / "log.csv"

@@ -59,6 +59,8 @@ _AXES = {
 """Rotations that turn z into another axis of a frame."""
 _SIGNS = ("reversed_torque", "reversed_positions")
 """Of which a joint without weight may show only that one is there: its friction would exert power."""
+_OF_JOINTS = ("reversed_sign", "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis")
+"""Faults beside which no zero of a joint is ruled out."""
 _FELT = 0.01
 """Of a joint's torque, RMS: what another gravity changes at least, where it is a hypothesis."""
 
@@ -98,10 +100,10 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
     ruled_out = [
         DataFault(code, (), {})
         for code, others in (
-            ("swapped_torques", {"swapped_torques", *_SIGNS, "reversed_joint", "swapped_columns"}),
+            ("swapped_torques", {"swapped_torques", "reversed_torque", "reversed_sign", "reversed_joint", "swapped_columns"}),
             ("wrong_gravity", set(GRAVITY)),
             ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
-            ("joint_zero", {*POSITIONS, "reversed_sign", "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis"}),
+            ("joint_zero", {*POSITIONS, *_OF_JOINTS}),
         )
         if not (codes | doubted) & others
     ]
