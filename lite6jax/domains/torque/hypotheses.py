@@ -100,7 +100,7 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
     ruled_out = [
         DataFault(code, (), {})
         for code, others in (
-            ("swapped_torques", {"swapped_torques", "reversed_torque", "reversed_sign", "reversed_joint", "swapped_columns"}),
+            ("swapped_torques", {"swapped_torques", "reversed_torque", *_OF_JOINTS[:3]}),
             ("wrong_gravity", set(GRAVITY)),
             ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
             ("joint_zero", {*POSITIONS, *_OF_JOINTS}),
