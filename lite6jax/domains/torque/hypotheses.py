@@ -138,14 +138,14 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
 
 
 def _of_any_arm(data: TorqueRows, joint: int) -> tuple[Array, Array]:
-    """Columns `(number, sample)` of a joint's torque: what inertial numbers and an offset do, and what friction does."""
+    """Columns `(number, sample)` of a joint's torque: by inertial numbers and an offset, and by friction."""
     velocity = np.asarray(data.motion.joint_velocity)[joint, data.filter.kept]
     free = np.vstack([data.regressor[joint], np.ones_like(velocity)])
     return free, np.vstack([velocity, direction(velocity, data.arm.slides[joint])])
 
 
 def _power_gain(data: TorqueRows, joint: int) -> float:
-    """Log-likelihood by which friction that exerts power explains the torque of a joint better than one that takes it."""
+    """Log-likelihood by which friction that exerts power explains a joint better than one that takes it."""
     free, friction = _of_any_arm(data, joint)
     basis = orthonormal(unit_rows(free), _RANK)
     torque = outside(data.measured[joint][None], basis)[0]

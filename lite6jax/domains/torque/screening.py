@@ -34,7 +34,7 @@ _LEAST_MOTION = 0.02
 _FEWEST_POSTURES = 12
 """At rest, of which gravity is compared: the offset of a joint and the moments of its load are four numbers."""
 _MARKED_RAD = 0.1
-"""rad, or m, by which a number that repeats is off the rows beside it where it is a mark: no joint moves so in a row."""
+"""rad, or m, by which a number that repeats is off the rows beside it, where it is a mark."""
 _MARKED_SHARE = 0.2
 """The same of torques, of their standard deviation."""
 _BEYOND = 0.01

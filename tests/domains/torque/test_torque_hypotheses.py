@@ -412,7 +412,7 @@ def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis():
     assert screen_torques(recording, arm).found == ()
 
 
-# ------------------------------------------------------------------ joints without weight, and rows without a measurement
+# ------------------------------------------------------------------ joints without weight, rows without measurement
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"><inertial><origin xyz="0.15 0 0"/>
 <mass value="4"/><inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>
