@@ -59,7 +59,7 @@ def test_without_poses_the_unit_of_whole_numbers_is_asked_for(tmp_path, capsys):
     assert "--column joint_1=q1_mdeg" in said
     code, out, _ = run(capsys, "init", path, "--yes", "--arm", "lite6", width=200)
     assert code == 0
-    assert "in 0.001 degrees (assumed: whole numbers up to" in flat(out)
+    assert "in 0.001° (assumed: whole numbers up to" in flat(out)
     ways = [part for part in said.split() if part.startswith("joint_") and "=" in part]
     options = [option for way in ways for option in ("--column", way)]
     assert run(capsys, "init", path, "--yes", "--force", *options)[0] == 0
