@@ -165,7 +165,7 @@ def _left_by_any_arm(data: TorqueRows) -> float:
     lengths = np.linalg.norm(shared, axis=1)
     shared = shared[lengths > 0] / lengths[lengths > 0, None]
     blocks = [np.vstack([free[-1:], friction]) / scale for (free, friction), scale in zip(own, spread, strict=True)]
-    columns = np.vstack([shared, block_diag(*blocks)])
+    columns = np.vstack([shared, np.asarray(block_diag(*blocks))])
     torque = np.hstack([row / scale for row, scale in zip(data.measured, spread, strict=True)])
     left = outside(torque[None], orthonormal(unit_rows(columns), _RANK))[0].reshape(data.measured.shape)
     counted = left.shape[1] / autocorrelation_time(left)
