@@ -32,6 +32,7 @@ NOISES = (
 FAULTS = (
     *("outliers", "outliers beside an effect", "repeated_rows", "time_order", "swapped_joints", "mirrored_joint"),
     *("nominal_table", "frame_jump", "unsettled_readouts"),
+    "placeholder",
 )
 ARMS = ("lite6", "seven", "six")
 SENSORS = {

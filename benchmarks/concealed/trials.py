@@ -238,6 +238,12 @@ class Measured(NamedTuple):
     used: NDArray[np.bool_]  # `(sample,)`, those that are no faults
 
 
+_SILENT_JOINTS = (np.deg2rad(-1000.0), np.deg2rad(-1.0), -1.0, 0.0)
+"""rad, what all joints hold where a bus did not answer."""
+_LOST_TARGETS = (0.0, -1e-3, -1.0)
+"""m, what all coordinates hold where a sensor saw nothing."""
+
+
 def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: Poses) -> tuple[Poses, Measured]:
     """Poses and what a table has of them, with the noise and the fault of a plan."""
     rows, dof = motion.q.shape
@@ -271,6 +277,12 @@ def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, 
         q[:, [a, a + 1]] = q[:, [a + 1, a]]
     elif plan.fault == "mirrored_joint":
         q[:, int(rng.integers(0, dof))] *= -1
+    elif plan.fault == "placeholder":
+        used[rng.choice(rows, rows // 40, replace=False)] = False
+        if rng.random() < 0.5:
+            q[~used] = rng.choice(_SILENT_JOINTS)
+        else:
+            position[~used] = rng.choice(_LOST_TARGETS)
     elif plan.fault == "frame_jump":
         first = int(rng.integers(rows // 3, 2 * rows // 3))
         position[first:] += rng.normal(0, 20 * noise[0], 3)

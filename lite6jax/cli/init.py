@@ -204,7 +204,7 @@ class Init:
 def _check(found: "pose_inspection.Inspection", table: "tabulation.RawTable", path: "Path", notes: list[str]) -> None:
     """Refuses what the other commands would refuse, before anything is written."""
     q = found.of("q")
-    if q is not None and q.unit and q.unit.reason in ("percent", "ticks"):
+    if q is not None and q.unit and q.unit.reason in ("percent", "ticks", "whole"):
         raise InputError(f"{path}: {inspection.no_angles(q)}")
     if q is None and not any(name.startswith("q1_") for name in found.given.values()):
         raise InputError(
@@ -223,10 +223,12 @@ def _find_gross_faults(
     if found.arm is None or found.of("q") is None or found.of("position") is None or not isfinite(found.error):
         return ()
     declared = settings.get("pose_frame") == "base" or settings.get("tool", "unknown") != "unknown"
-    if not declared and found.error <= screening_options.ScreeningOptions().suspect_reach * found.arm.reach:
-        return ()  # nothing is declared that could be wrong, and the nominal arm agrees
+    agrees = found.error <= screening_options.ScreeningOptions().suspect_reach * found.arm.reach
     try:
-        return screening.screen(recordings.read_recording(source), allow_undecided=True, coarse=True).found
+        recording = recordings.read_recording(source)
+        if agrees and not declared:  # nothing is declared that could be wrong
+            return screening.screen_rows(recording, screening_options.ScreeningOptions()).found
+        return screening.screen(recording, allow_undecided=True, coarse=True).found
     except InputError as error:  # of too few rows, and the like: the table was recognised all the same
         notes.append(name_options(str(error)))
         return ()

@@ -346,7 +346,7 @@ def diagnose_poses(
     options = options or Options()
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
-        rows = screen_rows(recording, options.screening)
+        rows = screen_rows(recording, options.screening, arm)
         # what cannot be read at all ends here, before any process has begun
         begun = screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
         require_determined(begun.rigid_arm)

@@ -1,9 +1,9 @@
 """Data faults weighed against physics: of both, the more likely explanation of a recording.
 
 This is the one orchestrator above screening and search. Screening corrects what is plainly a fault. A frame jump,
-joints that were read before they settled, another nominal table and a calibration file whose numbers all have errors
-resemble physics: each is accepted only where it is more likely than the physics found without it, the last two by a
-margin (`trusted_log_likelihood`).
+joints that were read before they settled, a constant of distances, another nominal table and a calibration file whose
+numbers all have errors resemble physics: each is accepted only where it is more likely than the physics found without
+it, the last two, and a constant that the screening left open, by a margin (`trusted_log_likelihood`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -187,7 +187,7 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     best = case.explanation(decisions or Decisions())
     if decisions is not None:
         return best
-    for weighed in (_jumps_weighed, _settling_weighed, _table_weighed, _calibration_weighed):
+    for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
         best = weighed(best, case)
     return best
 
@@ -216,6 +216,32 @@ def _settling_weighed(best: Explanation, case: Case) -> Explanation:
     corrections = replace(best.decisions.corrections, settling=False)
     rival = case.explanation(replace(best.decisions, corrections=corrections))
     return _likelier(best, rival, "unsettled_readouts")
+
+
+def _constant_weighed(best: Explanation, case: Case) -> Explanation:
+    """With or without a constant of the distances, whichever is likelier with the physics found beside it.
+
+    A constant that the screening left open is tried where physics was found, which may be it.
+    """
+    readings = case.recording.touches
+    if readings is None or readings.kind != "distance" or case.recording.settings.distance_offset == "unknown":
+        return best
+    screened = bool(best.screened.count("distance_offset"))
+    if not screened and not best.selection.state.tested:
+        return _with_constant(best, False)
+    corrections = replace(best.decisions.corrections, constant=not screened)
+    rival = case.explanation(replace(best.decisions, corrections=corrections))
+    if screened:
+        best = _likelier(best, rival, "distance_offset")
+    elif rival.evidence - best.evidence > case.options.screening.trusted_log_likelihood:
+        best = _likelier(rival, best, "distance_offset")
+    return _with_constant(best, bool(best.screened.count("distance_offset")))
+
+
+def _with_constant(best: Explanation, constant: bool) -> Explanation:
+    """With the decision on a constant of the distances, for the folds."""
+    corrections = replace(best.decisions.corrections, constant=constant)
+    return replace(best, decisions=replace(best.decisions, corrections=corrections))
 
 
 def _likelier(best: Explanation, rival: Explanation, code: str, **numbers: object) -> Explanation:

@@ -63,15 +63,29 @@ READINGS = {
 IGNORED = "ignore"
 """What a sidecar says of a column that is not to be read."""
 
-_ANGLE, _LENGTH = {"rad": 1.0, "deg": 180 / pi}, {"m": 1.0, "mm": 1e3}
-_RATE = {"rad_per_s": 1.0, "deg_per_s": 180 / pi}, {"m_per_s": 1.0, "mm_per_s": 1e3}
-_RATE2 = {"rad_per_s2": 1.0, "deg_per_s2": 180 / pi}, {"m_per_s2": 1.0, "mm_per_s2": 1e3}
+_USUAL_ANGLE = {"rad": 1.0, "deg": 180 / pi}
+_USUAL_LENGTH = {"m": 1.0, "mm": 1e3}
+_FINE_ANGLE = {"mrad": 1e3, "cdeg": 1.8e4 / pi, "mdeg": 1.8e5 / pi, "1e-4deg": 1.8e6 / pi}
+_FINE_LENGTH = {"cm": 1e2, "dmm": 1e4, "um": 1e6}
+"""Units of which devices write whole numbers; `dmm` is 0.1 mm."""
+FINE = frozenset((*_FINE_ANGLE, *_FINE_LENGTH))
+_ANGLE = _USUAL_ANGLE | _FINE_ANGLE
+_LENGTH = _USUAL_LENGTH | _FINE_LENGTH
+
+
+def _per(time: str) -> tuple[dict[str, float], dict[str, float]]:
+    """The units of rates, of turning and of sliding joints."""
+    turning = {f"{unit}_per_{time}": divisor for unit, divisor in _ANGLE.items()}
+    sliding = {f"{unit}_per_{time}": divisor for unit, divisor in _LENGTH.items()}
+    return turning, sliding
+
+
 _NONE = {"": 1.0}
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12),
     "q": Quantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi),  # a joint that counts its turns on and on
-    "dq": Quantity(*_RATE, True, "joint_velocity", 1e4),
-    "ddq": Quantity(*_RATE2, True, "joint_acceleration", 1e7),
+    "dq": Quantity(*_per("s"), True, "joint_velocity", 1e4),
+    "ddq": Quantity(*_per("s2"), True, "joint_acceleration", 1e7),
     "tau": Quantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5),
     "current": Quantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5),
     "temp": Quantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4),
@@ -105,15 +119,17 @@ _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.
 _SHOWN = 8
 
 
-def units_of(quantity: str, slides: bool = False) -> dict[str, float]:
+def units_of(quantity: str, slides: bool = False, fine: bool = True) -> dict[str, float]:
     """The accepted units of a quantity, the SI one first, with what to divide by to get there.
 
     Args:
         quantity: such as `q` or `x`.
         slides: whether it is that of a prismatic joint.
+        fine: whether those of `FINE` are among them.
     """
     one = QUANTITIES[quantity]
-    return one.of_slide if slides and one.of_slide else one.units
+    units = one.of_slide if slides and one.of_slide else one.units
+    return units if fine else {unit: divisor for unit, divisor in units.items() if unit.partition("_")[0] not in FINE}
 
 
 def differs_by_joint(quantity: str) -> bool:
@@ -366,7 +382,8 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def _forms(quantity: str, joint: int) -> str:
-    return " or ".join(spelled(quantity, joint * is_per_joint(quantity), unit) for unit in units_of(quantity))
+    units = units_of(quantity, fine=False)
+    return " or ".join(spelled(quantity, joint * is_per_joint(quantity), unit) for unit in units)
 
 
 # ------------------------------------------------------------------ forms of orientations

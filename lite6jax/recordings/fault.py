@@ -16,6 +16,8 @@ class DataFault:
     The numbers are plain JSON values in SI units; joints count from 1, rows as in the file. Numbers of a fault that was
     found, by code (those marked * are added where it is compared with physics):
 
+        placeholder             array ("joint_position", "position", "joint_torque" or "motor_current"), value (none
+                                where several repeat together), unit, column (where it is one)
         time_order              largest_step_back_s
         repeated_rows           first_rows: the rows that `rows` repeat
         position_unit           factor: by which the rows are too large
@@ -40,6 +42,7 @@ class DataFault:
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
         unsettled_readouts      shape ("move", "velocity" or "constant"), joints, all_joints, rest (a share, s
                                 or rad by the shape), rest_std, largest_rms_rad, log_likelihood_gap*, rival_terms*
+        distance_offset         constant_m, std_m, log_likelihood_gap*, rival_terms*
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*
                                 ("as_published" or "fitted"), numbers_more*
@@ -57,7 +60,8 @@ class DataFault:
         estimated_torque        reason: "no_friction" where there is none; nothing where torques are constant at rest
         swapped_torques         joints, columns that hold their torques
         swapped_positions       joints; swapped_columns likewise, of positions and torques
-        reversed_torque         joints; reversed_positions and reversed_joint (both) likewise
+        reversed_torque         joints; reversed_positions, reversed_joint (both) and reversed_sign
+                                (of either) likewise
         coupled_positions       joint, added_joint, factor (±1)
         joint_zero              joint, added_rad
         wrong_gravity           declared_m_per_s2, found_m_per_s2, tilt_rad

@@ -92,6 +92,13 @@ _LENGTHS = {
     "deg": "deg degree degrees °",
     "m": "m meter meters metre metres",
     "mm": "mm millimeter millimeters millimetre millimetres",
+    "mrad": "mrad milliradian milliradians",
+    "cdeg": "cdeg centideg centidegree centidegrees 0.01deg 0.01°",
+    "mdeg": "mdeg millideg millidegree millidegrees 0.001deg 0.001° m°",
+    "1e-4deg": "1e-4deg 0.0001deg 0.0001°",
+    "cm": "cm centimeter centimeters centimetre centimetres",
+    "dmm": "dmm 0.1mm",
+    "um": "um µm μm micron microns micrometer micrometers micrometre micrometres 0.001mm",
 }
 _RATES = {"per_s": "{}_per_s {}/s {}ps", "per_s2": "{}_per_s2 {}/s2 {}/s^2 {}/s²"}
 _OTHERS = {
@@ -116,6 +123,7 @@ _UNITS |= {
     for (unit, words), (rate, forms) in product(_LENGTHS.items(), _RATES.items())
     for word, form in product(words.split(), forms.split())
 }
+_UNITS |= {re.sub(r"^([\d.]+)", r"\1 ", word): unit for word, unit in _UNITS.items() if word.startswith("0.")}
 """Units as `columns.py` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
@@ -572,7 +580,7 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
             continue  # of an orientation none is read
         elif len(place) == 3 and _DEVIATIONS & {*said}:
             yield from _block("deviation", place, said, source=of_whom(source))
-        elif len(place) == 3 and not _JOINT & {*said}:
+        elif len(place) == 3 and not (_JOINT - {"axis"}) & {*said}:  # X_axis is a coordinate
             weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)
         for parts, form, sure in _TRIPLES:

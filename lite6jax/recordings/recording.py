@@ -21,6 +21,7 @@ from lite6jax.recordings.settings import Motion, RecordingSettings, declared_set
 from lite6jax.recordings.table import Table, make_arrays, read_frame
 from lite6jax.recordings.units import (
     FAR_REACHES,
+    FIND_UNIT,
     LARGEST_MISSING_SHARE,
     blank_implausible,
     other_joints,
@@ -391,6 +392,17 @@ class Recording(PublicResult):
         moved = int(np.sum(order != np.arange(self.samples)))
         return replace(self, **arrays, notes=(*self.notes, f"{moved} rows were out of time order and have been sorted"))
 
+    def without_rows(self, rows: Bool[np.ndarray, " sample"]) -> "Recording":
+        """Without rows that were not measured: directions and differentiated velocities are those of the others."""
+        arrays = self._chosen(~rows)
+        segment = run_segments(arrays["run"])
+        if self.velocity_differentiated:
+            arrays["joint_velocity"] = differentiate(arrays["joint_position"], arrays["time"], segment)
+        arrays["direction_of_motion"] = directions(
+            arrays["joint_position"], arrays.get("joint_velocity"), segment, self.motion
+        )
+        return replace(self, **arrays)
+
     def made_anew(self, **changes: Any) -> "Recording":
         """With other arguments of `assembled`; directions, and velocities that were not recorded, follow from them.
 
@@ -500,7 +512,7 @@ def check_scale(
             metres = f"metres: joint_position[:, {joint}] / 1000"
             remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
         elif degrees or (table is not None and table.converts(f"q{joint + 1}_rad")):
-            remedy = "check the unit"
+            remedy = FIND_UNIT if given == "file" else "check the unit"
         return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
 
     if joint_limits is not None:
@@ -523,10 +535,11 @@ def check_scale(
         names = [spelling.get(name, name) for name in name_columns("position")]
         place = "position" if given == "arrays" else f"columns {' '.join(names)}"
         remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
+        check = FIND_UNIT if given == "file" else "check the unit"
         known = millimetres or (table is not None and table.converts("x_m"))
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
-            f"{reach:.3g} m; {'check the unit' if known else remedy}"
+            f"{reach:.3g} m; {check if known else remedy}"
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import MATRIX, units_of
+from lite6jax.recordings.columns import FINE, MATRIX, units_of
 
 Array = NDArray[np.floating]
 Sureness = Literal["certain", "likely", "assumed"]
@@ -21,6 +21,14 @@ PERCENT = 100.0
 """Within, joints of LeRobot may be in percent of each joint's range; beyond, angles are degrees for certain."""
 TURN_TICKS = 4096
 """Ticks of a servo's encoder in a turn (Feetech, Dynamixel)."""
+TURNS_DEG = 720.0
+"""Beyond, whole numbers are no degrees, but a finer unit or the counts of an encoder."""
+_COVERED = (0.25, 1.05)
+"""Of the range of some joint is what the arm moves in the right unit; in the next finer one it is a fifth at most."""
+_LONGEST_MM = (3e3, 1e4)
+"""Positions spread over less in mm for certain where they are whole numbers, and where they are not."""
+_MARKED = (2.0, 0.5)
+"""Times by which a number that repeats in fewer than that share of the rows exceeds all others, where it is a mark."""
 LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
@@ -73,8 +81,23 @@ def has_unit_length(quaternion: Array) -> bool:
     return bool(length.size) and float(np.mean(np.abs(length - 1) < 0.01)) > 0.9
 
 
-def angle_unit(position: Array, servo: bool = False, endless: Sequence[int] = ()) -> Decision:
-    """`deg` or `rad` of joint positions `(sample, joint)`; numbers that are not finite are ignored.
+def in_whole_numbers(values: Array) -> bool:
+    """Whether all numbers are whole: only then are they tried in a unit of `FINE`."""
+    there = values[np.isfinite(values)]
+    return bool(there.size) and bool((there == np.round(there)).all())
+
+
+def possible_units(quantity: str, values: Array, slides: bool = False) -> dict[str, float]:
+    """The units in which numbers may be, as `units_of`: fine ones where they are whole, or beyond what others give."""
+    largest = _largest(values)
+    beyond = largest > (10 * TURNS_DEG if "deg" in units_of(quantity, slides) else _LONGEST_MM[1])
+    return units_of(quantity, slides, fine=beyond or in_whole_numbers(values))
+
+
+def angle_unit(
+    position: Array, servo: bool = False, endless: Sequence[int] = (), limits: Array | None = None
+) -> Decision:
+    """The unit of joint positions `(sample, joint)`; numbers that are not finite are ignored.
 
     Args:
         position: the numbers.
@@ -82,11 +105,17 @@ def angle_unit(position: Array, servo: bool = False, endless: Sequence[int] = ()
             be none of both has the reason `percent` or `ticks`.
         endless: joints, from 0, that turn without end: the others decide whether what is beyond turns is degrees. Where
             there are no others it is radians, as robots' descriptions have them.
+        limits: `(joint, 2)` rad, of the arm. Whole numbers beyond turns in degrees, of which they show no unit, have
+            the reason `whole`.
     """
+    position = without_marks(position)
     largest = _largest(position)
     if endless and largest > WIDE_RAD:
         others = np.delete(position, list(endless), axis=1)
-        return angle_unit(others) if others.size else Decision("rad", "assumed", "endless", {"largest": largest})
+        of_others = None if limits is None else np.delete(limits, list(endless), axis=0)
+        if not others.size:
+            return Decision("rad", "assumed", "endless", {"largest": largest})
+        return angle_unit(others, limits=of_others)
     columns = [column[np.isfinite(column)] for column in position.T]
     spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
     said = {"largest": largest}
@@ -96,10 +125,25 @@ def angle_unit(position: Array, servo: bool = False, endless: Sequence[int] = ()
     if servo and WIDE_RAD < largest <= PERCENT:
         in_ticks = _in_ticks(columns)
         return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
+    if largest > TURNS_DEG and in_whole_numbers(position):
+        return _by_limits(columns, limits, said)
     if largest > WIDE_RAD:
-        return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)
+        return Decision("deg", "certain" if PERCENT < largest <= TURNS_DEG else "likely", "beyond_turns", said)
     moving = spread > 0.5  # an arm that is measured moves by more than a degree
     return Decision("rad", "likely" if moving else "assumed", "within_turns", said | {"spread": spread})
+
+
+def _by_limits(columns: Sequence[Array], limits: Array | None, said: dict[str, Any]) -> Decision:
+    """The only unit in which joints move over much of their ranges and not beyond; else the reason is `whole`."""
+    if limits is not None:
+        ranges = np.ptp(np.where(np.isfinite(limits), limits, np.inf * np.sign(limits)), axis=1)
+        moved = np.array([np.ptp(np.quantile(column, [0.001, 0.999])) if column.size else 0.0 for column in columns])
+        rivals = units_of("q") | {"ticks": TURN_TICKS / (2 * np.pi)}
+        covered = {unit: float(np.max(moved / divisor / ranges)) for unit, divisor in rivals.items()}
+        fitting = [unit for unit, share in covered.items() if _COVERED[0] <= share <= _COVERED[1]]
+        if len(fitting) == 1 and fitting[0] != "ticks":
+            return Decision(fitting[0], "assumed", "limits", said)
+    return Decision("deg", "assumed", "whole", said)
 
 
 def _in_ticks(columns: Sequence[Array]) -> bool:
@@ -159,12 +203,18 @@ def rate_unit(
 
 
 def length_unit(position: Array) -> Decision:
-    """`mm` or `m` of positions `(sample, 3)`, or of prismatic joints `(sample, joint)`."""
+    """The unit of positions `(sample, 3)`, or of prismatic joints `(sample, joint)`."""
+    position = without_marks(position)
     there = position[np.isfinite(position).all(1)]
     spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
     said = {"spread": spread}
+    whole = in_whole_numbers(there)
+    if spread > 1e5 or (whole and spread > _LONGEST_MM[1]):
+        fine = "um" if spread > 1e5 else "dmm"
+        return Decision(fine, "likely" if fine == "um" else "assumed", "beyond_reach", said)
     if spread > 10.0:  # no arm reaches so far
-        return Decision("mm", "certain", "beyond_reach", said)
+        sure: Sureness = "certain" if spread <= _LONGEST_MM[int(not whole)] else "assumed"
+        return Decision("mm", sure, "beyond_reach", said)
     # an arm that moved less than 5 mm is not measured
     return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", said)
 
@@ -231,18 +281,40 @@ def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None)
     there = rotation[np.isfinite(rotation).all(1)]
     largest = _largest(there)
     by_size = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
+    if largest > TURNS_DEG:  # a rotation has no more turns than one
+        size_in = {name: largest / divisor for name, divisor in units_of("rx").items() if name in FINE}
+        finest = next((name for name, size in size_in.items() if size < WIDE_RAD), "deg")
+        by_size = Decision(finest, "assumed", "largest_angle", {"largest": largest})
     angle = unit or by_size
     if form:
         return form, angle
-    norm = np.linalg.norm(there, axis=1) * (np.pi / 180 if angle.choice == "deg" else 1.0)
+    norm = np.linalg.norm(there, axis=1) / units_of("rx")[angle.choice]
     if np.mean(norm > 1.01 * np.pi) > 0.01:
         return Decision("roll", "likely", "beyond_half_turn", {"largest": float(norm.max())}), angle
-    if angle.choice == "deg":
+    if angle.choice.endswith("deg"):
         return Decision("roll", "assumed", "usual_degrees", {}), angle
     return Decision("rx", "assumed", "within_half_turn", {}), angle
 
 
+def without_marks(values: Array) -> Array:
+    """Numbers `(sample, column)` with NaN in the place of those that repeat exactly and are far larger than all others.
+
+    They stand where nothing was measured (`recordings.placeholders`) and say nothing of a unit.
+    """
+    if not values.size:
+        return values
+    size = np.where(np.isfinite(values), np.abs(values), 0.0).reshape(len(values), -1)
+    largest = size.max(axis=1)
+    levels, count = np.unique(largest, return_counts=True)
+    ratio, share = _MARKED
+    while len(levels) > 2 and 1 < count[-1] < share * len(values) and levels[-1] > ratio * levels[-2]:
+        levels = levels[:-1]
+        count = count[:-1]
+    return np.where(size <= levels[-1], values.reshape(size.shape), np.nan).reshape(values.shape)
+
+
 def _largest(values: Array) -> float:
-    """The largest magnitude but for the highest thousandth, which may be faults."""
+    """The largest magnitude but for marks, and for the highest thousandth, which may be faults."""
+    values = without_marks(values)
     there = np.abs(values[np.isfinite(values)])
     return float(np.quantile(there, 0.999)) if there.size else 0.0

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import LABELS, is_standard
+from lite6jax.recordings.columns import LABELS, is_standard, units_of
 from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.pairs import holds_pairs, read_pairs
 from lite6jax.recordings.parquet import one_line
@@ -40,7 +40,7 @@ _LIST = re.compile(r"(?<![^,;|\t\r\n]) *([\[(](?=[^\[\]()]*\d)[-+\d.,;eEnaif\s]*
 _ELEMENT = "\x01"
 _BRACKETS = "[](){}<> "
 _NO_UNITS = {"", "-", "--", "—", "1", "%"}
-_OTHER_UNITS = {"cm", "µm", "um", "in", "inch", "k", "v", "w", "hz", "rpm", "bar", "count", "counts", "ticks", "bool"}
+_OTHER_UNITS = {"in", "inch", "k", "v", "w", "hz", "rpm", "bar", "count", "counts", "ticks", "bool"}
 _LABELS = {"type", "name", "id", "parent"}
 _WITHOUT_A_NAME = {"type", "id", "parent"}
 _LENGTHS = re.compile(r"\bLength Units\W+(\w+)", re.IGNORECASE)
@@ -367,7 +367,7 @@ def _with_stated_units(names: list[str], above: str, source: str) -> list[str]:
     length = ""
     if match := _LENGTHS.search(above):
         length = unit_of(f"x [{match[1]}]") or ""
-        if length not in ("m", "mm"):
+        if length not in units_of("x"):
             raise InputError(f"{source}: its lengths are in {match[1]}; export it in meters or millimeters")
     found = []
     for name in names:

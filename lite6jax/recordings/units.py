@@ -4,6 +4,7 @@ Every public call that takes joint positions comes here, and so does every reade
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import OF_ARRAY, QUANTITIES, name_columns
+from lite6jax.recordings.sizes import without_marks
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows
 FAR_LIMITS = 2.0  # in multiples of the arm's widest limit: no swapped, mirrored or once-turned joint exceeds that
 FAR_REACHES = 5.0  # a tool adds to the reach, but less than this
+FIND_UNIT = "`lite6jax init FILE --arm NAME --force` finds the unit, or asks for it"
 FULL_TURN = (-2 * np.pi, 2 * np.pi)  # rad; the limits assumed of a joint without limits
 
 
@@ -44,12 +47,13 @@ def require_radians(
     Args:
         joint_position: `(..., joint)` rad; numbers that are not finite are ignored.
         joint_limits: `(joint, 2)` lower and upper in rad; ±2π where not given, infinite of joints without end.
-        name: of the argument, for the message.
+        name: of the argument, for the message; after a colon where it is an array of a file.
 
     Raises:
         InputError: complex numbers, or degrees as in `require_near`.
     """
-    remedy = f"are these degrees? give radians: np.deg2rad({name.rpartition(': ')[2]})"
+    source, _, argument = name.rpartition(": ")
+    remedy = f"are these degrees? {FIND_UNIT if Path(source).suffix else f'give radians: np.deg2rad({argument})'}"
     require_near(np.atleast_1d(real_array(name, joint_position)), joint_limits, lambda _: (name, remedy))
 
 
@@ -82,7 +86,8 @@ def require_near(
     ends = np.isfinite(limits).all(-1)
     limits = np.where(np.isfinite(limits), limits, FULL_TURN)
     widest = np.abs(limits).max()
-    far = (np.abs(q) > max(FAR_LIMITS * widest, widest + 2 * np.pi)) & ends
+    numbers = without_marks(q) if q.ndim == 2 else q
+    far = (np.abs(numbers) > max(FAR_LIMITS * widest, widest + 2 * np.pi)) & ends
     if not (np.atleast_1d(far.any(-1)).mean(-1) >= FAR_ROWS_SHARE).any():
         return
     joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))

@@ -117,6 +117,22 @@ def _frame(rotation: Sequence[float], translation: Sequence[float]) -> str:
     return said
 
 
+def _mark(array: str, column: int | None, value: float | None, unit: str) -> str:
+    """What stands in the place of a measurement."""
+    axis = "" if column is None else "xyz"[column - 1] if array == "position" else f"joint {column}"
+    if value is None:
+        what = "joints" if array == "joint_position" else "coordinates" if array == "position" else "torques"
+        return f"all {what} are those of another row"
+    of_joints = f"the torque of {axis}" if axis and array not in ("joint_position", "position") else axis
+    what = {"joint_position": "joints", "position": "coordinates"}.get(array, "torques")
+    shown = f"{value:.6g} {unit}"
+    if unit == "rad" and value:
+        shown += f" ({np.rad2deg(value):.6g} deg)"
+    if unit == "m" and value:
+        shown += f" ({1e3 * value:.6g} mm)"
+    return f"{of_joints} is {shown}" if axis else f"all {what} are {shown}"
+
+
 def _table_name(table: str) -> str:
     if table in VARIANTS:
         return f"the vendor's ROS default ({table})"
@@ -148,6 +164,7 @@ _HELPERS: Mapping[str, Any] = {
     "tables_compared": _tables,
     "compared": _compared,
     "frame": _frame,
+    "mark": _mark,
     "table_name": _table_name,
     "distances": lambda tables: "; ".join(
         f"{_table_name(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in tables

@@ -17,7 +17,7 @@ from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import command_line
-from lite6jax.recordings.columns import DEVIATION, IGNORED, MATRIX
+from lite6jax.recordings.columns import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
@@ -78,9 +78,16 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
 
 def no_angles(joints: Block) -> str:
     """Joint positions that may be no angles, and what to do."""
-    degrees = [_column_option(own, f"q{k}_deg") for k, own in enumerate(joints.columns, 1)]
-    wrong = _TEXTS["angles"]["ticks" if joints.unit and joints.unit.reason == "ticks" else "percent"]
-    return fill(_TEXTS["no_angles"], {"columns": _columns(joints.columns), "wrong": wrong, "degrees": degrees})
+    reason = joints.unit.reason if joints.unit else "percent"
+    unit = "mdeg" if reason == "whole" else "deg"
+    facts = {
+        "columns": _columns(joints.columns),
+        "wrong": _TEXTS["angles"][reason],
+        "unit": _TEXTS["units"][unit],
+        "ways": [_column_option(own, f"q{k}_{unit}") for k, own in enumerate(joints.columns, 1)],
+        "fine": [spelled("q", 1, other) for other in units_of("q") if other in FINE - {unit}] * (reason == "whole"),
+    }
+    return fill(_TEXTS["no_angles"], facts)
 
 
 def source_statement(source: Pose) -> str:

@@ -108,8 +108,9 @@ def test_exports_of_motion_capture(tmp_path, text, names):
 
 
 def test_lengths_in_a_unit_that_is_none_here_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"its lengths are in Centimeters; export it in meters or millimeters"):
-        opened(tmp_path, MOTIVE.format(turn="Quaternion", unit="Centimeters"))
+    with pytest.raises(InputError, match=r"its lengths are in Inches; export it in meters or millimeters"):
+        opened(tmp_path, MOTIVE.format(turn="Quaternion", unit="Inches"))
+    opened(tmp_path, MOTIVE.format(turn="Quaternion", unit="Centimeters"))
     with pytest.raises(InputError, match=r"column 'q1_deg': the row of units says 'rad'; correct the name or the unit"):
         opened(tmp_path, "q1_deg,x_mm\nrad,mm\n0.5,1.5\n")
 

@@ -138,7 +138,7 @@ def fit_recording(
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, geometry, options)
     if recording.touches is not None:
-        return fit_touches(screened.rigid_arm)
+        return replace(fit_touches(screened.rigid_arm), faults=screened.found)
     require_determined(screened.rigid_arm)
     screened = replace(screened, rigid=None)  # whose residuals take as much memory as the recording
     solution = plain.fit_recording(

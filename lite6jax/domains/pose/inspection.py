@@ -57,7 +57,9 @@ Array = NDArray[np.floating]
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `calibration.source`."""
 WIDEST_ANGLE = 1e3
-"""Beyond, numbers are no angles of an orientation, in whatever unit."""
+"""Beyond, numbers are no angles of an orientation, unless they are whole ones of a unit of `columns.FINE`."""
+WIDEST_WHOLE = 4e6
+"""Beyond, they are none in any unit."""
 BEYOND = 1e100
 """No quantity is as large: such numbers are read as missing here, and refused or dropped by what reads the table."""
 SENSORS = ("laser_tracker", "motion_capture", "camera")
@@ -430,7 +432,8 @@ def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[lis
             right = sizes.has_unit_length(values)
             unit_length |= {block.columns} if right else set()
         elif block.kind == "rotation":
-            right = bool(np.nanmax(np.abs(values), initial=0.0) < WIDEST_ANGLE)
+            widest = WIDEST_WHOLE if sizes.in_whole_numbers(values) else WIDEST_ANGLE
+            right = bool(np.nanmax(np.abs(values), initial=0.0) < widest)
         else:
             right = block.kind != "time" or sizes.increases(values[:, 0], run)
             right = right and not (block.kind == "q" and block.columns in unit_length)

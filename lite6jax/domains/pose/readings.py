@@ -86,8 +86,8 @@ def agreement(
 
     Args:
         arm: of as many joints.
-        joint: `(sample, joint)` in the table's unit, rad or deg, and m or mm of prismatic joints; no row has gaps.
-        position: `(sample, 3)`, m or mm.
+        joint: `(sample, joint)` in the table's unit, another of prismatic joints; no row has gaps.
+        position: `(sample, 3)`, in a unit of its own.
         rotation: `(sample, 3 | 4)`, in the table's unit and convention, or None.
         known: units that are known already, by `Block.key`.
     """
@@ -96,22 +96,35 @@ def agreement(
     rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = _PLACES not in known and bool(arm.slides.all())
-    possible = {_TURNS: [*units_of("q")], _SLIDES: [*units_of("q", True)], _PLACES: [*units_of("x")]}
+    possible = {
+        _TURNS: [*sizes.possible_units("q", joint[:, ~arm.slides])],
+        _SLIDES: [*sizes.possible_units("q", joint[:, arm.slides], slides=True)],
+        _PLACES: [*sizes.possible_units("x", position)],
+    }
     possible |= {of: [unit] for of, unit in known.items() if of in possible}
     possible |= {_TURNS: ["rad"]} if arm.slides.all() else {}
     possible |= {} if arm.sliding else {_SLIDES: ["m"]}
     possible |= {_PLACES: [sizes.length_unit(position).choice]} if by_size else {}
-    tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
-    for units in product(*possible.values()):
-        divisor = np.where(arm.slides, units_of("q", True)[units[1]], units_of("q")[units[0]])
-        places, flange = position[rows] / units_of("x")[units[2]], flange_poses(arm, joint[rows] / divisor)
-        error, T_sensor_base = match_poses(flange, places)
-        spread = median_distance(places)
-        tried[units] = error / max(spread, 1e-9), error, spread, T_sensor_base[:3, :3] @ flange[:, :3, :3]
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
-    plausible = {units: one for units, one in tried.items() if LEAST_SPREAD_M < one[2] < farthest}
-    by_size, tried = by_size or not plausible, plausible or tried
+    places = {unit: position[rows] / units_of("x")[unit] for unit in possible[_PLACES]}
+    spreads = {unit: median_distance(points) for unit, points in places.items()}
+    plausible = [unit for unit, spread in spreads.items() if LEAST_SPREAD_M < spread < farthest]
+    by_size = by_size or not plausible
+    possible[_PLACES] = plausible or possible[_PLACES]
+    tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
+    for turning, sliding in product(possible[_TURNS], possible[_SLIDES]):
+        divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
+        flange = flange_poses(arm, joint[rows] / divisor)
+        for unit in possible[_PLACES]:
+            error, T_sensor_base = match_poses(flange, places[unit])
+            spread = spreads[unit]
+            tried[turning, sliding, unit] = (
+                error / max(spread, 1e-9),
+                error,
+                spread,
+                T_sensor_base[:3, :3] @ flange[:, :3, :3],
+            )
     best = min(tried, key=lambda units: tried[units][0])
     score, error, spread, predicted = tried[best]
     decided: dict[tuple[str, bool], Decision | None] = {}
@@ -176,7 +189,7 @@ def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Dec
             length = np.linalg.norm(rotation, axis=1, keepdims=True)
             tried[name, ""] = _wobble(predicted, rotation[:, order] / np.where(length > 0, length, 1.0) + 0.0)
     else:
-        for form, angle in product(ANGLES, (unit,) if unit else ("rad", "deg")):
+        for form, angle in product(ANGLES, (unit,) if unit else sizes.possible_units("rx", rotation)):
             given = quaternions(form, rotation / units_of(form[0])[angle])
             tried[form[0], angle] = _wobble(predicted, np.roll(given, -1, axis=1))
     best = min(tried, key=lambda reading: tried[reading])
@@ -275,7 +288,10 @@ def _unit(block: Block, values: Array, agreed: Agreement, arm: Arm | None) -> De
         return agreed.units[block.key]
     if block.kind == "q" and not block.slides:
         servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-        return sizes.angle_unit(values, servo, () if arm is None or values.shape[1] != arm.dof else arm.endless)
+        of_arm = arm if arm is not None and values.shape[1] == arm.dof else None
+        if of_arm is None:
+            return sizes.angle_unit(values, servo)
+        return sizes.angle_unit(values, servo, of_arm.endless, of_arm.joint_limits)
     if block.kind in ("q", "position"):
         return sizes.length_unit(values)
     if block.kind == "tau" and not block.slides:

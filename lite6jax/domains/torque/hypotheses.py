@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.optimize import nnls
 
 from lite6jax.domains.torque.changes import (
     GRAVITY,
@@ -32,6 +34,8 @@ from lite6jax.domains.torque.changes import (
 from lite6jax.domains.torque.likelihood import TRUSTED, Samples, Scored
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import TILT, direction
+from lite6jax.estimation.noise import autocorrelation_time
+from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.recordings.fault import DataFault
 
 Array = NDArray[np.floating]
@@ -57,6 +61,14 @@ _AXES = {
     "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
 """Rotations that turn z into another axis of a frame."""
+_SIGNS = ("reversed_torque", "reversed_positions")
+"""Of which a joint without weight may show only that one is there: its friction would exert power."""
+_OF_JOINTS = ("reversed_sign", "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis")
+"""Faults beside which no zero of a joint is ruled out."""
+_RANK = 1e-9
+"""Of the length of a column, below which what others leave of it is rounding."""
+_FELT = 0.01
+"""Of a joint's torque, RMS: what another gravity changes at least, where it is a hypothesis."""
 
 
 class ScreenedTorques(NamedTuple):
@@ -83,6 +95,8 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
         found = [axis]
     elif compared.found:
         found = faults_of(compared.found, data)
+        if compared.signs_alike:
+            found = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in found]
         data = undo(compared.found, data)
     elif compared.alternatives:
         listed = [[{"fault": f.code, **f.numbers} for f in faults_of(h, data)] for h in compared.alternatives]
@@ -92,14 +106,70 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
     ruled_out = [
         DataFault(code, (), {})
         for code, others in (
-            ("swapped_torques", {"swapped_torques", "reversed_torque", "reversed_joint", "swapped_columns"}),
+            ("swapped_torques", {"swapped_torques", "reversed_torque", *_OF_JOINTS[:3]}),
             ("wrong_gravity", set(GRAVITY)),
             ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
-            ("joint_zero", {*POSITIONS, "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis"}),
+            ("joint_zero", {*POSITIONS, *_OF_JOINTS}),
         )
         if not (codes | doubted) & others
     ]
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
+
+
+def correct_signs(data: TorqueRows) -> ScreenedTorques:
+    """The rows with the signs of joints whose friction would exert power, where no inertial number is known.
+
+    Each joint is fitted by any arm's torques, an offset and friction: of a wrong sign, friction that takes power leaves
+    more than friction that exerts it. Whether the positions are reversed or the torques, all joints together show.
+    """
+    joints = [joint for joint in range(data.arm.dof) if _power_gain(data, joint) > TRUSTED + np.log(data.arm.dof)]
+    if not joints:
+        return ScreenedTorques(data, (), ())
+    left = {}
+    for code in _SIGNS:
+        hypothesis = tuple(Change(code, (joint,)) for joint in joints)
+        left[code] = _left_by_any_arm(undo(hypothesis, data))
+    torque, positions = (left[code] for code in _SIGNS)
+    apart = torque - positions
+    code = "reversed_sign" if abs(apart) < TRUSTED else _SIGNS[int(apart > 0)]
+    undone = "reversed_positions" if code == "reversed_positions" else "reversed_torque"
+    corrected = undo(tuple(Change(undone, (joint,)) for joint in joints), data)
+    return ScreenedTorques(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),), ())
+
+
+def _of_any_arm(data: TorqueRows, joint: int) -> tuple[Array, Array]:
+    """Columns `(number, sample)` of a joint's torque: by inertial numbers and an offset, and by friction."""
+    velocity = np.asarray(data.motion.joint_velocity)[joint, data.filter.kept]
+    free = np.vstack([data.regressor[joint], np.ones_like(velocity)])
+    return free, np.vstack([velocity, direction(velocity, data.arm.slides[joint])])
+
+
+def _power_gain(data: TorqueRows, joint: int) -> float:
+    """Log-likelihood by which friction that exerts power explains a joint better than one that takes it."""
+    free, friction = _of_any_arm(data, joint)
+    basis = orthonormal(unit_rows(free), _RANK)
+    torque = outside(data.measured[joint][None], basis)[0]
+    columns = outside(friction, basis)
+    squares = [nnls(sign * columns.T, torque)[1] ** 2 for sign in (1.0, -1.0)]
+    takes, exerts = (max(square, 1e-300) for square in squares)
+    numbers = nnls(-columns.T, torque)[0]
+    counted = len(torque) / autocorrelation_time((torque + numbers @ columns)[None])
+    return 0.5 * counted * float(np.log(takes / exerts))
+
+
+def _left_by_any_arm(data: TorqueRows) -> float:
+    """Negative log-likelihood of the torques of all joints beside the inertial numbers that explain them best."""
+    own = [_of_any_arm(data, joint) for joint in range(data.arm.dof)]
+    spread = np.maximum(np.std(data.measured, axis=1), 1e-300)
+    shared = np.hstack([free[:-1] / scale for (free, _), scale in zip(own, spread, strict=True)])
+    lengths = np.linalg.norm(shared, axis=1)
+    shared = shared[lengths > 0] / lengths[lengths > 0, None]
+    blocks = [np.vstack([free[-1:], friction]) / scale for (free, friction), scale in zip(own, spread, strict=True)]
+    columns = np.vstack([shared, np.asarray(block_diag(*blocks))])
+    torque = np.hstack([row / scale for row, scale in zip(data.measured, spread, strict=True)])
+    left = outside(torque[None], orthonormal(unit_rows(columns), _RANK))[0].reshape(data.measured.shape)
+    counted = left.shape[1] / autocorrelation_time(left)
+    return 0.5 * counted * float(np.sum(np.log(np.maximum(np.mean(left**2, axis=1), 1e-300))))
 
 
 def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
@@ -179,11 +249,13 @@ class _Comparison(NamedTuple):
         found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
         alternatives: where none is taken, two or more that cannot be told apart.
         evidence: of what is taken, or of the best alternative.
+        signs_alike: whether the positions of the joints whose torques are reversed may be so instead.
     """
 
     found: Hypothesis = ()
     alternatives: tuple[Hypothesis, ...] = ()
     evidence: float = -np.inf
+    signs_alike: bool = False
 
 
 def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
@@ -204,13 +276,25 @@ def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
     fewest = min(map(faults_in, likely))
     simple = [h for h in likely if faults_in(h) == fewest]
     simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
+    beyond = {h: rows.beyond_limits(h) for h in simple}
+    simple = [h for h in simple if beyond[h] == min(beyond.values())]
     distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
+    signs_alike = len(distinct) > 1 and len({_without_signs(h) for h in distinct}) == 1
+    if signs_alike:
+        distinct = [min(distinct, key=lambda h: sum(c.code == "reversed_positions" for c in h))]
     if len(distinct) > 1:
         return rows, _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
     (found,) = distinct
     common = _with_one_constant(found)
     together = rows.evidence(common) - rows.price(common)
-    return rows, _Comparison(common if together > evidence[found] else found, evidence=max(together, evidence[found]))
+    taken = common if together > evidence[found] else found
+    return rows, _Comparison(taken, evidence=max(together, evidence[found]), signs_alike=signs_alike)
+
+
+def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]:
+    """Its changes of other kinds, and the joints of which a position or a torque is reversed."""
+    joints = sorted(change.joints[0] for change in hypothesis if change.code in _SIGNS)
+    return tuple(change for change in hypothesis if change.code not in _SIGNS), tuple(joints)
 
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
@@ -224,7 +308,7 @@ def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
 
 def _search(rows: Samples) -> list[Scored]:
     """Hypotheses worth their evidence: the best by squares, of few changes first, more where these do not suffice."""
-    simple = list(single_changes(rows.data))
+    simple = [h for h in single_changes(rows.data) if h[0].code not in GRAVITY or rows.feels(h, _FELT)]
     scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
     beam: list[Hypothesis] = [()]
     for first in (True, False):

@@ -47,6 +47,8 @@ _PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
 """Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
 _BASE = 0.15
 """rad, one sigma of a base's tilt."""
+_OUTSIDE = 0.05
+"""rad by which a position may be beyond its limits: descriptions are rounded, and controllers stop late."""
 _RIDGE = 1e-12
 """Added to the squares of columns of unit length, of which some may be zero or alike."""
 _OF_SIGN = float(np.log(7))
@@ -170,6 +172,18 @@ class Samples:
         moved = np.einsum("ij,kjs->kis", A, self.moved)
         moved[0] += b[:, None]
         return moved, self.data.bodies.gravity if gravity is None else np.asarray(gravity)
+
+    def feels(self, hypothesis: Hypothesis, share: float) -> bool:
+        """Whether a hypothesis of gravity changes more than a share of the torque of some joint, RMS."""
+        moved, gravity = self._moved(hypothesis)
+        change = self.rigid(moved, gravity) - self.rigid(*self._moved(()))
+        return bool((np.std(change, axis=1) > share * self.size).any())
+
+    def beyond_limits(self, hypothesis: Hypothesis) -> int:
+        """How many positions of the samples a hypothesis puts beyond the limits of their joints."""
+        low, high = self.data.arm.possible_positions.T
+        q = self._moved(hypothesis)[0][0].T
+        return int(np.sum((q < low - _OUTSIDE) | (q > high + _OUTSIDE)))
 
     def _beside(self, moved: Array) -> Array:
         """`(joint, number, sample)`: offset of both signs, friction, narrow and wide, and rotor, none negative."""

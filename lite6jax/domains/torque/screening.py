@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults
+from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults, correct_signs
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
 from lite6jax.effects.dynamic import DIRECTION_SPEED, direction
@@ -23,6 +23,7 @@ from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import STILL_RAD, check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
+from lite6jax.recordings.placeholders import possible_marks
 from lite6jax.recordings.sequence import run_segments, stretches
 
 Array = NDArray[np.floating]
@@ -32,6 +33,10 @@ _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
 _FEWEST_POSTURES = 12
 """At rest, of which gravity is compared: the offset of a joint and the moments of its load are four numbers."""
+_MARKED_RAD = 0.1
+"""rad, or m, by which a number that repeats is off the rows beside it, where it is a mark."""
+_MARKED_SHARE = 0.2
+"""The same of torques, of their standard deviation."""
 _BEYOND = 0.01
 """rad by which a joint may be beyond its limits: controllers stop a little late."""
 _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lbf in": 8.8507, "kgf m": 1 / 9.80665}
@@ -85,7 +90,8 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
     require_joints(recording, arm)
-    found, doubt = list[DataFault](), 0.0
+    recording, found = _without_placeholders(recording, still)
+    doubt = 0.0
     if not still:
         recording, turns = _without_turns(recording, arm, wraps_only=True)
         found += turns
@@ -116,14 +122,16 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
             found.append(DataFault("estimated_torque", (), {}))
         elif computed_torque(data):
             found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
-    ruled_out: list[DataFault] = []
-    if recording.settings.inertial != "unknown":
+    known = recording.settings.inertial != "unknown"
+    corrected = ScreenedTorques(data, (), ())
+    if known:
         corrected = correct_faults(data)
-        _require_unit(recording, corrected.found)
-        _require_axes(recording, corrected.found)
-        data = corrected.data
-        found += corrected.found
-        ruled_out += corrected.ruled_out
+    elif not still:
+        corrected = correct_signs(data)
+    _require_unit(recording, corrected.found)
+    _require_axes(recording, corrected.found)
+    data = corrected.data
+    found += corrected.found
     if not still:
         # a joint beyond its limits may have another sign or zero, which has been settled now
         recording, turns = _without_turns(data.recording, arm, wraps_only=False)
@@ -136,7 +144,34 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     found += held.found
     if not still:
         data = replace(data, turning=turning_friction(data))
-    return ScreenedTorques(data, tuple(found), tuple(ruled_out))
+    return ScreenedTorques(data, tuple(found), corrected.ruled_out)
+
+
+def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording, list[DataFault]]:
+    """Without the rows in which all joints or all torques hold one number that no row beside them leads to.
+
+    Of a single joint only positions are compared: a torque that is far from its neighbours is a spike.
+    """
+    lost = np.zeros(recording.samples, bool)
+    found = []
+    for mark in possible_marks(recording):
+        values = getattr(recording, mark.array)
+        of_positions = mark.array == "joint_position"
+        if mark.value is None or (mark.column is not None and (still or not of_positions)):
+            continue
+        others = np.ones(recording.samples, bool)
+        others[mark.samples] = False
+        others &= ~lost
+        usual = np.median(values[others], axis=0)
+        if not still:
+            time = recording.time if recording.time is not None else np.arange(float(recording.samples))
+            usual = np.stack([np.interp(time, time[others], row[others]) for row in values.T], 1)[mark.samples]
+        least = _MARKED_RAD if of_positions else _MARKED_SHARE * np.std(values[others], axis=0)
+        far = (np.abs(values[mark.samples] - usual) > least).any(1) & ~lost[mark.samples]
+        if far.sum() >= min(2, len(mark.samples)):
+            lost[mark.samples[far]] = True
+            found.append(mark.fault(recording, mark.samples[far]))
+    return (recording.without_rows(lost), found) if found else (recording, [])
 
 
 def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Recording, list[DataFault]]:

@@ -19,6 +19,7 @@ from lite6jax.domains.predict import predict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import read_recording, write_recording
+from lite6jax.report.faults import fault_statement
 from lite6jax.simulation import simulate
 from lite6jax.simulation.motions import draw_calibration
 
@@ -170,3 +171,33 @@ def test_heights_show_a_compliance_and_predict_it(tmp_path):
     height = predict(found.model, motion.joint_position)[:, 2, 3]
     left = height - motion.readings.value
     assert np.std(left) < 2 * motion.settings.axis_noise_m
+
+
+def with_constant(recording, constant):
+    """The distances, with a constant in m that the sidecar does not declare."""
+    readings = recording.readings
+    return dataclasses.replace(recording, readings=dataclasses.replace(readings, value=readings.value + constant))
+
+
+def test_a_wire_whose_zero_is_not_set_is_said_and_fitted(tmp_path):
+    recording = recording_of(tmp_path, "distance", samples=120)
+    assert fit_recording(recording).faults == ()
+    for constant in (0.012, 0.001):
+        solution = fit_recording(with_constant(recording, constant))
+        (fault,) = solution.faults
+        assert fault.code == "distance_offset"
+        assert fault.numbers["constant_m"] == pytest.approx(constant, abs=4 * fault.numbers["std_m"])
+        assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
+        assert "the zero of the wire is not set" in fault_statement(fault)
+
+
+@pytest.mark.long
+def test_a_constant_of_a_wire_is_no_physics_and_physics_is_no_constant(tmp_path):
+    """Distances with a constant have no finding; a compliance stays one."""
+    off = diagnose_poses(with_constant(recording_of(tmp_path, "distance", samples=120), 0.012), options=QUICK)
+    assert [fault.code for fault in off.faults] == ["distance_offset"]
+    assert off.findings == ()
+    effect = "joint_compliance:joint=2,compliance_rad_per_Nm=2e-4"
+    bent = diagnose_poses(recording_of(tmp_path, "distance", samples=120, effects=(effect,)), options=QUICK)
+    assert "distance_offset" not in {fault.code for fault in bent.faults}
+    assert bent.findings

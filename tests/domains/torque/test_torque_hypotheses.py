@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.torque_trials.physics import torques
 from lite6jax.arms import frames
+from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.screening import screen_torques
@@ -409,3 +410,67 @@ def test_a_joint_about_another_axis_than_described_is_refused_with_the_axis():
     with pytest.raises(InputError, match="joint 2 turns about -y of its frame"):
         screen_torques(recording, described)
     assert screen_torques(recording, arm).found == ()
+
+
+# ------------------------------------------------------------------ joints without weight, rows without measurement
+
+TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"><inertial><origin xyz="0.15 0 0"/>
+<mass value="4"/><inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>
+<limit lower="-2.8" upper="2.8" effort="50" velocity="4"/></joint></robot>"""
+
+
+def turned(folder, position=1.0, torque=1.0, **declared):
+    """A joint about a vertical axis: inertia and friction alone, read with these signs."""
+    path = folder / "turntable.urdf"
+    path.write_text(TURNTABLE)
+    time = np.arange(2000) / 100
+    q = 1.2 * np.sin(0.9 * time) + 0.5 * np.sin(2.3 * time)
+    dq = 1.08 * np.cos(0.9 * time) + 1.15 * np.cos(2.3 * time)
+    ddq = -0.972 * np.sin(0.9 * time) - 2.645 * np.sin(2.3 * time)
+    tau = (0.03 + 4 * 0.15**2) * ddq + 0.05 * np.sign(dq) + 0.03 * dq
+    tau += 0.005 * np.random.default_rng(5).normal(size=len(time))
+    return Recording.from_arrays(
+        position * q[:, None],
+        time=time,
+        joint_velocity=position * dq[:, None],
+        joint_torque=torque * tau[:, None],
+        motion="trajectory",
+        torque_source="measured",
+        arm=str(path),
+        **declared,
+    ), read_arm(path)
+
+
+@pytest.mark.parametrize("inertial", ["declared", "unknown"])
+@pytest.mark.parametrize("signs", [{"position": -1.0}, {"torque": -1.0}])
+def test_a_joint_without_weight_shows_its_sign_by_friction_and_inertia(tmp_path, inertial, signs):
+    assert faults_of(*turned(tmp_path, inertial=inertial)) == []
+    recording, arm = turned(tmp_path, inertial=inertial, **signs)
+    screened = screen_torques(recording, arm)
+    (fault,) = screened.found
+    assert (fault.code, fault.numbers) == ("reversed_sign", {"joints": [1]})
+    assert "sign of joint 1 is reversed" in fault_statement(fault)
+    velocity = np.asarray(screened.data.motion.joint_velocity)[:, screened.data.filter.kept]
+    assert np.sum(screened.data.measured * velocity) > 0  # friction takes power again
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, 0), (0, 0, -9.81)])
+def test_a_reversed_torque_is_found_with_and_without_gravity(gravity):
+    def reverse(tau):
+        return tau * np.where(np.arange(tau.shape[1]) == 1, -1.0, 1.0)
+
+    recording, arm = mounted(gravity, reverse, gravity_m_per_s2=gravity)
+    assert faults_of(recording, arm) == [("reversed_torque", {"joints": [2]})]
+
+
+@pytest.mark.parametrize(("array", "value"), [("joint_position", np.deg2rad(-1000.0)), ("joint_torque", 0.0)])
+def test_rows_in_which_the_bus_did_not_answer_are_left_out(array, value):
+    recording, arm = mounted(GRAVITY)
+    silent = np.array([40, 41, 42, 90])
+    values = getattr(recording, array).copy()
+    values[silent] = value
+    (fault, *others) = screen_torques(replace(recording, **{array: values}), arm).found
+    assert (fault.code, fault.rows, fault.numbers["array"]) == ("placeholder", tuple(silent + 1), array)
+    assert {other.code for other in others} <= {"uneven_times"}  # without them time has gaps
+    assert "4 rows hold no measurement" in fault_statement(fault)

@@ -27,6 +27,10 @@ class ScreeningOptions:
     grid_smallest_rad: float = option(1e-3, "rad below which positions are left out", "they are near every grid")
     grid_positions: int = option(20, "distinct positions that must all lie on a grid", "fewer do so by chance")
     limit_slack_rad: float = option(0.01, "rad that a joint may be beyond its limits", "controllers stop a little late")
+    # placeholders
+    placeholder_misses: float = option(10.0, "median errors by which the nominal arm misses one", "outliers are nearer")
+    placeholder_apart: float = option(0.1, "share of the spread over which one value is seen", "noise is far below")
+    most_placeholders: float = option(0.5, "share of the rows that are beyond limits", "of more the limits are wrong")
     # columns
     suspect_reach: float = option(0.01, "share of the reach: a larger median error is suspect", "physics moves it less")
     suspect_noise: float = option(10.0, "the same in standard deviations of the sensor", "noise alone is below four")

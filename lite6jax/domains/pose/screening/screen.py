@@ -20,7 +20,14 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening import frame_jumps, hypotheses, settling, stations
+from lite6jax.domains.pose.screening import (
+    frame_jumps,
+    hypotheses,
+    placeholders,
+    reading_zero,
+    settling,
+    stations,
+)
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.errors import InputError
@@ -164,6 +171,7 @@ class Screen:
 
 
 SCREENS = (
+    Screen(("placeholder",), "recording", placeholders.leave_out_placeholders),
     Screen(("time_order",), "recording", sort_rows),
     Screen(("repeated_rows",), "recording", drop_repeats),
     Screen(("position_unit",), "recording", convert_positions),
@@ -175,7 +183,10 @@ SCREENS = (
     Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
     Screen(("nominal_table",), "fit", hypotheses.use_other_table),
 )
-"""All screens, in order."""
+"""All screens of poses, in order."""
+
+TOUCH_SCREENS = (Screen(("distance_offset",), "arm", reading_zero.free_constant, estimated=lambda fault: 1),)
+"""All screens of touches, distances and heights."""
 
 
 def price(screened: Screened, numbers: float, samples: int) -> float:
@@ -186,7 +197,8 @@ def price(screened: Screened, numbers: float, samples: int) -> float:
         numbers: how many were measured, n: rows times samples.
         samples: how many.
     """
-    found = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
+    screens = (*SCREENS, *TOUCH_SCREENS)
+    found = [(screen, fault) for screen in screens for fault in screened.found if fault.code in screen.codes]
     quantities = sum(screen.estimated(fault) for screen, fault in found)
     located = sum(screen.located for screen, _ in found)
     return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
@@ -223,10 +235,13 @@ def screen(
     require_samples(recording, 1)
     options = options or ScreeningOptions()
     state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
-    if recording.touches is not None:  # all faults that are screened for are of poses
+    if recording.touches is not None:  # all other faults that are screened for are of poses
         rigid = rigid_arm(recording, arm, geometry, factory)
         require_radians(recording.joint_position, rigid.arm.joint_limits, f"{recording.source}: joint_position")
-        return replace(state, rigid=rigid, arm=rigid.arm)
+        state = replace(state, rigid=rigid, arm=rigid.arm)
+        for entry in TOUCH_SCREENS:
+            state = state if coarse else entry.run(state)
+        return state
     fitted = False
     for entry in SCREENS:
         if coarse and entry.needs == "fit":
@@ -256,10 +271,10 @@ def screen(
     return state
 
 
-def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
-    """The recording in order, each row once and positions in m: the screens that need no arm."""
+def screen_rows(recording: Recording, options: ScreeningOptions, arm: Arm | None = None) -> Screened:
+    """The recording without placeholders, in order, each row once and positions in m: the screens of rows."""
     require_samples(recording, 1)
-    state = Screened(recording, None, "declared", Corrections(), options)
+    state = Screened(recording, arm, "declared", Corrections(), options)
     for entry in SCREENS:
         if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
             state = entry.run(state)

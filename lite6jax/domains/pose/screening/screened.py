@@ -25,6 +25,7 @@ class Corrections:
         known_jumps: row of the file and frame ("base" or "tool") of each jump, where these have been decided; then
             none is searched for, and only the size of these is estimated.
         settling: whether joint positions are corrected where the joints were read before the arm had settled.
+        constant: whether distances have a constant that is fitted; None where the screening decides.
     """
 
     jumps: int | None = None
@@ -32,6 +33,7 @@ class Corrections:
     table: str | None = None
     known_jumps: tuple[tuple[int, str], ...] | None = None
     settling: bool = True
+    constant: bool | None = None
 
 
 @final

@@ -1,0 +1,118 @@
+"""Placeholders: rows in which joints or poses hold a mark, such as -1000 or what was read last, and no measurement.
+
+What repeats exactly may be a mark (`recordings.placeholders`). It is one where the nominal arm, with frame and tool in
+closed form, agrees with the other rows and misses these; home poses that are taken again and again agree.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.calibration.source import declared_arm
+from lite6jax.calibration.start import frames_from_poses
+from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, median_distance
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.recordings import Recording
+from lite6jax.recordings.placeholders import Mark, possible_marks
+
+Array = NDArray[np.floating]
+Rows = NDArray[np.bool_]
+
+_POSES = ("joint_position", "position")
+"""The arrays of a recording of poses in which marks are looked for."""
+
+
+def leave_out_placeholders(state: Screened) -> Screened:
+    """Without the rows in which joints or poses are marks; each mark is a fault of its own."""
+    recording = state.recording
+    assert recording.position is not None
+    candidates = [mark for mark in possible_marks(recording) if mark.array in _POSES]
+    if not candidates:
+        return state
+    evidence = _evidence(recording, state.arm, state.options)
+    lost = np.zeros(recording.samples, bool)
+    for mark in candidates:
+        rows = mark.samples[~lost[mark.samples]]
+        rows = rows[evidence.convicts(mark, rows)] if len(rows) else rows
+        if not len(rows):
+            continue
+        lost[rows] = True
+        state = state.corrected(mark.fault(recording, rows), recording)
+    if not lost.any():
+        return state
+    return replace(state, recording=recording.without_rows(lost))
+
+
+@final
+class _Evidence(NamedTuple):
+    """What shows that a row holds no measurement.
+
+    Attributes:
+        recording: of poses.
+        missed: `(sample,)`, whether the nominal arm misses the pose grossly; None where it misses most of them.
+        beyond: `(sample, joint)`, whether a joint is beyond its limits.
+        options: the thresholds.
+    """
+
+    recording: Recording
+    missed: Rows | None
+    beyond: Rows
+    options: ScreeningOptions
+
+    def convicts(self, mark: Mark, rows: NDArray[np.integer]) -> Rows:
+        """Which of the rows of a mark hold no measurement."""
+        every = np.ones(len(rows), bool)
+        none = np.zeros(len(rows), bool)
+        if mark.array == "joint_position":
+            column = slice(None) if mark.column is None else mark.column
+            usual = np.mean(self.beyond[:, column]) < self.options.most_placeholders
+            if mark.value is not None and usual and self.beyond[rows][:, column].all() and len(rows) > 1:
+                return every
+        if self.missed is not None:
+            missed = self.missed[rows]
+            fewest = min(2, len(rows)) if mark.value is not None else 2
+            if mark.column is not None or mark.value is None:
+                fewest = max(fewest, len(rows) - 1)  # of what was read last, or of one column, one row may be right
+            if missed.sum() < fewest or (mark.column is not None and len(rows) < 2):
+                return none
+            return missed if mark.column is None else every
+        return every if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows) else none
+
+    def _contradicts(self, mark: Mark, rows: NDArray[np.integer]) -> bool:
+        """Whether the poses of the same joints, or the joints of the same pose, are far from each other."""
+        joints = mark.array == "joint_position"
+        others = self.recording.position if joints else self.recording.joint_position
+        assert others is not None
+        apart = np.linalg.norm(others[rows] - np.median(others[rows], axis=0), axis=1)
+        return float(apart.max()) > self.options.placeholder_apart * median_distance(others)
+
+
+def _evidence(recording: Recording, arm: Arm | None, options: ScreeningOptions) -> _Evidence:
+    nominal = arm or declared_arm(recording.settings, Path(recording.source).parent)
+    beyond = np.zeros(recording.joint_position.shape, bool)
+    if nominal is None or nominal.dof != recording.dof:
+        return _Evidence(recording, None, beyond, options)
+    low, high = nominal.joint_limits.T
+    beyond = recording.joint_position < low - options.limit_slack_rad
+    beyond |= recording.joint_position > high + options.limit_slack_rad
+    return _Evidence(recording, _missed(recording, nominal, options), beyond, options)
+
+
+def _missed(recording: Recording, arm: Arm, options: ScreeningOptions) -> Rows | None:
+    """`(sample,)`, whether the nominal arm misses a pose grossly; None where it agrees with too few of them."""
+    position = recording.position
+    assert position is not None
+    if recording.samples < FEWEST:
+        return None
+    flange = flange_poses(arm, recording.joint_position)
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
+    error = np.linalg.norm(position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3], axis=1)
+    usual = float(np.median(error))
+    if usual > CLOSE * median_distance(position):
+        return None
+    return error > max(options.placeholder_misses * usual, options.suspect_reach * arm.reach)

@@ -1,0 +1,48 @@
+"""The zero of a wire: a constant in all distances, in the place of a zero that is declared or taken for granted.
+
+With the rigid arm, its geometry under its prior, the distances with a free constant are compared with those without.
+The constant is a fault where it is clearly likelier and leaves no more than the sensor's noise; what else the arm may
+have in its place is weighed in the diagnosis.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
+from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.recordings.fault import DataFault
+
+
+def free_constant(state: Screened) -> Screened:
+    """With a constant of the distances that is fitted, where it is a fault or was decided to be one."""
+    recording, wanted = state.recording, state.corrections.constant
+    readings, settings = recording.touches, recording.settings
+    if readings is None or readings.kind != "distance" or settings.distance_offset == "unknown":
+        return state
+    if wanted is False:
+        return state
+    options = state.options
+    freed = replace(recording, settings=replace(settings, distance_offset="unknown"))
+    free = rigid_arm(freed, state.rigid_arm.arm, state.geometry, state.factory)
+    fitted = free.fitted(options.most_fitted)
+    constant, std = _constant(fitted)
+    if not wanted:
+        plain = state.rigid_arm.fitted(options.most_fitted)
+        scale = min(fitted.scale, plain.scale)
+        gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)
+        price = 0.5 * np.log(recording.samples) + options.trusted_log_likelihood
+        declared = settings.distance_noise_m
+        noisy = fitted.scale * fitted.noise[0] > options.as_noise_ratio * declared if declared else False
+        if gain < price or noisy:
+            return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
+    numbers = {"constant_m": constant, "std_m": std}
+    return state.corrected(DataFault("distance_offset", (), numbers), rigid=free)
+
+
+def _constant(arm: RigidArm) -> tuple[float, float]:
+    """m, the constant of the distances with the arm fitted, and its standard deviation."""
+    J = arm.frame_columns.reshape(len(arm.unknown), -1) / arm.scale
+    covariance = scaled_inverse(J @ J.T + np.diag(arm.precision))
+    return float(arm.measured.constant[0]), float(np.sqrt(covariance[-1, -1]))  # type: ignore[attr-defined]

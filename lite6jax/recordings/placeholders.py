@@ -1,0 +1,82 @@
+"""Marks in the place of measurements: numbers that repeat exactly among others that do not.
+
+A bus that is silent, or a sensor that sees nothing, leaves such numbers as -1000, -1, 0 or the last ones read. What
+repeats exactly may be a mark; whether it is one is decided by what is known of the arm or of the motion.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.recording import Recording
+
+Array = NDArray[np.floating]
+Rows = NDArray[np.bool_]
+
+ARRAYS = ("joint_position", "position", "joint_torque", "motor_current")
+"""Of a recording, in which marks are looked for."""
+LARGEST_SHARE = 0.5
+"""Of the rows, of which fewer are marks."""
+
+
+class Mark(NamedTuple):
+    """Numbers of some rows that may be marks.
+
+    Attributes:
+        array: of the recording that holds them, one of `ARRAYS`.
+        column: the only column of the array that holds it, from 0; None where they all do.
+        value: the number, in SI units; None where the columns hold several, which repeat together.
+        samples: the rows that hold it, in order.
+    """
+
+    array: str
+    column: int | None
+    value: float | None
+    samples: NDArray[np.integer]
+
+    def fault(self, recording: Recording, samples: NDArray[np.integer]) -> DataFault:
+        """The mark in some samples of a recording."""
+        column = None if self.column is None else self.column + 1
+        slides = {*recording.sliding} & ({*range(recording.dof)} if self.column is None else {self.column})
+        unit = {"position": "m", "joint_torque": "Nm", "motor_current": "A"}.get(self.array, "m" if slides else "rad")
+        numbers = {"array": self.array, "value": self.value, "unit": unit, "column": column}
+        return DataFault("placeholder", row_numbers(recording.row[samples]), numbers)
+
+
+def repeated_vectors(values: Array) -> Rows:
+    """Which rows `(sample, column)` repeat another one exactly, or hold one number in all of several columns."""
+    _, group, count = np.unique(values, axis=0, return_inverse=True, return_counts=True)
+    return (count[group.ravel()] > 1) | _uniform(values)
+
+
+def _uniform(values: Array) -> Rows:
+    """Which rows hold one number in all of several columns."""
+    return (values == values[:, :1]).all(1) & (values.shape[1] > 1)
+
+
+def possible_marks(recording: Recording) -> list[Mark]:
+    """All that may be marks, of whole rows first; of rows that repeat in all columns, none of single ones."""
+    found = [mark for array in ARRAYS for mark in _of_array(array, getattr(recording, array))]
+    return [mark for mark in found if len(mark.samples) < LARGEST_SHARE * recording.samples]
+
+
+def _of_array(array: str, values: Array | None) -> list[Mark]:
+    if values is None:
+        return []
+    rows = np.flatnonzero(np.isfinite(values).all(1))
+    repeated = rows[repeated_vectors(values[rows])]
+    _, group = np.unique(values[repeated], axis=0, return_inverse=True)
+    found = []
+    for samples in (repeated[group.ravel() == k] for k in range(int(group.max(initial=-1)) + 1)):
+        uniform = bool((values[samples[0]] == values[samples[0], 0]).all())
+        found.append(Mark(array, None, float(values[samples[0], 0]) if uniform else None, samples))
+    single = np.setdiff1d(rows, repeated)
+    for column in range(values.shape[1]):
+        numbers, group, count = np.unique(values[single, column], return_inverse=True, return_counts=True)
+        if len(numbers) <= LARGEST_SHARE * len(single):  # steps of an encoder, or commands
+            continue
+        repeats = np.flatnonzero(count > 1)
+        found += [Mark(array, column, float(numbers[k]), single[group.ravel() == k]) for k in repeats]
+    return found
