@@ -16,8 +16,8 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | rough | exp(-d) | steps and kinks |
 | wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
-| wander | exp(-\|s - t\| / m) of the order of recording, nearly: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), k < 6 c | \
-what wanders by itself, a first-order autoregression |
+| wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
+wanders by itself, a first-order autoregression |
 | play | line, and Σ of what play operators of seven widths lag behind, over the width | hysteresis |
 """
 

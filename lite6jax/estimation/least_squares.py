@@ -310,7 +310,7 @@ def _volume_of_processes(H: Array, precision: Array, terms: Terms) -> float:
     """
     sizes = [one.size for one in terms.terms]
     processes = np.repeat(np.array([one.nonparametric for one in terms.terms], bool), sizes)
-    acting = np.concatenate([np.zeros(len(precision) - len(processes), bool), processes])
+    acting = np.concatenate([np.zeros(len(precision) - len(processes), bool), processes]) & (precision > 0)
     if not acting.any() or not len(H):
         return 0.0
     beside = schur_complement(H, np.flatnonzero(~acting))[np.ix_(acting, acting)]

@@ -17,7 +17,7 @@ A site's own quantities have 0.6 of the probability together, all of them 0.4.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, Quantity
+from lite6jax.estimation.problem import Component, Mask, Problem, Quantity, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
@@ -381,6 +381,35 @@ class Weighed:
             first, second = (_of_term(one, self._scan.cost_of_name(term), term) for term in (same[a], others[b]))
             found.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
         return sorted(found, key=lambda pair: -pair.net)
+
+    def pairs_at(self, site: str) -> list[Pair]:
+        """Two names of a site that are not there yet, the likeliest pair first; waves of the lowest orders among them.
+
+        Two may nearly cancel, as gravity and what balances it, so that either alone says little; or lie so near that a
+        third explains more than either, as a wave between two orders does.
+        """
+        test = self._test
+        present = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
+        names = [one for one in self._scan.names if one.site == site and (one.chosen is None or one.periodic)]
+        names = [one for one in names if one not in present and one.linear]
+        model = test.fit.terms, test.fit.values
+        columns = [self._problem.columns([one], beside=model) for one in names]
+        acting = [k for k, own in enumerate(columns) if np.any(own[:, self._rows])]
+        chosen = list(combinations(acting, 2))
+        if not chosen:
+            return []
+        evidence = self._marginal.of_names([np.concatenate([columns[a], columns[b]]) for a, b in chosen])
+        pairs = []
+        for (a, b), one in zip(chosen, evidence, strict=True):
+            first = _of_term(one, self._scan.cost_of_name(names[a]), names[a], self._label(names[a]))
+            second = _of_term(one, self._scan.cost_of_name(names[b]), names[b], self._label(names[b]))
+            pairs.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
+        return sorted(pairs, key=lambda pair: -pair.net)
+
+    def _label(self, name: Term) -> str:
+        """The label of a name, of a wave with its order."""
+        wave = wave_of(self._problem, name)
+        return name.label if wave is None else f"{name.label} {wave[1]:.3g}"
 
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this, as fine as the data tell it."""

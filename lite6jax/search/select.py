@@ -415,6 +415,11 @@ class Selector:
         )
         return None if best is None or best.net < net + self.options.margin else best
 
+    def _likeliest_pair_at(self, test: ScoreTest, site: str, known: set[str]) -> Pair | None:
+        """The likeliest two names of a site, neither of them `known`."""
+        pairs = Weighed(self.scan, test).pairs_at(site)
+        return next((pair for pair in pairs if not any(one.cause[0] in known for one in pair.names)), None)
+
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
 
@@ -439,7 +444,7 @@ class Selector:
         """
         process, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
         rows, model = self._rows(process, state), (state.fit.terms, state.fit.values)
-        known = {term.label for term in (*state.refused, *state.fit.terms.terms)}
+        known = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
         component, which = self._process_of(process)
         while len(names) < self.options.names_for_process:
             best = self._likeliest_name(test, state, rows, known)
@@ -449,6 +454,9 @@ class Selector:
             if self._has_number(term := best.make()):
                 pair = self._likeliest_pair(test, term, best.net, known)
             more, net = ((best,), best.net) if pair is None else pair
+            both = self._likeliest_pair_at(test, process.site, known)
+            if both is not None and both.net > net + self.options.margin:
+                more, net = both
             known |= {one.cause[0] for one in more}
             names, gain = [*names, *more], gain + net
             test = test.extend(self.problem.columns([one.make() for one in more], beside=model))

@@ -9,7 +9,6 @@ from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
 from lite6jax.effects.kinematic import JointOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.evidence import Marginal, bound, of_process
-from lite6jax.estimation.noise import coefficients
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
@@ -169,24 +168,6 @@ def test_a_site_that_moves_by_a_number_of_its_own_in_each_sample_is_noise_along_
     S = left @ left, left @ np.linalg.solve(C, left)
     gain = -0.5 * bare * len(left) * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1]
     assert found.gain == pytest.approx(gain, abs=0.05)
-
-
-def test_noise_that_persists_is_an_autoregression_along_the_direction_of_its_component(beside):
-    problem, y, Q, test = beside
-    column = next(one.column for one in problem.components if one.site == "joint3") / test.scale[0]
-    found = Marginal(test).of_persistent_noise(column * test.scale[0])
-    left = np.append(Q @ (Q.T @ y), np.full(4, 1 / test.scale[0]))
-    lag = np.abs(np.subtract.outer(np.arange(problem.samples), np.arange(problem.samples)))
-    same_run = np.equal.outer(np.asarray(problem.run), np.asarray(problem.run))
-    rows, gains = np.zeros((len(left), problem.samples)), []
-    for k in range(problem.samples):
-        rows[np.arange(problem.rows) * problem.samples + k, k] = column[:, k]
-    bare = Q.shape[1] + 4
-    for coefficient in coefficients(problem.samples):
-        C = np.eye(len(left)) + found.variance * rows @ (coefficient**lag * same_run) @ rows.T
-        S = left @ left, left @ np.linalg.solve(C, left)
-        gains.append(-0.5 * bare * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1])
-    assert found.gain == pytest.approx(max(gains), abs=0.05)
 
 
 def test_a_name_beside_a_process_is_scored_in_the_covariance_that_the_process_has(beside):
