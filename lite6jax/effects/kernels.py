@@ -77,8 +77,8 @@ KERNELS = (*SCALED, *OF_ANGLES, "play", "wander")
 _FASTEST = 96
 """Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
 is faster is hardly told from that noise."""
-_CORNERS = 6.0
-"""Orders that are kept, over the corner: nine tenths of the variance of an autoregression."""
+_CORNERS = 30.0
+"""Orders that are kept, over the corner: 98 % of the variance of an autoregression."""
 
 
 def factors_of(kernel: str) -> list[str]:

@@ -91,7 +91,7 @@ class Marginal:
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
         # in sum that times the residual, which of a group alone may be negative
-        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left[measured:] ** 2)
+        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left_of_span[measured:] ** 2)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
         squares = np.maximum(np.bincount(problem.groups, by_row) + of_priors, 1e-300)

@@ -74,7 +74,7 @@ class Quantity(NamedTuple):
     Attributes:
         driver: which.
         values: `(every sample,)`, before any filter.
-        own: the sites that it mostly acts at; all where "" is among them. The order of recording is one of the read-outs
+        own: the sites that it mostly acts at; all where "" is among them. Of the order of recording those of read-outs
             that may wander by themselves.
         only: the one site where it can act; "" where that is any.
     """

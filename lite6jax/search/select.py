@@ -174,7 +174,7 @@ class Selector:
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
         if _wanders(one):
-            return True
+            return not any(is_wander(term) and (term.site, term.component) == (one.site, one.place) for term in model)
         there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
         if not there or self._continues(one, model):
             return True
@@ -310,7 +310,7 @@ class Selector:
         while state.tested:
             marginal = Marginal(self.test(state))
             excess = []
-            for k, one in enumerate(state.tested):
+            for one in state.tested:
                 component = None if is_wander(one.term) else self._component_of(one.term)
                 if component is None:
                     excess.append(-np.inf)
