@@ -185,11 +185,30 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
         InputError: as `screen` and `pose_problem`.
     """
     best = case.explanation(decisions or Decisions())
-    if decisions is not None:
+    if decisions is None:
+        for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
+            best = weighed(best, case)
+    return _with_wandering(best)
+
+
+def _with_wandering(best: Explanation) -> Explanation:
+    """With a fault that names the read-outs which the search found to wander by themselves."""
+    wandering = best.selection.wandering
+    if not wandering:
         return best
-    for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
-        best = weighed(best, case)
-    return best
+    problem = best.problem
+    time = problem.motion.time
+    corners = np.array([effect.rolloff[0] for effect in problem.wandering])
+    memories = 1 / (np.pi * corners)  # over the length of the recording
+    length = None if time is None else float(np.ptp(np.asarray(time)))
+    fault = DataFault("wandering_readout", (), {
+        "joints": [int(effect.where.removeprefix("joint")) for effect in problem.wandering],
+        "std_rad": [effect.spread for effect in problem.wandering],
+        "memory_samples": (memories * problem.samples).tolist(),
+        "memory_s": None if length is None else (memories * length).tolist(),
+        "log_likelihood_gap": [one.gain for one in wandering],
+    })  # fmt: skip
+    return replace(best, screened=replace(best.screened, found=(*best.screened.found, fault)))
 
 
 def _jumps_weighed(best: Explanation, case: Case) -> Explanation:
@@ -329,6 +348,11 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
     G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
+    of_nuisance = problem.precision[: len(nuisance)]
+    displaced = of_nuisance * (problem.offset + fit.nuisance)[: len(nuisance)]
+    G[nuisance, nuisance] += of_nuisance
+    G[nuisance, -1] += displaced
+    G[-1, nuisance] += displaced
 
     def weighed(kept: tuple[int, ...]) -> tuple[float, float, float]:
         """Log evidence with an exact file, with an uncertain one, and the standard deviation of the latter."""

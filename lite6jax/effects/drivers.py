@@ -93,6 +93,7 @@ _SOURCES = {
     ),
     "temperature": _Source(_joint_temperatures, "K", "joint", _WARMTH),
     "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
+    "order of recording": _Source(lambda m, _: m.sequence, "1", "", "the rows in the order of recording"),
     "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
     "measured position x": _Source(_of_sight(lambda xp, seen: seen[0]), "m", "", _MEASURED),
     "measured position y": _Source(_of_sight(lambda xp, seen: seen[1]), "m", "", _MEASURED),
@@ -168,6 +169,11 @@ class Driver:
     def is_remembered(self) -> bool:
         """Whether what it drives may lag behind it, as hysteresis does."""
         return self.generalised in ("position", "gravity torque", "gravity moment x", "gravity moment y")
+
+    @property
+    def is_order(self) -> bool:
+        """Whether it is but the order of recording, in which what nobody recorded may wander."""
+        return self.quantity == "order of recording"
 
     @property
     def turns(self) -> str:

@@ -16,6 +16,8 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | rough | exp(-d) | steps and kinks |
 | wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
+| wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
+wanders by itself, a first-order autoregression |
 | play | line, and Σ of what play operators of seven widths lag behind, over the width | hysteresis |
 """
 
@@ -71,7 +73,12 @@ SCALED: dict[str, Kernel] = {
     "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
 }
 OF_ANGLES = ("wave", "spectrum")
-KERNELS = (*SCALED, *OF_ANGLES, "play")
+KERNELS = (*SCALED, *OF_ANGLES, "play", "wander")
+_FASTEST = 96
+"""Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
+is faster is hardly told from that noise."""
+_CORNERS = 30.0
+"""Orders that are kept, over the corner: 98 % of the variance of an autoregression."""
 
 
 def factors_of(kernel: str) -> list[str]:
@@ -105,6 +112,10 @@ def features(
         turned = orders_of(bounds)[:, None] * values[0]
         both = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
         return both * spectrum_deviations(bounds, rolloff)[:, None]
+    if kernel == "wander":
+        deviations = wander_deviations(rolloff)
+        place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
+        return xp.cos(np.pi * np.arange(len(deviations))[:, None] * place) * deviations[:, None]
     each = _factors(names, values, bounds)
     if len(each) == 1:
         return each[0]
@@ -130,8 +141,10 @@ def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
 
 
 @lru_cache(maxsize=4096)
-def size_of(kernel: str, bounds: tuple[float, ...]) -> int:
+def size_of(kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...] = ()) -> int:
     """How many features a kernel has."""
+    if kernel == "wander":
+        return len(wander_deviations(rolloff))
     if kernel == "play":
         return len(_PLAYS) + 2
     if kernel == "spectrum":
@@ -152,6 +165,27 @@ def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> ND
     orders = orders_of(bounds)
     corner, slope = rolloff or (1.0, 0.0)
     return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
+
+
+def wander_deviations(rolloff: Sequence[float], every: bool = False) -> NDArray:
+    """`(order,)`, the prior's standard deviation of each order of what wanders with unit variance; 1 without a corner.
+
+    A first-order autoregression of memory m in a recording of length T has the spectrum 1 / (1 + (k / c)²) of its
+    half-waves k, c = T / (π m).
+
+    Args:
+        rolloff: corner c and slope 2; empty for orders of unit variance.
+        every: whether also those far above the corner are given, as zeros.
+    """
+    orders = np.arange(_FASTEST + 1)
+    if not rolloff:
+        return np.ones(len(orders))
+    corner, slope = rolloff
+    variance = 4 / (np.pi * corner) / (1 + (orders / corner) ** slope)
+    variance[0] /= 2
+    count = min(int(np.ceil(_CORNERS * corner)), _FASTEST) + 1
+    deviations = np.where(orders < count, np.sqrt(variance), 0.0)
+    return deviations if every else deviations[:count]
 
 
 @cache

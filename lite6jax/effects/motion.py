@@ -52,6 +52,8 @@ class Motion(NamedTuple):
             joint's temperature is known.
         measured_position: `(3, sample)` m, where the sensor shows the tool of the rigid arm, in its own frame.
         sliding: the prismatic joints.
+        sequence: `(sample,)` from 0 to 1, when each sample was recorded: by its time where that is known, one run after
+            another.
     """
 
     joint_position: Array
@@ -65,6 +67,7 @@ class Motion(NamedTuple):
     joint_temperature_rise: Array | None = None
     measured_position: Array | None = None
     sliding: Sliding = Sliding()
+    sequence: Array | None = None
 
     @property
     def dof(self) -> int:
@@ -164,7 +167,21 @@ def motion_of(
         joint_temperature_rise=stored(rise),
         measured_position=stored(None if measured_position is None else np.asarray(measured_position, float)),
         sliding=Sliding(sliding),
+        sequence=stored(_sequence(clock, first)),
     )
+
+
+def _sequence(time: np.ndarray | None, first: np.ndarray) -> np.ndarray:
+    """`(sample,)` from 0 to 1, by the times `(sample,)` of each run, which begins at the sample `first` of each."""
+    if time is None:
+        return np.linspace(0.0, 1.0, len(first))
+    steps = np.diff(time)
+    inside = first[1:] == first[:-1]
+    usual = float(np.median(steps[inside])) if inside.any() else 1.0
+    elapsed = np.concatenate([[0.0], np.cumsum(np.where(inside, steps, usual))])
+    if elapsed[-1] <= 0:
+        return np.linspace(0.0, 1.0, len(first))
+    return elapsed / elapsed[-1]
 
 
 @jit
@@ -288,6 +305,19 @@ def since_reversal(motion: Motion) -> Array:
     begins = motion.run[0] == jnp.arange(motion.samples)
     start = jnp.zeros(motion.dof)
     return lax.scan(moved, (start, start, start), (motion.joint_position.T, begins))[1].T
+
+
+def thin(motion: Motion, every: int) -> Motion:
+    """One in `every` samples, in the runs that they belong to: what depends on the past follows the samples that stay.
+
+    Args:
+        motion: of all samples.
+        every: from 1.
+    """
+    rows = np.arange(motion.samples)[::every]
+    first, last = np.asarray(motion.run)[:, rows]
+    run = np.stack([np.searchsorted(rows, first), np.searchsorted(rows, last, side="right") - 1])
+    return select(motion, rows)._replace(run=jnp.asarray(run))
 
 
 def select(motion: Motion, rows: ArrayLike) -> Motion:

@@ -52,7 +52,7 @@ class Process(Effect, ABC):
         further: lower and upper of the second driver.
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
-            spread² / (1 + (k / c)ˢ).
+            spread² / (1 + (k / c)ˢ); likewise of what wanders.
 
     Raises:
         InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
@@ -83,7 +83,7 @@ class Process(Effect, ABC):
                 f"{self.label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each"
             )
         rolloff = self.rolloff
-        if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel != "spectrum"):
+        if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in ("spectrum", "wander")):
             raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 
     @property
@@ -99,7 +99,7 @@ class Process(Effect, ABC):
     @property
     def size(self) -> int:
         """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
-        return kernels.size_of(self.kernel, self.bounds)
+        return kernels.size_of(self.kernel, self.bounds, self.rolloff)
 
     @property
     def bounds(self) -> tuple[float, ...]:

@@ -20,7 +20,6 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.estimation.noise import coefficients, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest
@@ -92,7 +91,7 @@ class Marginal:
         problem, fit = self.test.problem, self.test.fit
         measured = problem.rows * problem.samples
         # in sum that times the residual, which of a group alone may be negative
-        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left[measured:] ** 2)
+        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left_of_span[measured:] ** 2)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
         squares = np.maximum(np.bincount(problem.groups, by_row) + of_priors, 1e-300)
@@ -169,34 +168,6 @@ class Marginal:
         eigenvalues = np.sum(white**2, 0)
         squares = np.sum(white * self.test.left_of_rows, 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
-
-    def of_persistent_noise(self, column: Array) -> Evidence:
-        """As `of_noise`, of numbers that are a first-order autoregression within each run: noise of what is read out.
-
-        Its innovations come from a Kalman filter (R. Kalman, Journal of Basic Engineering 82, 1960), for every
-        coefficient and variance at once.
-        """
-        white = self.test.whitened(column) / self.test.scale[0]
-        size, pull = np.sqrt(np.sum(white**2, 0)), np.sum(white * self.test.left_of_rows, 0)
-        pull = pull / np.maximum(size, 1e-300)
-        starts = set(run_starts(np.asarray(self.test.problem.run)))
-        share, s = np.meshgrid(
-            coefficients(len(size)), np.geomspace(_LEAST, _MOST, _TRIED) / max(size.max() ** 2, 1e-300)
-        )
-        mean, variance, explained, volume = np.zeros((4, *s.shape))
-        for k, (h, z) in enumerate(zip(size.tolist(), pull.tolist(), strict=True)):
-            if k in starts:
-                mean, variance = np.zeros_like(s), s.copy()
-            else:
-                mean, variance = share * mean, share**2 * variance + (1 - share**2) * s
-            spread, off = h * h * variance + 1, z - h * mean
-            explained += z * z - off**2 / spread
-            volume += 0.5 * np.log(spread)
-            mean, variance = mean + variance * h / spread * off, variance / spread
-        left, freedom = self._of_groups(np.any(column, 1))
-        gains = -0.5 * freedom * np.log(np.maximum(1 - explained / left, 1e-12)) - volume
-        best = int(np.argmax(gains))
-        return Evidence(*(each.ravel()[best] for each in (gains, s, volume)))
 
     def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
         """The evidence of named terms, some of whose numbers may be zero.

@@ -74,7 +74,8 @@ class Quantity(NamedTuple):
     Attributes:
         driver: which.
         values: `(every sample,)`, before any filter.
-        own: the sites that it mostly acts at; all where "" is among them.
+        own: the sites that it mostly acts at; all where "" is among them. Of the order of recording those of read-outs
+            that may wander by themselves.
         only: the one site where it can act; "" where that is any.
     """
 
@@ -85,7 +86,9 @@ class Quantity(NamedTuple):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the greatest value."""
+        """The least and the greatest value; of the order of recording also where samples are left out."""
+        if self.driver.is_order:
+            return 0.0, 1.0
         return float(self.values.min()), float(self.values.max())
 
 
@@ -217,6 +220,10 @@ class Problem(LinearisedProblem, Protocol):
 
     def seen(self, functions: Array) -> Array:
         """Functions `(…, every sample)` as they reach the samples of this problem, through its filter if it has one."""
+        ...
+
+    def with_nuisance(self, terms: Sequence[Term]) -> "Problem":
+        """The same problem with the processes that read-outs do by themselves as nuisance, under their priors."""
         ...
 
     def thinned(self, every: int) -> "Problem":

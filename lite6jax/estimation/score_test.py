@@ -185,7 +185,7 @@ class ScoreTest:
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
         projected = outside(flat, self.span)
-        per_block = self._by_block(projected * self._left_of_span)
+        per_block = self._by_block(projected * self.left_of_span)
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
@@ -270,7 +270,7 @@ class ScoreTest:
         return self.residual - self._inside @ self.basis
 
     @cached_property
-    def _left_of_span(self) -> Array:
+    def left_of_span(self) -> Array:
         """`left`, and what the model leaves of the priors' further readings, which are zero."""
         return np.concatenate([self.left, -self._inside @ self.span[:, len(self.residual) :]])
 

@@ -5,18 +5,19 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, wave, process of one quantity, process of two | ln 4 |
+| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders | ln 4 |
 | a name | ln of their number, and ln 17 where a number of it is tried; ln 2 in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
+| a read-out that wanders | ln of these, ln of the memories |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
 A site's own quantities have 0.6 of the probability together, all of them 0.4.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, Quantity
+from lite6jax.estimation.problem import Component, Mask, Problem, Quantity, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
@@ -42,6 +43,8 @@ PAIRS = (
 )  # fmt: skip
 _SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
 """Corner and slope of the spectra that are tried."""
+_MEMORIES = (1.6, 4.0, 10.0, 24.0)
+"""Corners of what wanders, in half-waves over the recording: memories of a fifth, a 13th, a 31st and a 75th of it."""
 KINDS = np.log(4.0)
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
@@ -129,7 +132,8 @@ class Scan:
 
     Attributes:
         names: all terms with a formula.
-        quantities: what processes may depend on.
+        quantities: what processes may depend on, and at last the order of recording, in which read-outs may wander.
+        drivers: how many they are without that order.
         among: the processes to choose from; None where that is all.
         considered: the processes that were among the likeliest of a scan, each as its likeliest kernel.
     """
@@ -138,7 +142,10 @@ class Scan:
         """Tries all processes, or those `among` which it is to choose."""
         self.problem, self.options, self.among = problem, options, among
         self.considered = set[_Considered]()
-        self.quantities = list(problem.quantities)
+        drivers = [one for one in problem.quantities if not one.driver.is_order]
+        orders = [one for one in problem.quantities if one.driver.is_order]
+        self.quantities = [*drivers, *orders]
+        self.drivers = len(drivers)
         self.phrases = [one.driver.phrase for one in self.quantities]
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
@@ -147,7 +154,8 @@ class Scan:
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
         self.discrete = [_is_discrete(one) for one in self.quantities]
         sites = {component.site for component in problem.components}
-        self.own = {site: [k for k, one in enumerate(self.quantities) if _is_own(one, site)] for site in sites}
+        self.own = {site: [k for k, one in enumerate(drivers) if _is_own(one, site)] for site in sites}
+        self.wandering = [component for one in orders for component in problem.components if component.site in one.own]
 
     # -------------------------------------------------------------- costs
 
@@ -160,6 +168,8 @@ class Scan:
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
+        if which == (self.drivers,):
+            return float(KINDS + np.log(len(self.wandering)) + np.log(len(_MEMORIES)))
         if (site, which) in self._costs:
             return self._costs[site, which]
         cost = KINDS + np.log(max(len(self.problem.components), 1))
@@ -169,16 +179,22 @@ class Scan:
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
         own = self.own[site]
-        return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / len(self.quantities))
+        return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / self.drivers)
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
         return all(self.quantities[k].only in ("", site) for k in which)
 
+    def may_wander(self, component: Component) -> bool:
+        """Whether a component is a read-out that may wander by itself."""
+        return any(one is component for one in self.wandering)
+
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
         """Whether a kernel is one of these quantities."""
         for name, k in zip(kernels.factors_of(kernel), which, strict=True):
             driver = self.quantities[k].driver
+            if driver.is_order or name == "wander":
+                return bool(driver.is_order) and kernel == "wander"
             if self.discrete[k] and name != "line":
                 return False
             if (name == "wave" and not driver.is_angle) or (name == "play" and not driver.is_remembered):
@@ -237,7 +253,7 @@ class Scan:
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
         """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
-        many = [k for k, discrete in enumerate(self.discrete) if not discrete]
+        many = [k for k in range(self.drivers) if not self.discrete[k]]
         none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
         return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
 
@@ -245,7 +261,7 @@ class Scan:
     def _few(self) -> tuple[Array, NDArray[np.integer], Array]:
         """A few functions `(function, sample)` of each quantity of unit size, where each begins, and their weights."""
         parts = []
-        for k, one in enumerate(self.quantities):
+        for k, one in enumerate(self.quantities[: self.drivers]):
             kernel = "line" if self.discrete[k] else "smooth"
             own = self.features((k,), kernel)[1:4]
             if _is_angle(one):
@@ -289,12 +305,13 @@ class Weighed:
         scan, white = self._scan, self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
         found = [*self.named(), *self.waves()]
+        found += self.wanders()
         if scan.among is None:
             found += self.spectra()
             singles = self.singles(max([least, *(one.net - self._options.close for one in found)]))
             found += [*singles, *self.pairs(singles, 0.0 if white else least)]
         else:
-            there = (one for one in scan.processes if one[0] in self.components)
+            there = (one for one in scan.processes if one[0] in self.components and one[2] != "wander")
             few = (self.of_kernel(*one, exact=one[2] == "spectrum") for one in there)
             found += (one for one in few if one.gain > 0)
         found.sort(key=lambda one: -one.net)
@@ -365,6 +382,35 @@ class Weighed:
             found.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
         return sorted(found, key=lambda pair: -pair.net)
 
+    def pairs_at(self, site: str) -> list[Pair]:
+        """Two names of a site that are not there yet, the likeliest pair first; waves of the lowest orders among them.
+
+        Two may nearly cancel, as gravity and what balances it, so that either alone says little; or lie so near that a
+        third explains more than either, as a wave between two orders does.
+        """
+        test = self._test
+        present = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
+        names = [one for one in self._scan.names if one.site == site and (one.chosen is None or one.periodic)]
+        names = [one for one in names if one not in present and one.linear]
+        model = test.fit.terms, test.fit.values
+        columns = [self._problem.columns([one], beside=model) for one in names]
+        acting = [k for k, own in enumerate(columns) if np.any(own[:, self._rows])]
+        chosen = list(combinations(acting, 2))
+        if not chosen:
+            return []
+        evidence = self._marginal.of_names([np.concatenate([columns[a], columns[b]]) for a, b in chosen])
+        pairs = []
+        for (a, b), one in zip(chosen, evidence, strict=True):
+            first = _of_term(one, self._scan.cost_of_name(names[a]), names[a], self._label(names[a]))
+            second = _of_term(one, self._scan.cost_of_name(names[b]), names[b], self._label(names[b]))
+            pairs.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
+        return sorted(pairs, key=lambda pair: -pair.net)
+
+    def _label(self, name: Term) -> str:
+        """The label of a name, of a wave with its order."""
+        wave = wave_of(self._problem, name)
+        return name.label if wave is None else f"{name.label} {wave[1]:.3g}"
+
     def _refined(self, one: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this, as fine as the data tell it."""
         found, steps = [one], _RATIOS
@@ -425,7 +471,8 @@ class Weighed:
         """Processes of one quantity that may exceed `least`, each as its likeliest kernel.
 
         No function of a quantity explains more than all its splines without a prior: what is less is not looked at
-        closer. A play, which depends on the past as well, may; it is weighed where its splines are among the first.
+        closer. A play depends on the past as well and may explain more: that of a site's own quantities is always
+        weighed, another one where the splines of its quantity are among the first.
         """
         many, splines = self._scan.splines
         found: list[Ranked] = []
@@ -440,10 +487,12 @@ class Weighed:
                     limits.append(most[i] - costs[i])
                     pulls.append(pull[i])
                     informations.append(information[i])
-        few = [k for k in range(len(self._scan.quantities)) if k not in many]
+        few = [k for k in range(self._scan.drivers) if k not in many]
         found += self._of_all(
             (one, (k,), "line") for one in self.components for k in few if self._scan.may_act(one.site, k)
         )
+        found += self._of_all(self._own_plays())
+        least = max([least, *(one.net - self._options.close for one in found)])
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
             some, order = order[:_WEIGHED], order[_WEIGHED:]
@@ -453,10 +502,18 @@ class Weighed:
                 each = self._of_splines(name, pull, information, left, freedom)
                 for i, *one in zip(some, *each, strict=True):
                     found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
-            others = ((at[i][0], (at[i][1],), name) for i in some for name in ("wave", "play"))
+            others = [(at[i][0], (at[i][1],), "wave") for i in some]
+            others += [(at[i][0], (at[i][1],), "play") for i in some if at[i][1] not in self._scan.own[at[i][0].site]]
             found += self._of_all(one for one in others if self._scan.suits(one[2], one[1]))
             least = max(least, max(one.net for one in found) - self._options.close)
         return _best_of_each(found)
+
+    def _own_plays(self) -> Iterator[tuple[Component, tuple[int, ...], str]]:
+        """The plays of each site's own quantities."""
+        for component in self.components:
+            for k in self._scan.own[component.site]:
+                if self._scan.suits("play", (k,)) and self._scan.may_act(component.site, k):
+                    yield component, (k,), "play"
 
     def _of_splines(
         self, kernel: str, pull: Array, information: Array, left: Array | float, freedom: Array | float
@@ -465,11 +522,32 @@ class Weighed:
         R = kernels.root(kernel)
         return of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
 
+    def wanders(self) -> list[Ranked]:
+        """What the read-outs that may wander do so, each with the likeliest memory."""
+        acting = {id(component) for component in self.components}
+        each = [self._wanders_of(one) for one in self._scan.wandering if id(one) in acting]
+        return _best_of_each([one for some in each for one in some])
+
+    def _wanders_of(self, component: Component) -> list[Ranked]:
+        """Of every memory: they differ in the size of their functions alone."""
+        k = self._scan.drivers
+        (pull,), (information,), *noise = self._equations(component, self._scan.features((k,), "wander")[None], True)
+        found = []
+        for corner in _MEMORIES:
+            rolloff = corner, 2.0
+            size = kernels.wander_deviations(rolloff, every=True)
+            acting = np.flatnonzero(size)
+            size = size[acting]
+            own = pull[acting] * size, information[np.ix_(acting, acting)] * np.outer(size, size)
+            one = of_process(*own, *noise, self._options.confounded)
+            found.append(self._process(one, component, (k,), "wander", rolloff))
+        return found
+
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         found = []
         for component in self.components:
-            for k, one in enumerate(self._scan.quantities):
+            for k, one in enumerate(self._scan.quantities[: self._scan.drivers]):
                 if one.driver.turns == component.site:
                     found += self._spectra_of(component, k, exact=True)
         return _best_of_each(found)
@@ -487,7 +565,7 @@ class Weighed:
 
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel, where one exceeds `least`."""
-        plain = [self._plain(k) for k in range(len(self._scan.quantities))]
+        plain = [self._plain(k) for k in range(self._scan.drivers)]
         short = [(component, (a, b), f"{plain[a]}*{plain[b]}") for component, a, b in self._shortlist(singles)]
         first = sorted((one for one in self._of_all(short) if one.net > least or not least), key=lambda one: -one.net)
         every = (one.process[:2] for one in first[:_REFINED])
@@ -514,6 +592,8 @@ class Weighed:
         if len(which) > 1:
             return [self.of_kernel(component, which, name, exact=exact) for name in names]
         found, k = list[Ranked](), next(iter(which))
+        if k == self._scan.drivers:
+            return self._wanders_of(component)
         many, splines = self._scan.splines
         if k in many:
             (pull,), (information,), *noise = self._equations(component, splines[[many.index(k)]], exact)
@@ -534,7 +614,7 @@ class Weighed:
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
         """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
         functions, start, weights = self._scan._few
-        i, j = np.triu_indices(len(self._scan.quantities), 1)
+        i, j = np.triu_indices(self._scan.drivers, 1)
         squared, scored = functions**2, []
         components = {(one.site, one.name): one for one in self.components}
         for component in self.components:
@@ -551,7 +631,7 @@ class Weighed:
         place = {phrase: k for k, phrase in enumerate(self._scan.phrases)}
         for one in sorted(singles, key=lambda one: -one.net)[:_BESIDE]:
             a = place[one.cause[0]]
-            others = (b for b in range(len(self._scan.quantities)) if b != a and self._scan.may_act(one.site, a, b))
+            others = (b for b in range(self._scan.drivers) if b != a and self._scan.may_act(one.site, a, b))
             found |= {(one.site, one.place, min(a, b), max(a, b)) for b in others}
         return [(components[site, name], a, b) for site, name, a, b in sorted(found)]
 
@@ -561,8 +641,8 @@ class Weighed:
         return self._known[id(component)]
 
     def exact(self, ranked: Ranked) -> Ranked:
-        """A process in autocorrelated noise, where all but spectra are weighed as if they varied slowly."""
-        if not ranked.process or ranked.process[2] == "spectrum" or self._is_exact(ranked.process[0]):
+        """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
+        if not ranked.process or ranked.process[2] in ("spectrum", "wander") or self._is_exact(ranked.process[0]):
             return ranked
         component, which, kernel, rolloff = ranked.process
         return self.of_kernel(component, which, kernel, rolloff, exact=True)

@@ -12,7 +12,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
 from lite6jax.search.scan import Considered, Weighed
-from lite6jax.search.select import Selector
+from lite6jax.search.select import Selector, is_wander
 from lite6jax.search.state import SelectedTerm, State, refitted
 
 _ROUNDS = 3
@@ -31,6 +31,7 @@ class Selection:
         confounded: candidates that are confounded with the nuisance.
         nearest: the likeliest term that was not selected, and the probability that chance alone makes it so likely.
         considered: processes that were among the likeliest at any time.
+        wandering: what read-outs do by themselves, which is nuisance of `problem`.
     """
 
     problem: Problem
@@ -39,6 +40,7 @@ class Selection:
     confounded: tuple[Term, ...] = ()
     nearest: tuple[Term, float] | None = None
     considered: Considered = frozenset()
+    wandering: tuple[SelectedTerm, ...] = ()
 
 
 def search(
@@ -75,8 +77,23 @@ def search(
     if strides[-1] > 1:
         found = at_estimate(_begun(problem, reference, training, options, found), options)
     assert found is not None
-    selection = _confirmed(found, options)
+    selection = _confirmed(_with_wandering_as_noise(found, training, options), options)
     return _reviewed(selection, options) if thorough else selection
+
+
+def _with_wandering_as_noise(selection: Selection, training: Mask, options: EngineOptions) -> Selection:
+    """The selection with what read-outs do by themselves as nuisance: no physics of the arm, which is not predicted."""
+    state = selection.state
+    wandering = tuple(one for one in state.tested if is_wander(one.term))
+    if not wandering:
+        return selection
+    terms = [one.term for one in wandering]
+    physics = [one for one in state.tested if not is_wander(one.term)]
+    few = replace(selection, state=refitted(selection.problem, state, physics, options.rough))
+    problem = selection.problem.with_nuisance(terms)
+    reference = selection.reference.with_nuisance(terms)
+    begun = _begun(problem, reference, training, options, few)
+    return at_estimate(replace(begun, considered=selection.considered, wandering=wandering), options)
 
 
 def _stride(samples: int, most: int) -> int:

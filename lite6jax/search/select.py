@@ -51,20 +51,20 @@ class Selector:
         many processes are significant that each describe a part of it. Terms are then tried in its place.
         Terms of an earlier search are taken over with its decisions between names, noise and processes.
         """
-        state, grown = replace(state, fit=self.in_likeliest_noise(state.fit)), False
+        autocorrelated = replace(state, fit=self.in_likeliest_noise(state.fit))
         if any(one.term not in self._preset for one in state.tested):
-            state = self._settled(self._estimated(state))
+            state = self._settled(self._estimated(autocorrelated))
             asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
             return self.above_noise(self._grown(state, thorough, asked))
-        for _ in range(1 + self.options.exchanges):
-            instead = None if state.fit.noise.white else self._instead_of_noise(state)
-            better = instead is not None and self._odds(instead) > self._odds(state) + self.options.better
-            if grown and not better:
-                break
-            state, grown = self._grown(instead if instead is not None and better else state, thorough, set()), True
-        while (simpler := self._noise_instead(state)) is not None:
-            state = simpler
-        return self.above_noise(state)
+        grown = self._grown(autocorrelated, thorough, set())
+        if not autocorrelated.fit.noise.white:
+            # what moves parts of the arm makes rows autocorrelated too
+            instead = self._grown(state, thorough, set())
+            instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
+            grown = max(grown, instead, key=self._odds)
+        while (simpler := self._noise_instead(grown)) is not None:
+            grown = simpler
+        return self.above_noise(grown)
 
     def _odds(self, state: State) -> float:
         """Log evidence, less what autocorrelated noise has to gain in each group."""
@@ -74,7 +74,7 @@ class Selector:
         """The state with other noise in the place of a process, where that is not clearly less likely; else None."""
         trials = []
         for k, one in enumerate(state.tested):
-            if one.term.nonparametric:
+            if one.term.nonparametric and not is_wander(one.term):
                 trial = self._left_out(state, k)
                 trial = replace(trial, fit=self.in_likeliest_noise(trial.fit))
                 if trial.fit.noise.models != state.fit.noise.models:
@@ -83,15 +83,6 @@ class Selector:
             return None
         likeliest = self._dropped(self._estimated(max(trials, key=self._odds)))
         return likeliest if self._odds(likeliest) > self._odds(state) - self.options.close else None
-
-    def _instead_of_noise(self, state: State) -> State | None:
-        """The state with the terms that are likeliest in white noise, in the noise that is left beside these."""
-        f = state.fit
-        white = fit(self.problem, f.terms, self.options, f.values, f.nuisance, f.training)
-        other = self._with_usual(replace(state, fit=white))
-        if worth := self._next(other, set()):
-            other = self._added(other, worth)
-        return None if other.fit is white else self._dropped(replace(other, fit=self.in_likeliest_noise(other.fit)))
 
     def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
         """With all that is worth adding; names are tried for the processes that are not among those `asked`."""
@@ -112,7 +103,9 @@ class Selector:
     def _with_names(self, state: State, asked: set[tuple[object, ...]]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
-            processes = [(k, one) for k, one in enumerate(state.tested) if one.term.nonparametric]
+            processes = [
+                (k, one) for k, one in enumerate(state.tested) if one.term.nonparametric and not is_wander(one.term)
+            ]
             left = [(k, one) for k, one in processes if self._key_of(one.term) not in asked]
             if not left:
                 return state
@@ -180,7 +173,9 @@ class Selector:
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
-        there = [term for term in model if term.nonparametric and term.site == one.site]
+        if _wanders(one):
+            return not any(is_wander(term) and (term.site, term.component) == (one.site, one.place) for term in model)
+        there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
         if not there or self._continues(one, model):
             return True
         other = one.cause not in map(_phrases, there)
@@ -311,44 +306,21 @@ class Selector:
             state = refitted(self.problem, state, rest, self.options)
 
     def above_noise(self, state: State) -> State:
-        """Without terms that explain less than independent noise at their component.
-
-        Nor a process where first-order autoregressive noise is likelier than all processes at its component together,
-        unless one of its quantities never falls, as the time.
-        """
+        """Without terms that explain less than independent noise at their component."""
         while state.tested:
             marginal = Marginal(self.test(state))
             excess = []
-            for k, one in enumerate(state.tested):
-                component = self._component_of(one.term)
+            for one in state.tested:
+                component = None if is_wander(one.term) else self._component_of(one.term)
                 if component is None:
                     excess.append(-np.inf)
                     continue
                 excess.append(float(marginal.of_noise(component.column).gain) - one.gain)
-                if one.term.nonparametric and not self._follows_order(one.term):
-                    excess[k] = max(excess[k], self._excess_of_persistent_noise(state, k, component))
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break
             state = self._dropped(self._left_out(state, k))
         return state
-
-    def _excess_of_persistent_noise(self, state: State, k: int, component: Component) -> float:
-        """What autoregressive noise at a component explains more than the k-th term and the other processes there."""
-        others = [
-            j
-            for j, other in enumerate(state.tested)
-            if j != k and other.term.nonparametric and self._component_of(other.term) is component
-        ]
-        test = self.test(state).beside([j != k and j not in others for j in range(len(state.tested))])
-        one = self._weighed_as_is(test, state.tested[k]) if others else state.tested[k]
-        together = one.gain + sum(state.tested[j].gain for j in others)
-        return float(Marginal(test).of_persistent_noise(component.column).gain) - together
-
-    def _follows_order(self, process: Term) -> bool:
-        """Whether a quantity of a process never falls from sample to sample, as the time."""
-        _, which = self._process_of(process)
-        return any(bool(np.all(np.diff(self.scan.quantities[k].values) >= 0)) for k in which)
 
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term, weighed = one.term, Weighed(self.scan, test)
@@ -443,6 +415,11 @@ class Selector:
         )
         return None if best is None or best.net < net + self.options.margin else best
 
+    def _likeliest_pair_at(self, test: ScoreTest, site: str, known: set[str]) -> Pair | None:
+        """The likeliest two names of a site, neither of them `known`."""
+        pairs = Weighed(self.scan, test).pairs_at(site)
+        return next((pair for pair in pairs if not any(one.cause[0] in known for one in pair.names)), None)
+
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
 
@@ -462,11 +439,12 @@ class Selector:
     def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
 
-        After each, the same beside a process of one of the two quantities that the process has.
+        After each, the same beside a process of one of the two quantities that the process has, and beside a read-out
+        that wanders.
         """
         process, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
         rows, model = self._rows(process, state), (state.fit.terms, state.fit.values)
-        known = {term.label for term in (*state.refused, *state.fit.terms.terms)}
+        known = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
         component, which = self._process_of(process)
         while len(names) < self.options.names_for_process:
             best = self._likeliest_name(test, state, rows, known)
@@ -476,11 +454,15 @@ class Selector:
             if self._has_number(term := best.make()):
                 pair = self._likeliest_pair(test, term, best.net, known)
             more, net = ((best,), best.net) if pair is None else pair
+            both = self._likeliest_pair_at(test, process.site, known)
+            if both is not None and both.net > net + self.options.margin:
+                more, net = both
             known |= {one.cause[0] for one in more}
             names, gain = [*names, *more], gain + net
             test = test.extend(self.problem.columns([one.make() for one in more], beside=model))
             yield names, gain
-            for less in self._processes(test, component, _either(which)):
+            wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
+            for less in self._processes(test, component, [*_either(which), *wandering]):
                 if less.net >= self.options.margin:
                     yield [*names, less], gain + less.net
 
@@ -605,6 +587,15 @@ def _phrases(term: Term) -> tuple[str, ...]:
 
 def _is_spectrum(term: Term) -> bool:
     return getattr(term, "kernel", "") == "spectrum"
+
+
+def is_wander(term: Term) -> bool:
+    """Whether a term is what a read-out does by itself, which nothing recorded drives."""
+    return getattr(term, "kernel", "") == "wander"
+
+
+def _wanders(ranked: Ranked) -> bool:
+    return bool(ranked.process) and ranked.process[2] == "wander"
 
 
 def _either(which: tuple[int, ...]) -> list[tuple[int, ...]]:

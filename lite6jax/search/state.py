@@ -85,7 +85,8 @@ class State:
     @property
     def evidence(self) -> float:
         """Log evidence in its own noise, less what the choice of its terms costs."""
-        return self.fit.own_likelihood - sum(one.volume + one.cost for one in self.tested)
+        names = sum(one.volume for one in self.tested if not one.term.nonparametric)
+        return self.fit.own_likelihood - self.fit.volume - names - sum(one.cost for one in self.tested)
 
 
 def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], options: EngineOptions) -> State:

@@ -1,37 +1,54 @@
-"""Read-outs that wander: noise of a joint, and processes that resemble it."""
+"""Read-outs that wander by themselves: noise of a joint, which no function of what was recorded explains."""
 
 import numpy as np
 import pytest
 from diagnosis.recorded import OPTIONS, Made, moving_motion
 
-from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.estimation.least_squares import fit
-from lite6jax.estimation.terms import Terms
-from lite6jax.search.select import Selector
-from lite6jax.search.state import SelectedTerm, State, refitted
+from lite6jax.domains.pose.problem import PoseProblem, pose_problem
+from lite6jax.search.search import search
 
 SAMPLES, COEFFICIENT, SIZE = 240, 0.97, 2e-4
 
 
-@pytest.mark.parametrize("seed", [1, 3, 4])
-def test_two_processes_that_describe_a_wandering_read_out_together_do_not_stand(tmp_path, seed):
-    """Each explains more than noise would beside the other: the spectrum of a gear, and a process of loads."""
-    motion, steps = moving_motion(seed, SAMPLES), SIZE * np.random.default_rng(seed).standard_normal(SAMPLES)
-    moved = motion["joint_position"].copy()
+def wandering_problem(tmp_path, seed: int, compliance: float = 0.0) -> PoseProblem:
+    """Poses of an arm whose joint 2 is read out with a first-order autoregression."""
+    motion = moving_motion(seed, SAMPLES)
+    steps = SIZE * np.random.default_rng(seed).standard_normal(SAMPLES)
     for k in range(1, SAMPLES):
         steps[k] = COEFFICIENT * steps[k - 1] + np.sqrt(1 - COEFFICIENT**2) * steps[k]
+    moved = motion["joint_position"].copy()
     moved[:, 1] += steps
     made = Made(tmp_path, seed=1, orientation=False)
-    problem = pose_problem(made.recording(motion, poses=made.poses({**motion, "joint_position": moved})))
-    selector, bare = Selector(problem, OPTIONS), fit(problem, Terms(), OPTIONS)
+    return pose_problem(made.recording(motion, poses=made.poses({**motion, "joint_position": moved})))
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_read_out_that_wanders_is_noise_of_its_joint_and_no_finding(tmp_path, seed):
+    found = search(wandering_problem(tmp_path, seed), OPTIONS)
+    assert found.state.tested == ()
+    assert [one.term.site for one in found.wandering] == ["joint2"]
+    (term,) = (one.term for one in found.wandering)
+    memory = SAMPLES / np.pi / term.rolloff[0]
+    assert 10 < memory < 100  # of 33 samples
+    assert SIZE / 2 < term.spread < 2 * SIZE
+
+
+def test_what_wanders_is_nuisance_with_the_variance_of_an_autoregression(tmp_path):
+    problem = wandering_problem(tmp_path, 1)
     component = next(one for one in problem.components if one.site == "joint2")
-    quantities = {one.driver.phrase: one for one in problem.quantities}
-    loads = [quantities["gravity torque of joint 3"], quantities["velocity of joint 6"]]
-    terms = (
-        problem.process(component, loads, "rough*rough", 1e-4),
-        problem.process(component, [quantities["position of joint 2"]], "spectrum", 1e-4, (8.0, 2.0)),
-    )
-    state = refitted(problem, State(bare, bare), [SelectedTerm(term, cost=12.0) for term in terms], OPTIONS)
-    state = selector.weighed(state)
-    assert min(one.net for one in state.tested) > OPTIONS.margin
-    assert selector.above_noise(state).tested == ()
+    order = next(one for one in problem.quantities if one.driver.is_order)
+    term = problem.process(component, [order], "wander", SIZE, (10.0, 2.0))
+    functions = problem.deflections.basis(term)
+    covariance = functions.T @ functions
+    lag = np.abs(np.subtract.outer(np.arange(SAMPLES), np.arange(SAMPLES)))
+    inside = slice(SAMPLES // 5, -SAMPLES // 5)
+    expected = np.exp(-lag * 10 * np.pi / SAMPLES)[inside, inside]
+    assert covariance[inside, inside] == pytest.approx(expected, abs=0.12)
+    with_noise = problem.with_nuisance([term])
+    columns = with_noise.nuisance_columns(*problem.preset)[len(problem.unknown) - len(problem.masses) :][: term.size]
+    assert columns == pytest.approx(problem.columns([term]), rel=1e-12, abs=1e-300)
+    # its residuals move as its columns say
+    number = with_noise.unknown.index(("wander", 0, 3))
+    nuisance = 1e-6 * np.eye(len(with_noise.unknown))[number]
+    moved = with_noise.residual(nuisance, *problem.preset) - with_noise.residual(0 * nuisance, *problem.preset)
+    assert moved == pytest.approx(1e-6 * columns[3], rel=1e-3, abs=1e-9)

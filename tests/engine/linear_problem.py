@@ -124,6 +124,7 @@ class Driver:
     is_angle = is_remembered = property(lambda self: self.phrase == "angle")
     place = 0
     discrete = False
+    is_order = False
     turns = ""
 
 

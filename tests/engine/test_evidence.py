@@ -9,7 +9,6 @@ from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
 from lite6jax.effects.kinematic import JointOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.evidence import Marginal, bound, of_process
-from lite6jax.estimation.noise import coefficients
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
@@ -171,24 +170,6 @@ def test_a_site_that_moves_by_a_number_of_its_own_in_each_sample_is_noise_along_
     assert found.gain == pytest.approx(gain, abs=0.05)
 
 
-def test_noise_that_persists_is_an_autoregression_along_the_direction_of_its_component(beside):
-    problem, y, Q, test = beside
-    column = next(one.column for one in problem.components if one.site == "joint3") / test.scale[0]
-    found = Marginal(test).of_persistent_noise(column * test.scale[0])
-    left = np.append(Q @ (Q.T @ y), np.full(4, 1 / test.scale[0]))
-    lag = np.abs(np.subtract.outer(np.arange(problem.samples), np.arange(problem.samples)))
-    same_run = np.equal.outer(np.asarray(problem.run), np.asarray(problem.run))
-    rows, gains = np.zeros((len(left), problem.samples)), []
-    for k in range(problem.samples):
-        rows[np.arange(problem.rows) * problem.samples + k, k] = column[:, k]
-    bare = Q.shape[1] + 4
-    for coefficient in coefficients(problem.samples):
-        C = np.eye(len(left)) + found.variance * rows @ (coefficient**lag * same_run) @ rows.T
-        S = left @ left, left @ np.linalg.solve(C, left)
-        gains.append(-0.5 * bare * np.log(S[1] / S[0]) - 0.5 * np.linalg.slogdet(C)[1])
-    assert found.gain == pytest.approx(max(gains), abs=0.05)
-
-
 def test_a_name_beside_a_process_is_scored_in_the_covariance_that_the_process_has(beside):
     problem, _, _, _ = beside
     q = problem.motion.joint_position
@@ -224,3 +205,52 @@ def test_the_volume_of_a_name_is_what_a_fit_of_all_its_numbers_gains_beyond_its_
     likelihood = -0.5 * freedom * np.log(1 - explained / left)
     assert found.gain + found.volume == pytest.approx(likelihood, rel=1e-3)
     assert found.volume > 20  # of a bump of sin 3q
+
+
+def test_what_is_left_beside_large_processes_counts_their_priors(beside):
+    """yᵀ C⁻¹ y outside the nuisance, C with the processes: terms beside them explain no more than that."""
+    problem, _, _, _ = beside
+    q = problem.motion.joint_position
+    processes = tuple(
+        Unnamed(
+            f"joint{j}", f"position of joint {j}", float(q[j - 1].min()), float(q[j - 1].max()), "smooth", spread=2e-5
+        )
+        for j in (2, 3)
+    )
+    fitted = fitted_to(problem, Terms(processes))
+    test = score_test(problem, fitted, OPTIONS)
+    model = fitted.terms, fitted.values
+    N = problem.nuisance_columns(*model).reshape(len(problem.unknown), -1).T / test.scale[0]
+    F = problem.columns(processes, beside=model).reshape(fitted.terms.size, -1).T / test.scale[0]
+    y = problem.residual(fitted.nuisance, *model).ravel() / test.scale[0] - F @ fitted.values
+    Q = np.linalg.svd(N, full_matrices=True)[0][:, N.shape[1] :]
+    spread = 2e-5 * test.scale[0] / fitted.scale[0]  # priors are weighed in the noise that was fitted
+    C = np.eye(Q.shape[1]) + spread**2 * (Q.T @ F) @ (Q.T @ F).T
+    column = next(one.column for one in problem.components if one.site == "joint3")
+    known = Marginal(test).sums(column).left - (Q.T @ y) @ np.linalg.solve(C, Q.T @ y)
+    without = score_test(problem, fitted_to(problem), OPTIONS)
+    declared = Marginal(without).sums(column).left - np.sum(without.left**2)  # what the declared noise counts
+    assert known == pytest.approx(declared * (without.scale[0] / test.scale[0]) ** 2, rel=0.02)
+    assert fitted.penalty > 5  # else this would not tell
+
+
+def test_the_volume_of_processes_is_that_of_all_together(beside):
+    """½ ln det of the precision of all coefficients beside the nuisance, over that of their priors."""
+    problem, _, _, _ = beside
+    q = problem.motion.joint_position
+    same = [
+        Unnamed("joint3", "position of joint 3", float(q[2].min()), float(q[2].max()), kernel, spread=2e-4)
+        for kernel in ("smooth", "medium")
+    ]
+    volumes = []
+    for processes in (same[:1], same[1:], same):
+        fitted = fitted_to(problem, Terms(tuple(processes)))
+        weight = np.sqrt(fitted.residuals.row_weight).ravel()
+        model = fitted.terms, fitted.values
+        N = problem.nuisance_columns(*model).reshape(len(problem.unknown), -1).T * weight[:, None]
+        F = problem.columns(processes, beside=model).reshape(fitted.terms.size, -1).T * weight[:, None]
+        Q = np.linalg.svd(N, full_matrices=True)[0][:, N.shape[1] :]
+        expected = 0.5 * np.linalg.slogdet(np.eye(F.shape[1]) + 2e-4**2 * (Q.T @ F).T @ (Q.T @ F))[1]
+        volumes.append(fitted.volume)
+        assert fitted.volume == pytest.approx(expected, rel=0.02)
+    assert volumes[1] < volumes[2] < 0.9 * (volumes[0] + volumes[1])  # they share much of what they can do

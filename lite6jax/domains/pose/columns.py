@@ -350,6 +350,7 @@ def _drivers(motion: Motion) -> Iterator[tuple[Driver, frozenset[str], str]]:
         yield Driver(quantity), frozenset({""}), ""
     for quantity in _SIGHT:
         yield Driver(quantity), frozenset({"sensor"}), "sensor"
+    yield Driver("order of recording"), frozenset(f"joint{j + 1}" for j in np.flatnonzero(~slides)), ""
 
 
 def site_of(where: str, component: str) -> Site:

@@ -31,7 +31,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect, Loading
 from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
-from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
+from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted, thin
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
@@ -61,7 +61,7 @@ class PoseProblem(RigidArm):
 
     Of a `RigidArm` it has all attributes: the recording, as screened, has a pose in every row. Further unknowns stand
     after the sensor's own: what encoders do once a turn; displacements after frame jumps, what is left of them in the
-    recording; and errors of masses. Their `offset` leads to their values in the linearisation.
+    recording; how read-outs wander; and errors of masses. Their `offset` leads to their values in the linearisation.
 
     Attributes:
         motion: of the whole recording, as declared.
@@ -73,6 +73,7 @@ class PoseProblem(RigidArm):
             offset interpolates between neighbouring rows.
         units: unit deflections and bases that depend on the motion alone, shared between linearisations.
         after: `(jump, sample)` bool, the samples after each frame jump.
+        wandering: read-outs of joints that wander by themselves, as processes of the order of recording.
     """
 
     motion: Motion
@@ -83,6 +84,7 @@ class PoseProblem(RigidArm):
     clock_offset: float = 0.0
     thinned_from: tuple[Motion, NDArray[np.integer]] | None = None
     units: dict[Hashable, Any] = field(default_factory=dict)
+    wandering: tuple[Unnamed, ...] = ()
 
     @property
     def frames(self) -> tuple[Site, ...]:
@@ -180,6 +182,9 @@ class PoseProblem(RigidArm):
                 found.append(own[j][None])
             elif name == "wave":
                 found.append((self.sites["joint", j, 0] * self._waves[k][j])[None])
+            elif name == "wander":
+                joint = _joint_of(self.wandering[j])
+                found.append((self.sites["joint", joint, 0] * self.deflections.basis(self.wandering[j])[k])[None])
             else:
                 found.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
         return np.concatenate(found)
@@ -295,7 +300,7 @@ class PoseProblem(RigidArm):
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
-        still = not nuisance.any() and not self.once_per_turn(nuisance).any()
+        still = not nuisance.any() and not self.joint_errors(nuisance).any()
         if not terms.terms and still and not self.clock_offset and not self._moved(nuisance):
             return whitened(self.measured.differences(self.rigid.tool), self.measured.whitener)
         motion, deflection = self._deflection(nuisance, terms, values)
@@ -316,6 +321,32 @@ class PoseProblem(RigidArm):
             if name == "wave":
                 found[j, k] = value
         return found
+
+    def joint_errors(self, nuisance: Array) -> Array:
+        """What the nuisance `(unknown,)` adds to the joints' positions, `(joint, sample)` rad."""
+        errors = np.einsum("jk,kjs->js", self.once_per_turn(nuisance), self._waves)
+        total = self.offset + nuisance
+        for number, effect in enumerate(self.wandering):
+            own = [name == "wander" and which == number for name, which, _ in self.unknown]
+            errors[_joint_of(effect)] += total[own] @ self.deflections.basis(effect)
+        return errors
+
+    def with_nuisance(self, terms: Sequence[Term]) -> "PoseProblem":
+        """The same with read-outs that wander as unknowns, under their priors, and no longer as terms."""
+        effects = tuple(term for term in terms if isinstance(term, Unnamed))
+        sites: tuple[Site, ...] = tuple(
+            ("wander", number, k) for number, effect in enumerate(effects) for k in range(effect.size)
+        )
+        at = len(self.unknown) - len(self.masses)
+        known = np.concatenate([np.zeros(0), *(np.full(effect.size, effect.spread or 1.0) for effect in effects)])
+        return replace(
+            self,
+            unknown=(*self.unknown[:at], *sites, *self.unknown[at:]),
+            precision=np.insert(self.precision, np.full(len(sites), at), known**-2.0),
+            offset=np.insert(self.offset, np.full(len(sites), at), 0.0),
+            informative=np.insert(self.informative, np.full(len(sites), at), True),
+            wandering=effects,
+        )
 
     @cached_property
     def _waves(self) -> Array:
@@ -339,8 +370,11 @@ class PoseProblem(RigidArm):
         return [(number.lower, number.upper) for number in term.coordinates]
 
     def thinned(self, every: int) -> "PoseProblem":
-        """One in `every` rows."""
-        return self if every == 1 else self.select(np.arange(self.samples)[::every])
+        """One in `every` rows, in the runs that they belong to."""
+        if every == 1:
+            return self
+        few = self.select(np.arange(self.samples)[::every])
+        return replace(few, motion=thin(self.motion, every))
 
     def alternative(self, terms: Terms) -> "PoseProblem | None":
         """As `with_other_loads`; None also where none of the terms depends on loads."""
@@ -389,9 +423,9 @@ class PoseProblem(RigidArm):
         for (name, j, k), value in self._moved(nuisance).items():
             place = name.removeprefix("moved ")
             shifts[place] = shifts[place] + np.outer(np.arange(6) == k, self.after[j] * value)
-        waves = self.once_per_turn(nuisance)
-        if waves.any():
-            shifts["joint"] = np.einsum("jk,kjs->js", waves, self._waves)
+        errors = self.joint_errors(nuisance)
+        if errors.any():
+            shifts["joint"] = errors
         return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
 
     def _moved(self, nuisance: Array) -> dict[Site, float]:
@@ -491,6 +525,11 @@ def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> t
     if settings.payload_uncertainty_kg:
         found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
     return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])
+
+
+def _joint_of(effect: Unnamed) -> int:
+    """The joint of an effect at one, counted from 0."""
+    return int(effect.where.removeprefix("joint")) - 1
 
 
 def _order(term: Term) -> float | None:
