@@ -88,7 +88,7 @@ class Explanation:
         """Log-likelihood in the noise that is left, less the description length of physics, noise model and faults."""
         fit = self.selection.state.fit
         model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
-        return float(self.selection.state.evidence - model - self.price)
+        return float(self.selection.evidence - model - self.price)
 
     @property
     def final_decisions(self) -> Decisions:

@@ -32,6 +32,7 @@ class Selection:
         nearest: the likeliest term that was not selected, and the probability that chance alone makes it so likely.
         considered: processes that were among the likeliest at any time.
         wandering: what read-outs do by themselves, which is nuisance of `problem`.
+        cost_of_wandering: what their priors and their choice cost in log evidence.
     """
 
     problem: Problem
@@ -41,6 +42,12 @@ class Selection:
     nearest: tuple[Term, float] | None = None
     considered: Considered = frozenset()
     wandering: tuple[SelectedTerm, ...] = ()
+    cost_of_wandering: float = 0.0
+
+    @property
+    def evidence(self) -> float:
+        """Log evidence of the terms and of the read-outs that wander, less what their choice costs."""
+        return self.state.evidence - self.cost_of_wandering
 
 
 def search(
@@ -93,7 +100,8 @@ def _with_wandering_as_noise(selection: Selection, training: Mask, options: Engi
     problem = selection.problem.with_nuisance(terms)
     reference = selection.reference.with_nuisance(terms)
     begun = _begun(problem, reference, training, options, few)
-    return at_estimate(replace(begun, considered=selection.considered, wandering=wandering), options)
+    begun = replace(begun, considered=selection.considered, wandering=wandering)
+    return at_estimate(replace(begun, cost_of_wandering=begun.state.evidence - state.evidence), options)
 
 
 def _stride(samples: int, most: int) -> int:
