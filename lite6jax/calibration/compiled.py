@@ -7,6 +7,7 @@ import hashlib
 import os
 import sys
 import warnings
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -48,6 +49,16 @@ def keep_compiled_code() -> None:
             loaded.config.update(name, value)
         else:  # JAX reads it when it is first imported, which takes half a second that some commands do not need
             os.environ[name.upper()] = str(value)
+
+
+def kept_folder() -> Path | None:
+    """The folder of `keep_compiled_code` where JAX keeps compiled code there; None where it is another, or none."""
+    loaded = sys.modules.get("jax")
+    with suppress(RuntimeError):  # an account without a home
+        folder = cache_folder()
+        if loaded is not None and loaded.config.jax_compilation_cache_dir == str(folder):
+            return folder
+    return None
 
 
 def cache_folder() -> Path:

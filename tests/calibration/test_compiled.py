@@ -1,12 +1,17 @@
-"""Compiled functions are kept in folders of their owner only."""
+"""Compiled functions are kept in folders of their owner only; those that are kept are neither traced nor compiled."""
 
 import os
 import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import jax
+import numpy as np
 import pytest
+
+from lite6jax.calibration import executables
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,3 +36,63 @@ def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp
     kept = tmp_path / "lite6jax"
     assert done.stdout == f"{kept / 'jax'}\n"
     assert [stat.S_IMODE((kept / name).stat().st_mode) for name in (".", "jax")] == [0o700] * 2
+
+
+# ------------------------------------------------------------------ executables
+
+traced = []
+
+
+class Pair(NamedTuple):
+    """A result with names."""
+
+    total: Any
+    scaled: Any
+
+
+def scale_sum(factor, values, more):
+    """Of a module, as functions are whose executables are kept."""
+    traced.append(factor)
+    return Pair(values["a"].sum() + more, factor * values["a"])
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(executables, "kept_folder", lambda: tmp_path)
+    traced.clear()
+    return tmp_path
+
+
+def test_an_executable_is_kept_and_another_process_traces_nothing(kept):
+    values = {"a": np.arange(4.0)}
+    for trial in range(2):
+        # a new object knows what a new process knows
+        result = executables.KeptJit(scale_sum, 1)(3, values, 2)
+        assert isinstance(result, Pair)
+        assert float(result.total) == 8.0
+        np.testing.assert_array_equal(result.scaled, 3 * values["a"])
+        assert (traced, len(list(kept.iterdir()))) == ([3], 1), trial
+    executables.KeptJit(scale_sum, 1)(4, values, 2)
+    executables.KeptJit(scale_sum, 1)(3, {"a": np.arange(5.0)}, 2)
+    assert traced == [3, 4, 3]
+
+
+def test_a_damaged_executable_is_made_anew(kept):
+    values = {"a": np.arange(4.0)}
+    executables.KeptJit(scale_sum, 1)(3, values, 2)
+    (file,) = kept.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert float(executables.KeptJit(scale_sum, 1)(3, values, 2).total) == 8.0
+    assert traced == [3, 3]
+    assert executables.KeptJit(scale_sum, 1)(3, values, 2).total == 8.0
+    assert traced == [3, 3]
+
+
+def test_nothing_is_kept_within_a_transformation_or_without_a_folder(kept, monkeypatch):
+    keeping = executables.KeptJit(scale_sum, 1)
+    slope = jax.grad(lambda a: keeping(3, {"a": a}, 2).total)(np.arange(4.0))
+    np.testing.assert_array_equal(slope, np.ones(4))
+    monkeypatch.setattr(executables, "kept_folder", lambda: None)
+    assert float(keeping(3, {"a": np.arange(4.0)}, 2).total) == 8.0
+    assert list(kept.iterdir()) == []
