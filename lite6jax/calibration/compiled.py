@@ -30,7 +30,7 @@ def keep_compiled_code() -> None:
     except RuntimeError:  # an account without a home
         return
     loaded, own = sys.modules.get("jax"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    # JAX_COMPILATION_CACHE_DIR, or a program that calls `main`; a process that this one starts has what is set here
+    # JAX_COMPILATION_CACHE_DIR, or a folder of the program's; a process that this one starts has what is set here
     if (own if loaded is None else loaded.config.jax_compilation_cache_dir) not in (None, "", str(folder)):
         return
     try:
@@ -56,7 +56,9 @@ def kept_folder() -> Path | None:
     loaded = sys.modules.get("jax")
     with suppress(RuntimeError):  # an account without a home
         folder = cache_folder()
-        if loaded is not None and loaded.config.jax_compilation_cache_dir == str(folder):
+        if loaded is None or not loaded.config.jax_enable_compilation_cache:
+            return None
+        if loaded.config.jax_compilation_cache_dir == str(folder):
             return folder
     return None
 

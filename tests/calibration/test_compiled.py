@@ -38,6 +38,22 @@ def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp
     assert [stat.S_IMODE((kept / name).stat().st_mode) for name in (".", "jax")] == [0o700] * 2
 
 
+@pytest.mark.parametrize("own", ["", "own"])
+def test_a_python_program_keeps_compiled_code_unless_it_has_a_folder_of_its_own(tmp_path, own):
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    environment |= {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / own)} if own else {}
+    code = (
+        "import sys, lite6jax; light = 'jax' not in sys.modules; lite6jax.read_factory; import jax;"
+        "from lite6jax.calibration.compiled import kept_folder;"
+        "print(light, jax.config.jax_compilation_cache_dir, kept_folder())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.stderr == ""
+    folder = tmp_path / (own or "lite6jax/jax")
+    assert done.stdout == f"True {folder} {None if own else folder}\n"
+
+
 # ------------------------------------------------------------------ executables
 
 traced = []
