@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jax.experimental import serialize_executable
 
 from lite6jax.calibration.compiled import kept_folder, versions
@@ -42,7 +43,7 @@ class KeptJit:
         """The function's value. Within another transformation, and where nothing is kept, that of `jax.jit`."""
         folder = kept_folder()
         leaves, tree = jax.tree.flatten(given[self.static :])
-        if folder is None or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if folder is None or any(isinstance(leaf, Tracer) for leaf in leaves):
             return self._jitted(*given)
         arrays = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
         shapes = tuple((array.shape, array.dtype.name) for array in arrays)
