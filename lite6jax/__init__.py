@@ -143,8 +143,20 @@ def __getattr__(name: str) -> object:
 
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    _keep_compiled_code()
     value = globals()[name] = getattr(import_module(_MODULES[name]), name)
     return value
+
+
+def _keep_compiled_code() -> None:
+    """Keeps what is compiled between processes from the first public name on, as commands do.
+
+    A program that has a folder of its own (`jax_compilation_cache_dir`) keeps it, and one that says
+    `jax_enable_compilation_cache=False` keeps nothing.
+    """
+    from lite6jax.calibration import compiled
+
+    compiled.keep_compiled_code()
 
 
 def __dir__() -> list[str]:

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from lite6jax.arms.description import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.simulation import draw_calibration
+
 ROOT = Path(__file__).resolve().parents[1]
 
 RECORDING = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n" + "0.1,0.2,0.3,0.4,0.5,0.6\n" * 12
@@ -95,3 +99,39 @@ print(poses.plan_poses.__name__)
         "lite6jax.design",
         "plan_poses",
     ]
+
+
+# ------------------------------------------------------------------ what a command that computes imports
+
+ENGINE = (
+    *("lite6jax.search", "lite6jax.domains", "lite6jax.diagnosis", "lite6jax.sensors.points", "lite6jax.estimation"),
+    *("scipy.signal", "scipy.stats", "scipy.spatial", "scipy.optimize", "optimistix", "matplotlib", "equinox"),
+)
+"""What diagnoses, and the parts of libraries that take long: a command that fits a calibration needs none of them."""
+LIGHT = ("lite6jax.estimation", "lite6jax.estimation.robust")
+"""Of them, what is a few functions of NumPy."""
+
+
+@pytest.mark.parametrize(
+    ("command", "most"),
+    [(["fit", "arm.yaml", "--out", "model.json"], 80), (["convert", "arm.yaml", "arm.urdf"], 65)],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_command_that_does_not_diagnose_imports_no_engine(tmp_path, command, most):
+    write_factory(draw_calibration(load_bundled("lite6"), 4), tmp_path / "arm.yaml")
+    code = """
+import contextlib, io, os, sys
+from lite6jax.cli import program
+os.chdir(sys.argv[1])
+with contextlib.redirect_stdout(io.StringIO()):
+    code = program.main(sys.argv[2:])
+print(code)
+executed = (name for name, module in sys.modules.items() if type(module).__name__ != "_LazyModule")
+print(*executed, sep="\\n")
+"""
+    code, *executed = in_a_new_process(code, str(tmp_path), *command)
+    assert code == "0"
+    found = [name for name in executed if name.startswith(ENGINE) and name not in LIGHT]
+    assert found == []
+    # a module more is a reason to look at what it imports
+    assert sum(name.startswith("lite6jax") for name in executed) <= most

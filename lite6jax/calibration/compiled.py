@@ -7,6 +7,7 @@ import hashlib
 import os
 import sys
 import warnings
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -29,7 +30,7 @@ def keep_compiled_code() -> None:
     except RuntimeError:  # an account without a home
         return
     loaded, own = sys.modules.get("jax"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    # JAX_COMPILATION_CACHE_DIR, or a program that calls `main`; a process that this one starts has what is set here
+    # JAX_COMPILATION_CACHE_DIR, or a folder of the program's; a process that this one starts has what is set here
     if (own if loaded is None else loaded.config.jax_compilation_cache_dir) not in (None, "", str(folder)):
         return
     try:
@@ -48,6 +49,18 @@ def keep_compiled_code() -> None:
             loaded.config.update(name, value)
         else:  # JAX reads it when it is first imported, which takes half a second that some commands do not need
             os.environ[name.upper()] = str(value)
+
+
+def kept_folder() -> Path | None:
+    """The folder of `keep_compiled_code` where JAX keeps compiled code there; None where it is another, or none."""
+    loaded = sys.modules.get("jax")
+    with suppress(RuntimeError):  # an account without a home
+        folder = cache_folder()
+        if loaded is None or not loaded.config.jax_enable_compilation_cache:
+            return None
+        if loaded.config.jax_compilation_cache_dir == str(folder):
+            return folder
+    return None
 
 
 def cache_folder() -> Path:

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, final
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import write_table
 from lite6jax.arms.factory import FactoryCalibration, hayati_of
+from lite6jax.calibration.executables import KeptJit
 from lite6jax.calibration.quality import ROUNDING, Quality, Result, quality_of_calibration, quality_of_poses
 from lite6jax.calibration.residual import pad, padded_size
 from lite6jax.estimation.robust import DOWNWEIGHTED
@@ -72,7 +72,7 @@ over 2 mm or 0.3°, a tenth of the prior's, and no less than real arms are off n
 
 _AT_ONCE = 24_000
 """Samples, whose predicted poses take 3 MB."""
-_predict_poses = jax.jit(predict, static_argnums=0)
+_predict_poses = KeptJit(predict, 1)
 
 
 def prediction_errors(

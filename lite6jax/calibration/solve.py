@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lite6jax import threads
 from lite6jax.calibration.compiled import SINGLE_THREADED
+from lite6jax.calibration.executables import KeptJit
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED, Result
 from lite6jax.calibration.residual import (
     Observations,
@@ -385,7 +386,8 @@ def solve(
     leaves = [problem.joint_position, problem.pose, weight]
     leaves += [problem.whitener] if problem.whitener.ndim > 1 else []
     data = [pad(leaf, 0, size) for leaf in leaves]
-    observed = _observe(form, *data[:3], data[3] if len(data) > 3 else problem.whitener, block)
+    whitener = data[3] if len(data) > 3 else problem.whitener
+    observed = _observe(form, block, *data[:3], whitener)
 
     def measure(model: ArmModel) -> Numbers:
         """`(sample,)`, squared whitened residuals."""
@@ -440,23 +442,19 @@ def invert(H: Numbers) -> Numbers:
             return np.full_like(H, np.nan)
 
 
-_observe = jax.jit(observe, static_argnums=(0, 5))
-
-
 def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, known: Known) -> Solved:
     """Of one arm, without the axis of arms."""
     first, seen = jax.tree.map(lambda leaf: leaf[None], (start, observed))
     return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, seen, max_steps, known))
 
 
-_solve_one, _solve_one_of_few = (
-    jax.jit(_solve_arm, static_argnums=0, compiler_options=SINGLE_THREADED | options)
-    for options in ({}, {"xla_backend_optimization_level": 0})
-)
+def _observe_blocks(
+    form: ModelForm, block: int, joint_position: Array, pose: Array, weight: Array, whitener: Array
+) -> Observations:
+    return observe(form, joint_position, pose, weight, whitener, block)
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
-def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
+def _squares_of_rows(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
     """`(block, sample)`, squared whitened residuals, zero of a sample of weight zero."""
 
     def of_block(block: Observations) -> Array:
@@ -464,6 +462,12 @@ def _squares(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
         return jnp.where(block.weight > 0, jnp.sum(rows**2, 0), 0.0)
 
     return lax.map(of_block, observed)
+
+
+_observe = KeptJit(_observe_blocks, 2)
+_squares = KeptJit(_squares_of_rows, 1, **SINGLE_THREADED)
+_solve_one = KeptJit(_solve_arm, 1, **SINGLE_THREADED)
+_solve_one_of_few = KeptJit(_solve_arm, 1, **SINGLE_THREADED, xla_backend_optimization_level=0)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -7,8 +7,8 @@ from itertools import permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -61,7 +61,7 @@ def measured_rotations(recording: "Recording") -> Array | None:
     """The measured orientations `(sample, 3, 3)` of a recording, whose quaternions may have any norm; None without."""
     if recording.quaternion is None:
         return None
-    return Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
 
 
 def declared_tool(recording: "Recording") -> Array:
@@ -189,7 +189,7 @@ def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: A
     spins = np.cross(np.eye(3), turned[:, None]).swapaxes(1, 2)
     columns = np.concatenate([spins, T_frame[:3, :3] @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
     step = _solve(columns, position - turned - T_frame[:3, 3], weight)[:3]
-    return Rotation.from_rotvec(step).as_matrix() @ T_frame[:3, :3]
+    return scipy.spatial.transform.Rotation.from_rotvec(step).as_matrix() @ T_frame[:3, :3]
 
 
 def _registration(points: Array, position: Array, weight: Array) -> Array:

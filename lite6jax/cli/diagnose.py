@@ -35,10 +35,10 @@ with import_lazily():
     from lite6jax.fleet import diagnoses, folder, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
+        compensations,
         diagnosis_figures,
         documents,
         figures,
-        fits,
         listings,
         pages,
         ranking,
@@ -444,17 +444,17 @@ class Predict:
         if model.reference is not None:
             screen.show([statements.model_statement(*model.reference)])
         if registered is not None:
-            screen.show(fits.registration_report(registered))
-        elif of_poses and (said_frame := fits.frame_of_stations(document)):
+            screen.show(compensations.registration_report(registered))
+        elif of_poses and (said_frame := compensations.frame_of_stations(document)):
             print(said_frame)
         screen.show(screen.notes(recording.notes))
         if empty := int(found.empty.sum()):
             why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"
             print(f"{empty} rows are empty: there, {why} of the motion.")
         if found.outside is None:
-            print(f"{self.diagnosis}: {fits.NO_BARS}", file=sys.stderr)
+            print(f"{self.diagnosis}: {compensations.NO_BARS}", file=sys.stderr)
         else:
-            print(fits.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
+            print(compensations.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
         for line in said:
             print(line)
         screen.written([path])
@@ -536,7 +536,7 @@ class Compensate:
             )
         targets = compensate.read_pose_targets(self.targets, model, command.parse_pairs("--column", self.column))
         found = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
-        table = fits.compensation_columns(found)
+        table = compensations.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
@@ -545,9 +545,9 @@ class Compensate:
             written = [
                 write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
             ]
-        if beyond := fits.outside_warning(found, model):
+        if beyond := compensations.outside_warning(found, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
-        page = fits.compensation_report(found, model, str(self.targets), self.frame)
+        page = compensations.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)

@@ -21,7 +21,7 @@ with import_lazily():
     from lite6jax.domains.pose import check as pose_check
     from lite6jax.domains.pose import fit as pose_fit
     from lite6jax.fleet import folder
-    from lite6jax.report import documents, faults, figures, fits, listings, screen
+    from lite6jax.report import connected, documents, faults, figures, fits, listings, screen
 
 
 @final
@@ -145,7 +145,7 @@ class Fit:
         report.append(fits.solution_report(found, found.recording))
         agrees = {}
         if verification:
-            report.append(fits.verification_report(verification, title))
+            report.append(connected.verification_report(verification, title))
             agrees = {"controller_agrees": bool(verification.passed)}
 
         def draw():

@@ -27,7 +27,7 @@ with import_lazily():
     from lite6jax.arms import factory, files
     from lite6jax.controller import connection, recorder, station
     from lite6jax.effects import catalogue, composition, dynamic, serialization
-    from lite6jax.report import fits, screen
+    from lite6jax.report import connected, screen
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -70,7 +70,7 @@ class Read:
         read = station.read_calibration(connection.parse_address(self.ip), arm, self.timeout)
         if self.out:
             written.append(factory.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
-        return command.present(self.json, read, fits.calibration_report(read), written)
+        return command.present(self.json, read, connected.calibration_report(read), written)
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ class Record:
                 with screen.progress(poses.samples, "requesting") as advance:
                     found = recorder.record_poses(address, self.out, given, poses, advance=advance, **options)
             else:
-                with fits.recording_progress() as show:
+                with connected.recording_progress() as show:
                     found = recorder.record(address, self.out, given, seconds=self.seconds, show=show, **options)
-        screen.show(fits.recorded_report(found))
+        screen.show(connected.recorded_report(found))
         screen.written(found.written)
         if found.refusal:
             raise InputError(found.refusal)

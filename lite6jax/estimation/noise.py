@@ -11,8 +11,8 @@ from itertools import pairwise, product
 from typing import final
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import half_inverse
@@ -56,7 +56,9 @@ class Autocorrelation:
         ahead = ((self.share - 1) * self.coefficient / theta if theta else 1.0) - 1
         for begin, end in pairwise([*starts, rows.shape[-1]]):
             before = rows[..., begin : begin + 1] * (ahead / sigma)
-            run = lfilter([1 / sigma, -self.coefficient / sigma], [1.0, theta], rows[..., begin:end], zi=before)
+            run = scipy.signal.lfilter(
+                [1 / sigma, -self.coefficient / sigma], [1.0, theta], rows[..., begin:end], zi=before
+            )
             out[..., begin:end] = run[0]
         out[..., first] = rows[..., first]
         return out

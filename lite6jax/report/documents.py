@@ -29,7 +29,7 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.fleet.folder import ERRORS, columns
 from lite6jax.fleet.folder import STATISTICS as OF_FILES
-from lite6jax.report.fits import reason_text
+from lite6jax.report.compensations import reason_text
 from lite6jax.report.words import STATISTICS
 
 

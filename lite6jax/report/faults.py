@@ -93,6 +93,11 @@ def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
 # ------------------------------------------------------------------ how texts are filled
 
 
+def quality_statement(quality: Mapping[str, Any]) -> str | None:
+    """Why a model does not describe the poses it was fitted to, and what to check; None where it does."""
+    return fill(_TEXTS["quality"], quality) if quality["verdict"] == "bad" else None
+
+
 def _fill(text: str, numbers: Mapping[str, Any], **more: object) -> str:
     return fill(text, {**_HELPERS, **numbers}, **more)
 

@@ -1,45 +1,30 @@
-"""What a terminal shows of fits, comparisons, predictions and connected arms: in mm and degrees, for 60 columns."""
+"""What a terminal shows of fits and comparisons: in mm and degrees, for 60 columns."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
 from lite6jax.calibration.quality import ABOVE_NOISE
 from lite6jax.calibration.solution import Result, Solution
-from lite6jax.calibration.start import calibration_poses, check_positions
-from lite6jax.controller.recorder import LiveRecording
-from lite6jax.controller.rows import Rows
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
-from lite6jax.controller.station import CalibrationRead
-from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
-from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
-from lite6jax.domains.pose.registration import Registration
 from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.faults import fault_statement
-from lite6jax.report.statements import quality_statement
+from lite6jax.report.faults import fault_statement, quality_statement
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,
     STATISTICS,
     fill,
     fixed,
-    joint_units,
     listing,
     number,
     plus_minus,
@@ -47,6 +32,9 @@ from lite6jax.report.words import (
     row_ranges,
     say,
 )
+
+if TYPE_CHECKING:
+    from lite6jax.calibration.fleet import Comparison  # a fit compares no arms
 
 _TEXTS = read_texts("screens.yaml")
 _MOST_PAIRS = 8
@@ -264,7 +252,7 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
 # ------------------------------------------------------------------ comparisons
 
 
-def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
+def comparison_report(comparison: "Comparison", width: int) -> Iterator[RenderableType]:
     """A comparison of arms of one model; the differences of each are listed where they fit beside each other."""
     names, form = comparison.names, comparison.arm.form
     arms = len(names)
@@ -301,259 +289,3 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         distance = comparison.between[pairs]
         ends = {"near": int(np.argmin(distance)), "far": int(np.argmax(distance))}
         yield fill(_TEXTS["comparison"]["pairs"], {"distance": distance, "pairs": np.transpose(pairs) + 1, **ends})
-
-
-# ------------------------------------------------------------------ predictions and compensations
-
-
-_SAID = _TEXTS["compensation"]
-NO_BARS = (
-    "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
-    "diagnose` again"
-)
-_SHOWN = 0.05
-"""deg or mm, that a joint is beyond its recorded range at least to be named."""
-_ROWS_NAMED = 8
-
-
-def compensation_columns(found: Compensation) -> dict[str, NDArray]:
-    """Column name to values: a motion for `predict`, and for each target whether it is reached, its error and why."""
-    columns: dict[str, NDArray] = dict(found.recording.columns())
-    columns["ok"] = found.reached.astype(int)
-    columns["position_error_mm"] = 1e3 * found.position_error
-    if found.orientation_error is not None:
-        columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
-    columns |= deviation_columns(found)
-    sliding = found.recording.sliding
-    columns["reason"] = np.array([reason_text(reason, sliding) for reason in found.reason], object)
-    return columns
-
-
-def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
-    """A phrase; empty where there is nothing to report."""
-    if reason is None:
-        return ""
-    scales, units = joint_units(sliding, max(reason.joints, default=0))
-    pairs = zip(reason.joints, reason.angles, strict=True)
-    return fill(
-        _SAID["reasons"][reason.code],
-        {"shown": [(j, scales[j - 1] * at, units[j - 1]) for j, at in pairs]},
-    )
-
-
-def compensation_report(
-    found: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
-) -> Iterator[RenderableType]:
-    """What a terminal shows of a compensation: which targets are reached, why others are not, and how accurately."""
-    hit = int(found.reached.sum())
-    facts = {"found": found, "model": model, "frame": frame, "hit": hit, "missed": len(found.reached) - hit}
-    yield screen.unbroken(source)
-    yield from (fill(_SAID["targets"], facts), "", fill(_SAID["reached"], facts))
-    texts = np.array([reason_text(reason, model.sliding) for reason in found.reason], object)
-    yield from _groups(found, texts, ~found.reached)
-    if texts[found.reached].any():
-        yield "Reached, but to be noted:"
-        yield from _groups(found, texts, found.reached)
-    if found.correction is not None and hit:
-        scales, units = joint_units(model.sliding, model.dof)
-        moved, named = scales * np.abs(found.correction[found.reached]), ", ".join(dict.fromkeys(units))
-        rows = ((name, *map(fixed, of(moved, axis=0))) for name, of in (("median", np.median), ("max", np.max)))
-        yield ""
-        # rather wrap the name than cut numbers short
-        joints = (f"q{joint}" for joint in range(1, model.dof + 1))
-        yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
-    yield from screen.notes([*found.notes, *([fill(_SAID["omitted"], facts)] if found.omitted else [])])
-    if found.position_std is None or found.outside is None:
-        yield from screen.notes([NO_BARS])
-    else:
-        yield outside_sentence(int(found.outside.sum()), len(found.outside), "target")
-        std = found.position_std[found.reached]
-        yield from say(
-            _SAID["deviations"],
-            facts,
-            rms=np.sqrt(np.mean(std**2)) if hit else 0,
-            most=std.max(initial=0),
-        )
-    if model.heldout_rms is not None:
-        before, after = model.heldout_rms
-        yield from ("", fill(_SAID["expected"], {"before": before, "after": after}))
-
-
-def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
-    """A line per reason, with the rows and the largest error."""
-    reasons = Counter(text for text in texts[chosen] if text)
-    for reason, _ in reasons.most_common(_ROWS_NAMED):
-        rows = np.flatnonzero(chosen & (texts == reason))
-        named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
-        more = ", …" if len(rows) > _ROWS_NAMED else ""
-        yield screen.indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
-    if rest := reasons.total() - sum(n for _, n in reasons.most_common(_ROWS_NAMED)):
-        yield screen.indented(f"and {rest} more, which are in the file")
-
-
-def _missed(found: Compensation, rows: NDArray) -> str:
-    """The largest error; rows without a target have none."""
-    largest, errors = [], (found.position_error, found.orientation_error)
-    for each, (scale, unit), least in zip(errors, SCREEN.values(), REACHED, strict=True):
-        most = 0.0 if each is None else float(np.nan_to_num(each[rows]).max())
-        if most > least:
-            largest.append(f"{number(scale * most)} {unit}")
-    return f", with errors up to {' and '.join(largest)}" if largest else ""
-
-
-def outside_sentence(outside: int, rows: int, noun: str) -> str:
-    """How many rows are outside what was recorded; `noun` is what a row is called."""
-    return fill(_SAID["outside"], {"outside": outside, "rows": rows, "noun": noun})
-
-
-def frame_of_stations(document: Mapping[str, Any]) -> str:
-    """In which of several stations' frames a diagnosed model predicts; empty where there is one frame."""
-    if "stations" not in document.get("nuisance", {}):
-        return ""
-    files = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
-    first = files[0] if files else "the first recording"
-    others = ", ".join(files[1:]) or "another"
-    return (
-        f"Poses are in the sensor's frame of {first}; with --register they are in that of the motion's own poses, such "
-        f"as those of {others}."
-    )
-
-
-def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
-    """Which targets leave the recorded range, and by how much; empty where none does."""
-    if found.outside is None or model.uncertainty is None or not found.outside.any():
-        return ""
-    lower, upper = model.uncertainty.recorded.joints.T
-    q = found.joint_position[found.outside]
-    scales, units = joint_units(model.sliding, model.dof)
-    beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
-    joints = [
-        f"joint {joint} by up to {excess:.3g} {unit}"
-        for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
-        if excess > _SHOWN
-    ]
-    return fill(_SAID["beyond"], {"rows": found.recording.row[found.outside].tolist(), "joints": joints})
-
-
-def registration_report(found: Registration) -> Iterator[RenderableType]:
-    """The frames that were fitted, and the remaining errors."""
-    turned = None if found.turned is None else np.sqrt(np.mean(np.sum(found.turned[found.kept] ** 2, 1)))
-    facts = {"found": found, "turned": turned, "outliers": int(np.sum(~found.kept))}
-    yield from say(_SAID["registered"], facts)
-    table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
-    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
-        row = frames.row_from_transform(T) * np.repeat([scale for scale, _ in SCREEN.values()], 3)
-        table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
-    yield table
-    yield from say(_SAID["undetermined"], facts)
-
-
-# ------------------------------------------------------------------ connected arms
-
-
-_COMMANDS = (
-    "lite6jax design lite6 --poses 200 --out poses.csv",
-    "lite6jax record --ip {} --poses poses.csv --out fk.csv",
-    "lite6jax diagnose fk.csv --out diagnosis.json",
-    "lite6jax fit fk.csv --geometry free",
-)
-"""Which find out why a controller computes otherwise; the address goes into them."""
-
-
-def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
-    """The calibration, and its distance from nominal."""
-    calibration, arm = read.calibration, read.calibration.arm
-    q = check_positions(arm)
-    nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
-    distance = np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)
-    yield from say(_TEXTS["calibration"], {"read": read, "arm": arm, "distance": distance})
-    yield from ("", "Six parameters (mm, deg); below each number its difference from nominal")
-    console = screen.console()
-    unbounded = console.options.update(max_width=1000)
-    tables = [_six_parameters(calibration, digits) for digits in (4, 3, 2)]
-    fits = (table for table in tables if console.measure(table, options=unbounded).maximum <= console.width)
-    yield next(fits, tables[-1])
-
-
-def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
-    table = listing("joint", *SIX)
-    scale = np.array([1e3, 1e3, 1e3, *[180 / np.pi] * 3])
-    for i, (row, nominal) in enumerate(zip(calibration.kinematics, calibration.arm.kinematics, strict=True)):
-        turned = row - nominal
-        turned[3:] = (turned[3:] + np.pi) % (2 * np.pi) - np.pi  # -180° and 180° are one angle
-        pairs = zip(scale * row, scale * turned, strict=True)
-        cells = (f"{fixed(value, digits)}\n{fixed(change, digits, '+')}" for value, change in pairs)
-        table.add_row(f"J{i + 1}", *cells)
-    return table
-
-
-def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
-    """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
-    texts = _TEXTS["verification"]
-    facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}
-    yield fill(texts["head"], facts)
-    table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
-    for name, position, orientation in (
-        ("joints as sent (32 bits)", verification.position, verification.orientation),
-        ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
-    ):
-        for values, (scale, unit) in zip((position, orientation), SCREEN.values(), strict=True):
-            digits = 6 if scale * values.max() < 1 else 4
-            cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
-            table.add_row(name if unit == "mm" else "", unit, *cells)
-    yield table
-    yield fill(texts["tool"], facts)
-    yield from screen.notes(say(texts["notes"], facts))
-    yield fill(texts["verdict"], facts)
-    if not verification.passed:
-        yield fill(texts["cause"], facts)
-        if verification.hidden_tool is None and verification.other_chain is None:
-            yield from (screen.unbroken(f"  {command}".format(where)) for command in _COMMANDS)
-
-
-def _offset(offset: NDArray) -> str:
-    x, y, z = (fixed(float(v), 3) for v in offset[:3])
-    roll, pitch, yaw = (fixed(float(np.degrees(v)), 3) for v in offset[3:])
-    return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
-
-
-@contextmanager
-def recording_progress() -> Iterator[Callable[[Rows, str], None]]:
-    """The progress of a recording on stderr, from what the yielded function is called with."""
-    reached = ["no row yet"]
-
-    def show(rows: Rows, trouble: str) -> None:
-        line = f"{rows.time:8.1f} s  {rows.count} rows  {rows.rate:.1f} Hz"
-        line += f"  run {rows.run}" if rows.run else ""
-        line += f"  {rows.missing} missing" if rows.missing else ""
-        reached[0] = f"{line}  {trouble or '(stop with Ctrl-C)'}"
-
-    with screen.repeated(lambda: reached[0]):
-        yield show
-
-
-def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
-    """The rows, gaps, sources of the columns and notes of a recording."""
-    computed = recorded.settings.joint_source == "commanded"
-    yield from say(_TEXTS["recorded"], {"r": recorded, "computed": computed, "moved": recorded.rows and not computed})
-    if recorded.rows:
-        yield _sources(recorded)
-    yield from screen.notes(recorded.notes)
-
-
-def _sources(recorded: LiveRecording) -> Table:
-    """The sources of the columns, with neighbouring columns of the same source in one row."""
-    grouped: list[tuple[list[str], str]] = []
-    for name, source in recorded.sources.items():
-        if grouped and grouped[-1][1] == source and _kind(grouped[-1][0][0]) == _kind(name):
-            grouped[-1][0].append(name)
-        else:
-            grouped.append(([name], source))
-    rows = ((names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source) for names, source in grouped)
-    return listing("columns", "source", rows=rows, left=[1], wrapped=[1])
-
-
-def _kind(name: str) -> str:
-    return (
-        "pose" if name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") else name.rstrip("0123456789_radNmCsegp/")[:2]
-    )

@@ -33,11 +33,11 @@ from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
-from lite6jax.report import diagnosis_figures, figures, fits, ranking, statements, study
+from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study
+from lite6jax.report.compensations import compensation_columns, outside_sentence, registration_report
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
-from lite6jax.report.fits import compensation_columns, outside_sentence, registration_report
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.words import (
     SCREEN,
@@ -113,7 +113,7 @@ def _solution(found: Solution) -> Description:
         found.notes,
         data="calibration" if found.noise is None else "recording",
         noise=found.noise,
-        quality=statements.quality_statement(found.quality.to_dict()),
+        quality=faults.quality_statement(found.quality.to_dict()),
         held=[each.name for each in found.held],
         unsure=[found.form.names[k] for k in np.flatnonzero(found.free & ~found.determined)],
     )

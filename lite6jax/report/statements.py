@@ -16,7 +16,7 @@ from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
-from lite6jax.report.faults import fault_statement, ruled_out_statements
+from lite6jax.report.faults import fault_statement, quality_statement, ruled_out_statements
 from lite6jax.report.ranking import fill_about, units
 from lite6jax.report.remedies import (
     component,
@@ -143,11 +143,6 @@ def cautions(document: Document) -> list[str]:
             given |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
         lines.append(fill(_TEXTS["withdrawn"], given))
     return lines
-
-
-def quality_statement(quality: Entry) -> str | None:
-    """Why a model does not describe the poses it was fitted to, and what to check; None where it does."""
-    return fill(_TEXTS["quality"], quality) if quality["verdict"] == "bad" else None
 
 
 # ------------------------------------------------------------------ errors and noise

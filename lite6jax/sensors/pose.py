@@ -10,8 +10,8 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components, transform
 from lite6jax.sensors.sensor import OwnNumber, Sensor
@@ -165,7 +165,7 @@ def _rotation_vector(R: Array) -> Array:
     vector = sines * np.where(sine > 0, np.arctan2(sine, cosine) / np.maximum(sine, np.finfo(float).tiny), 1.0)
     half = cosine < -0.9
     if half.any():
-        vector[:, half] = Rotation.from_matrix(np.moveaxis(R[..., half], -1, 0)).as_rotvec().T
+        vector[:, half] = scipy.spatial.transform.Rotation.from_matrix(np.moveaxis(R[..., half], -1, 0)).as_rotvec().T
     return vector
 
 

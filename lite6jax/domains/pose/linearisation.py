@@ -132,7 +132,7 @@ def search_load_model(
     other_problem, other_reference = _other(problem, reference)
     again = search(other_problem, options, training, other_reference, thorough, among)
     state = replace(selection.state, fit=other)
-    if gain > options.close or again.state.evidence > state.evidence:
+    if gain > options.close or again.evidence > replace(selection, state=state).evidence:
         return again
     assert isinstance(selection.problem, PoseProblem)
     assert isinstance(selection.reference, PoseProblem)

@@ -18,7 +18,7 @@ from lite6jax.domains.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
-from lite6jax.report.fits import compensation_report, reason_text
+from lite6jax.report.compensations import compensation_report, reason_text
 from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 40

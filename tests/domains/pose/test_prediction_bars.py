@@ -29,7 +29,7 @@ from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording, read_recording, write_recording
-from lite6jax.report.fits import NO_BARS
+from lite6jax.report.compensations import NO_BARS
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 SITES = tuple((name, j, k) for name, j in (("base", 0), ("link", 2), ("tool", 0)) for k in range(6))

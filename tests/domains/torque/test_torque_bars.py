@@ -27,7 +27,7 @@ from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording, write_recording
-from lite6jax.report.fits import NO_BARS
+from lite6jax.report.compensations import NO_BARS
 
 FRICTION = (
     hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
