@@ -108,6 +108,11 @@ DRIVERS = {
     "temperature rise": ("ΔT", "of the arm above `reference_temperature_degC`", _TEMPERATURES),
     "temperature": ("ΔT", "of the joint above it", _TEMPERATURES),
     "time": ("t", "since the recording began", "`time_s`"),
+    "order of recording": (
+        "k",
+        "from 0 at the first row to 1 at the last: a read-out may wander along it by itself, which no other driver is",
+        "the rows in their order",
+    ),
     "payload": ("m", "the mass at the flange", "`payload_kg`"),
     **{f"measured position {axis}": (axis, f"where the sensor shows the tool, along its {axis}", _MEASURED)
        for axis in "xyz"},

@@ -79,7 +79,7 @@ class Measured(Sensor):
         """`moved`; nothing is compiled."""
         twists = numbers[len(self.at) :].reshape(-1, 6)
         T = np.tile(np.eye(4), (len(twists), 1, 1))
-        T[:, :3, :3] = Rotation.from_rotvec(twists[:, 3:]).as_matrix()
+        T[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(twists[:, 3:]).as_matrix()
         T[:, :3, 3] = twists[:, :3]
         return self._displaced(numbers, T)
 
