@@ -22,7 +22,7 @@ from lite6jax.calibration.solution import Errors, Noise, Place, Solution
 from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
-from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
+from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import wrong_type
@@ -135,7 +135,8 @@ def fit_recording(
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, geometry, options)
     if recording.touches is not None:
-        return fit_touches(screened.rigid_arm)
+        begun = rigid_arm(screened.recording, screened.arm, geometry)
+        return replace(fit_touches(begun), faults=screened.found)
     require_determined(screened.rigid_arm)
     screened = replace(screened, rigid=None)  # whose residuals take as much memory as the recording
     solution = plain.fit_recording(
