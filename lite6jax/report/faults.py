@@ -61,6 +61,11 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     return said
 
 
+def is_granted(fault: DataFault) -> bool:
+    """Whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
+    return fault.code == "arm_deviation" and fault.numbers.get("reason") == "granted"
+
+
 def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause of an error, with a mark before those to be removed first."""
     yield unbroken(str(path))

@@ -136,13 +136,13 @@ def fit_recording(
     screened = screen(recording, nominal, geometry, options)
     if recording.touches is not None:
         begun = rigid_arm(screened.recording, screened.arm, geometry)
-        return replace(fit_touches(begun), faults=screened.found)
+        return replace(fit_touches(begun), faults=screened.found, ruled_out=screened.ruled_out)
     require_determined(screened.rigid_arm)
     screened = replace(screened, rigid=None)  # whose residuals take as much memory as the recording
     solution = plain.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )
-    return replace(solution, faults=screened.found)
+    return replace(solution, faults=screened.found, ruled_out=screened.ruled_out)
 
 
 def fit_touches(begun: RigidArm) -> Solution:

@@ -79,7 +79,6 @@ class ScreeningOptions:
     fewest_pieces: int = option(4, "fewest pieces of a curve beside the moves", "fewer are in the harmonics")
     most_pieces: int = option(16, "pieces of a curve at most", "finer ones only take time")
     # check
-    calibration_reach: float = option(0.03, "share of the reach that calibration explains", "real arms are below 0.015")
     mostly_explained: float = option(0.8, "share of the squared error at which a cause is likely", "set on real arms")
     partly_explained: float = option(0.3, "share of the squared error at which it is possible", "set on real arms")
     as_noise_ratio: float = option(2.0, "error over the declared noise up to which it is noise", "set on real arms")
