@@ -112,8 +112,13 @@ def correct_mismatch(state: Screened) -> Screened:
 
 
 def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
-    """A hypothesis with its zeros and its scale as the arm's own prior and all rows have them."""
-    of_values = [change for change in hypothesis if change.code in ("joint_turns", "sensor_scale")]
+    """A hypothesis with its scale and its zeros, but for quarter turns, as the arm's own prior and all rows have them."""
+    quarters = np.pi / 2 * np.arange(-4, 5)
+    of_values = [
+        change
+        for change in hypothesis
+        if change.code == "sensor_scale" or (change.code == "joint_turns" and change.value not in quarters)
+    ]
     deviation = _deviation(state, fitted)
     weighed = deviation.weighed(of_values)
     for change in of_values:
