@@ -112,7 +112,7 @@ def correct_mismatch(state: Screened) -> Screened:
 
 
 def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
-    """A hypothesis with its scale and its zeros, but for quarter turns, as the arm's own prior and all rows have them."""
+    """A hypothesis with its scale and its zeros, but for quarter turns, as all rows have them beside its prior."""
     quarters = np.pi / 2 * np.arange(-4, 5)
     of_values = [
         change
