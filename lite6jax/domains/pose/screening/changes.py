@@ -158,6 +158,13 @@ def with_zeros(recording: Recording) -> list[int]:
     return [i for i in range(int(first), recording.dof - int(last)) if i not in recording.sliding]
 
 
+def is_estimated(change: Change) -> bool:
+    """Whether the value of a change is any number: a scale, or a zero that is off by no quarter turns."""
+    if change.code == "sensor_scale":
+        return True
+    return change.code == "joint_turns" and float(change.value) not in np.pi / 2 * np.arange(-4, 5)
+
+
 def rounded_to_quarters(angle: float) -> float:
     """An angle in rad, or the quarter turns that it is but for what a calibration corrects."""
     quarters = float(np.round(angle / (np.pi / 2)) * np.pi / 2)

@@ -33,6 +33,7 @@ from lite6jax.domains.pose.screening.changes import (
     compatible,
     contains,
     differ_by_turns,
+    is_estimated,
     joined,
     listed,
     rounded_to_quarters,
@@ -113,17 +114,14 @@ def correct_mismatch(state: Screened) -> Screened:
 
 def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
     """A hypothesis with its scale and its zeros, but for quarter turns, as all rows have them beside its prior."""
-    quarters = np.pi / 2 * np.arange(-4, 5)
-    of_values = [
-        change
-        for change in hypothesis
-        if change.code == "sensor_scale" or (change.code == "joint_turns" and change.value not in quarters)
-    ]
+    of_values = [change for change in hypothesis if is_estimated(change)]
     deviation = _deviation(state, fitted)
     weighed = deviation.weighed(of_values)
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
-    return hypothesis
+    least = np.log(state.options.least_scale)
+    unscaled = tuple(c for c in hypothesis if c.code != "sensor_scale" or abs(np.log(float(c.value))) > least)
+    return unscaled or hypothesis
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
@@ -200,7 +198,9 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
             break
     least = min(best.values(), default=np.inf)
     worth = max(options.unfitted_ratio * allowed, options.fitted_ratio * least)
-    ranked = sorted((h for h in best if best[h] <= worth), key=lambda h: (best[h], simplicity(h)))
+    # a number of any size reduces some error of any arm: `explain_deviation` judges what explains a part of it
+    near = (h for h in best if best[h] <= (options.unfitted_ratio * allowed if any(map(is_estimated, h)) else worth))
+    ranked = sorted(near, key=lambda h: (best[h], simplicity(h)))
     return ranked[: options.pairs_first]
 
 
@@ -213,7 +213,8 @@ def _scales(few: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
         return median_error(_free_frames(few, change.undone(few.recording)))
 
     most = float(np.log(options.largest_scale))
-    log_scale = float(minimize_scalar(error, bounds=(-most, most), method="bounded").x)
+    nearest: Any = minimize_scalar(error, bounds=(-most, most), method="bounded")
+    log_scale = float(nearest.x)
     grossly = abs(log_scale) > np.log(options.least_scale)
     return [(Change("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
 
