@@ -31,9 +31,10 @@ NOISES = (
 )
 FAULTS = (
     *("outliers", "outliers beside an effect", "repeated_rows", "time_order", "swapped_joints", "mirrored_joint"),
-    *("nominal_table", "frame_jump", "unsettled_readouts"),
-    "placeholder",
+    *("nominal_table", "frame_jump", "unsettled_readouts", "sensor_scale", "joint_turns", "placeholder"),
 )
+TAKEN_UP = ("sensor_scale", "joint_turns")
+"""Faults that a chain takes up where it is fitted."""
 ARMS = ("lite6", "seven", "six")
 SENSORS = {
     "tracker": (2e-5, None, "laser_tracker"),
@@ -116,6 +117,8 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         geometry = "known"
     if fault in ("swapped_joints", "mirrored_joint"):
         geometry = rng.choice(["known", "uncertain"])
+    if fault in TAKEN_UP:
+        geometry = "unknown"
     if fault == "nominal_table":
         arm, geometry = "lite6", rng.choice(["known", "unknown"])
     if sensor == "controller":

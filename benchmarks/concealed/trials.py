@@ -287,10 +287,16 @@ def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, 
         first = int(rng.integers(rows // 3, 2 * rows // 3))
         position[first:] += rng.normal(0, 20 * noise[0], 3)
         used[first:] = False
+    elif plan.fault == "joint_turns":
+        # neither the first nor the last, whose zeros an unknown frame and tool take up
+        lost = np.deg2rad(rng.uniform(3, 30)) * rng.choice([-1.0, 1.0])
+        q[:, int(rng.integers(1, dof - 1))] -= lost
     elif plan.fault == "unsettled_readouts":
         # the encoder is read while this share of the move is still to come
         q[1:] -= 1e-3 * np.diff(motion.q, axis=0)
-    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    # of a marker that is smaller or larger than declared
+    read = position * (rng.uniform(1.03, 1.25) ** rng.choice([-1.0, 1.0]) if plan.fault == "sensor_scale" else 1.0)
+    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), read.T, strict=True))
     said: dict[str, Any] = {"pose_source": noise[2], "position_noise_m": noise[0]}
     said["payload_com_m"] = list(PAYLOAD_CENTER)
     if noise[1]:

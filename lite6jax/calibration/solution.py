@@ -170,6 +170,7 @@ class Solution(PublicResult):
         notes: assumptions of the fit, each one sentence.
         recording: the recording that was fitted; None for a calibration.
         faults: of its data, in the order in which they were corrected.
+        ruled_out: faults that were tested for and are not there.
         places: what touches determine of their points, planes, anchors or axis.
     """
 
@@ -190,6 +191,7 @@ class Solution(PublicResult):
     notes: tuple[str, ...] = field(default=())
     recording: Recording | None = None
     faults: tuple[DataFault, ...] = ()
+    ruled_out: tuple[DataFault, ...] = ()
     places: tuple[Place, ...] = ()
 
     @property

@@ -30,6 +30,8 @@ class DataFault:
         coupled_joint           joint, added_joint, factor (±1), and those of a mismatch
         inverted_poses          those of a mismatch
         mirrored_sensor         axes (reversed, such as "z", or exchanged, such as "xy"), and those of a mismatch
+        sensor_scale            factor, by which positions are too large; of a board declared_m and square_m; and the
+                                same
         declared_frame          translation_m and rotation_rad of the base in it, and those of a mismatch
         declared_tool           translation_m on the flange, and those of a mismatch
         (mismatch)              of the last of several: median_error_m, corrected_error_m, and alternatives, lists of
@@ -37,7 +39,11 @@ class DataFault:
         undecided               those of a mismatch; nothing was corrected
         other_arm               declared, arm, median_error_m, corrected_error_m
         unexplained             median_error_m, fitted_error_m, best_alternative_m
-        computed_pose           median_error_m, chain ("nominal" or "factory")
+        arm_deviation           distance_m of the fitted arm from the nominal one, factor: times what is granted,
+                                granted_m, granted_rad; of the furthest frame its number, axis, largest_m or
+                                largest_rad, and largest_share of what is granted
+        computed_orientation    error_rad, chain as below, position_error_m
+        computed_pose           median_error_m, chain ("nominal", "factory" or "fitted")
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
         unsettled_readouts      shape ("move", "velocity" or "constant"), joints, all_joints, rest (a share, s
@@ -81,7 +87,9 @@ class DataFault:
         commanded_joints        reason: "declared" or "not_round" (share, grid_rad, grid_unit)
         (mismatch)              median_error_m, suspected_above_m, one_point, best_alternative_m (where others were
                                 tried)
-        computed_pose           reason: "declared" or "measured"
+        arm_deviation           reason: "known", or "granted" with the numbers above
+        computed_orientation    reason: "declared", "positions" (both are computed) or "measured" (error_rad)
+        computed_pose           reason: "declared" or "measured" (median_error_m, of a fitted table)
         joint_turns             outside_limits_rad: 0 where all are inside
         frame_jump              reason: "chance", "gradual", "too_few_rows" or "physics" (candidate_rows,
                                 log_likelihood_gap, rival_terms); samples, p_value

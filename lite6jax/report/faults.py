@@ -61,6 +61,11 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     return said
 
 
+def is_granted(fault: DataFault) -> bool:
+    """Whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
+    return fault.code == "arm_deviation" and fault.numbers.get("reason") == "granted"
+
+
 def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause of an error, with a mark before those to be removed first."""
     yield unbroken(str(path))
@@ -149,6 +154,36 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if 0.99 < share < 0.9995 else f"{100 * share:.0f} %"
 
 
+_UNITS = {"inches and millimetres": 25.4, "inches and metres": 39.37, "feet and metres": 3.2808}
+_POWERS = {"millimetres and centimetres": 10.0, "centimetres and metres": 100.0, "millimetres and metres": 1000.0}
+
+
+def _unit_ratio(factor: float) -> str:
+    """The two units that differ by a factor or its inverse; none where it is no such factor."""
+    ratio = max(factor, 1 / factor)
+    near = (units for units, size in (_UNITS | _POWERS).items() if abs(ratio / size - 1) < 0.01)
+    return next(near, "")
+
+
+def _deviation(distance: float, factor: float, granted: float, granted_rad: float) -> str:
+    """How far a fitted arm is from the nominal one, beside what factories grant."""
+    beside = "within" if factor <= 1 else f"{factor:g} times"
+    return (
+        f"The fitted arm is {milli(distance)} mm from the nominal one (median of the recorded poses), {beside} what is "
+        f"granted ({milli(granted)} mm and {np.rad2deg(granted_rad):.2g} deg)."
+    )
+
+
+@pass_context
+def _furthest(context: Context) -> str:
+    """The frame that is furthest from where the table has it, beside what is granted."""
+    numbers = context.get_all()
+    where = "the base" if numbers["frame"] == 0 else f"the frame after joint {numbers['frame']}"
+    if "largest_m" in numbers:
+        return f"{where}, by {milli(numbers['largest_m'])} mm along its {numbers['axis']}"
+    return f"{where}, by {np.rad2deg(numbers['largest_rad']):.2g} deg about its {numbers['axis']}"
+
+
 @pass_context
 def _tables(context: Context) -> str:
     """How well each of two nominal tables fits."""
@@ -171,6 +206,15 @@ _HELPERS: Mapping[str, Any] = {
     "frame": _frame,
     "mark": _mark,
     "table_name": _table_name,
+    "table_of": {
+        "nominal": "the nominal table",
+        "factory": "the calibration file",
+        "fitted": "a table that was fitted to them",
+    }.__getitem__,
+    "unit_ratio": _unit_ratio,
+    "ratio": lambda factor: f"{max(factor, 1 / factor):.4g}",
+    "deviation": _deviation,
+    "furthest": _furthest,
     "distances": lambda tables: "; ".join(
         f"{_table_name(t['table'])} {milli(t['rms_m'])} mm RMS, {milli(t['largest_m'])} mm at most" for t in tables
     ),

@@ -18,7 +18,7 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.faults import fault_statement, quality_statement
+from lite6jax.report.faults import fault_statement, is_granted, quality_statement, ruled_out_statements
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,
@@ -231,6 +231,7 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
     for fault in solution.faults:
         rows = f" Rows {row_ranges(fault.rows)}." if fault.rows else ""
         yield f"Data fault: {fault_statement(fault)}{rows}"
+    yield from ruled_out_statements(fault for fault in solution.ruled_out if is_granted(fault))
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in solution.held:
         groups.setdefault(each.carried_by, []).append(each.name)

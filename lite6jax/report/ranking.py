@@ -27,6 +27,8 @@ _SHARE = 0.1
 """Share of the error of positions, or orientations, from which a finding matters there."""
 _NEARLY = 0.05
 """Family-wise p-value below which an effect that is no finding is said to be nearly significant."""
+_SAID_ONLY = ("outliers", "computed_pose", "arm_deviation")
+"""Faults of the data that are said and not corrected."""
 
 
 # ------------------------------------------------------------------ what a document is of
@@ -52,6 +54,7 @@ def fill_about(text: str, document: Document, **more: object) -> str:
         "sensor": "sensors'" if torques else "sensor's",
         "times": 0.0 if torques else max(ratio or 0.0 for ratio in document["left"]["over_noise"].values()),
         # no sensor measured the poses: the controller computed them from the joints
+        "corrected": bool(corrected_faults(document)),
         "computed": not torques and (of_controller or document.get("source") == "controller_fk"),
         "size_declared": bool(next(iter(declared.values()))),
         "undeclared": " and ".join(missing),
@@ -149,6 +152,11 @@ def _main(document: Document, finding: Entry) -> Measure:
 # ------------------------------------------------------------------ the first sentence
 
 
+def corrected_faults(document: Document) -> list[Entry]:
+    """The faults of the data that were corrected: nothing corrects what is no more than said."""
+    return [fault for fault in document["data_faults"] if fault["fault"] not in _SAID_ONLY]
+
+
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
     findings, torques, texts = detailed(document), is_of_torques(document), read_texts("diagnosis.yaml")
@@ -169,7 +177,7 @@ def headline(document: Document) -> str:
         )
     sizes = (measure.size_of(document["before"][measure.error]) for measure in measures_of(document))
     said = fill_about(texts["nothing_found"], document, error=f"{' and '.join(sizes)} RMS")
-    faults = [fault for fault in document["data_faults"] if fault["fault"] not in ("outliers", "computed_pose")]
+    faults = corrected_faults(document)
     if not faults:
         return capital(said)
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))

@@ -17,7 +17,7 @@ from rich.text import Text
 from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
-from lite6jax.report.faults import fault_name, ruled_out_statements
+from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import by_site
 from lite6jax.report.screen import indented, unbroken
@@ -88,6 +88,7 @@ def sections_of(
             [
                 ("table", statements.error_rows(document)),
                 *_texts(*statements.say_about(document, "held_out", "noise", "assumptions")),
+                *_texts(*_distance_from_table(document)),
                 *drawn("error_by_joint", "over_time"),
             ],
         ),
@@ -136,6 +137,12 @@ def _comparison(document: Document) -> Iterator[Block]:
         said = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
         yield "bullets", said
         yield "text", comparison["statement"]
+
+
+def _distance_from_table(document: Document) -> list[str]:
+    """How far the fitted arm is from the nominal one; of a known chain nothing."""
+    ruled_out = (DataFault(each["fault"], (), each["numbers"]) for each in document["ruled_out"])
+    return ruled_out_statements(fault for fault in ruled_out if is_granted(fault))
 
 
 def _faults(document: Document, details: bool) -> Iterator[Block]:

@@ -128,9 +128,8 @@ def check_recording(
         causes.append(Cause("joint_limits", True, row_numbers(outside.rows), numbers))
     # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
     if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
-        tool = _recorded_tool_offset(recording, arm, options)
-        likely = any(cause.numbers["likely"] for cause in tool)
-        causes += [*tool, *_geometry_and_outliers(recording, arm, options, likely)]
+        causes += _recorded_tool_offset(recording, arm, options)
+        causes += _geometry_and_outliers(recording, arm, options)
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
 
@@ -161,7 +160,7 @@ def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOpt
     return Cause("tool_offset", share >= options.partly_explained, (), numbers)
 
 
-def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions, tool_offset: bool) -> list[Cause]:
+def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
     """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
     touches = recording.touches is not None
     geometry = "prior" if recording.settings.factory_calibration else "free"  # where that alone has a known length
@@ -183,7 +182,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     elif share < options.mostly_explained:
         kind = "partly" if share >= options.partly_explained else "other"
     else:
-        kind = "too_far" if not tool_offset and before > options.calibration_reach * arm.reach else "geometry"
+        kind = "geometry"
     numbers = {
         "kind": kind,
         "explained": share,
@@ -191,7 +190,7 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
         "heldout_rms_m": after,
         "start": "factory_calibration" if recording.settings.factory_calibration else "nominal_arm",
     }
-    geometry = Cause("geometry", kind in ("partly", "other", "too_far"), (), numbers)
+    geometry = Cause("geometry", kind in ("partly", "other"), (), numbers)
     outlying = np.flatnonzero(solution.outlying)
     if not outlying.size:
         return [geometry, Cause("outliers", False)]

@@ -22,7 +22,7 @@ from lite6jax.calibration.solution import Errors, Noise, Place, Solution
 from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
-from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined
+from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import rename_argument, wrong_type
@@ -138,13 +138,14 @@ def fit_recording(
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, geometry, options)
     if recording.touches is not None:
-        return replace(fit_touches(screened.rigid_arm), faults=screened.found)
+        begun = rigid_arm(screened.recording, screened.arm, geometry)
+        return replace(fit_touches(begun), faults=screened.found, ruled_out=screened.ruled_out)
     require_determined(screened.rigid_arm)
     screened = replace(screened, rigid=None)  # whose residuals take as much memory as the recording
     solution = plain.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )
-    return replace(solution, faults=screened.found)
+    return replace(solution, faults=screened.found, ruled_out=screened.ruled_out)
 
 
 def fit_touches(begun: RigidArm) -> Solution:

@@ -150,9 +150,18 @@ def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
         joint: `(sample, joint)` rad, and m of prismatic joints.
     """
     spread = median_distance(position)
-    turn = max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint))))
-    step = float(np.hypot(digit_step(position), turn * spread * joint.shape[1] ** 0.5))
+    step = float(np.hypot(digit_step(position), angle_step(joint) * spread * joint.shape[1] ** 0.5))
     return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
+
+
+def is_below_sensors(error: float, position: Array) -> bool:
+    """Whether a fitted table is nearer to positions `(sample, 3)` m than any sensor measures an arm."""
+    return median_distance(position) > LEAST_TRAVEL_M and error <= COMPUTED_M
+
+
+def angle_step(joint: Array) -> float:
+    """The place of the last digit of joints `(sample, joint)` in rad, as they were written in rad or in degrees."""
+    return float(max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint)))))
 
 
 def digit_step(values: Array) -> float:

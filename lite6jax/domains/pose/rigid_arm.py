@@ -18,7 +18,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
-from lite6jax.calibration.start import calibration_poses, declared_tool, frames_from_poses
+from lite6jax.calibration.start import declared_tool, frames_from_poses
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -46,8 +46,10 @@ Array = NDArray[np.floating]
 
 UNDECLARED_TOUCH = 1e-4
 """m, one sigma of readings whose noise is not declared."""
-_TOOL_M = 0.15
-"""Along each axis of the flange, where the tool's point is sought, beside its origin."""
+_TOOLS = 0.15 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+"""m, where the tool's point is sought on the flange."""
+_ROUGH_STEPS = 5
+"""Of a fit that only tells whether a chain can be the right one."""
 
 
 class NuisanceProblem:
@@ -360,12 +362,7 @@ def rigid_arm(
         sensor = touch_sensor(recording, noise[0])
         if not given.calibrated:
             _require_scale(recording, sensor)
-        tool = None if form.tool else declared_tool(recording)
-        if form.frame:
-            assert isinstance(sensor, Contact)  # all of whose points are known in the sensor's frame
-            flange = calibration_poses(given.known, recording.joint_position)
-            T_frame, tool = frames_from_poses(flange, sensor.points.T[sensor.group], None, None, tool)
-        T_tool = given.known.T_joint_flange @ (np.eye(4) if tool is None else tool)
+        T_tool = given.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
     else:
         problem = recording_problem(recording, arm, geometry, factory)
         arm, form, movable = problem.arm, problem.form, problem.movable
@@ -405,10 +402,34 @@ def rigid_arm(
         exact=exact,
         form=form,
     )
-    return begun if touches is None or form.frame else _locate_tool(begun)
+    return begun if touches is None else _place_touches(begun, len(_TOOLS))
 
 
-def _locate_tool(arm: RigidArm) -> RigidArm:
+def with_joints_of_touches(arm: RigidArm, recording: Recording) -> RigidArm:
+    """An arm of touches that is not fitted, with other joint positions of the same touches, placed roughly."""
+    tool = np.eye(4) if arm.form.tool else declared_tool(recording)
+    start = arm.start._replace(T_flange_tool=arm.arm.T_joint_flange @ tool)  # type: ignore[arg-type]
+    return _place_touches(replace(arm, recording=recording, start=start), 1)
+
+
+def _place_touches(arm: RigidArm, tries: int) -> RigidArm:
+    """The arm with its frame, its tool and the sensor's unknowns where the chain of its start has them.
+
+    Args:
+        arm: with a tool at the flange, or the declared one.
+        tries: how many points of an unknown tool are tried.
+    """
+    if not arm.form.frame:
+        return _locate_tool(arm, tries)
+    assert isinstance(arm.measured, Contact)  # all of whose points are known in the sensor's frame
+    flange = frames.chain(arm.links, arm.recording.joint_position, arm.recording.sliding) @ arm.arm.T_joint_flange
+    tool = None if arm.form.tool else declared_tool(arm.recording)
+    T_frame, tool = frames_from_poses(flange, arm.measured.points.T[arm.measured.group], None, None, tool)
+    T_tool = arm.arm.T_joint_flange @ tool
+    return replace(arm, start=arm.start._replace(T_sensor_base=T_frame, T_flange_tool=T_tool))  # type: ignore[arg-type]
+
+
+def _locate_tool(arm: RigidArm, tries: int) -> RigidArm:
     """The arm of touches with its tool's point and the sensor's unknowns where the nominal chain meets them best.
 
     Several points of an unknown tool are tried. At each the sensor's unknowns are computed in closed form, and then all
@@ -416,11 +437,13 @@ def _locate_tool(arm: RigidArm) -> RigidArm:
     """
     few = arm.keeping([name in ("tool", "reading") for name, _, _ in arm.unknown])
     found = []
-    for point in _TOOL_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])[: 7 if arm.form.tool else 1]:
+    for point in _TOOLS[: tries if arm.form.tool else 1]:
         T_flange_tool = arm.T_flange_tool @ frames.transform_from_row([*point, 0, 0, 0])
         begun = replace(few, start=arm.start._replace(T_flange_tool=T_flange_tool))  # type: ignore[arg-type]
         assert isinstance(arm.measured, PointSensor)
-        found.append(relinearise(_with_sensor(begun, arm.measured.shown(begun.rigid.tool)), DEFAULTS))
+        steps = None if tries > 1 else _ROUGH_STEPS
+        shown = _with_sensor(begun, arm.measured.shown(begun.rigid.tool))
+        found.append(relinearise(shown, DEFAULTS, steps=steps))
     best = min(found, key=lambda one: float(np.median(one.squares)))
     return _with_sensor(replace(arm, start=best.start), best.measured)
 

@@ -7,14 +7,13 @@ where its log-likelihood exceeds that of the recording as it is declared, and of
 With the arm fitted, another nominal table of the same model is one more hypothesis.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from itertools import chain, combinations
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
@@ -22,113 +21,37 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
-from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.domains.pose.readings import median_distance
-from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm, with_joints_of_touches
+from lite6jax.domains.pose.screening.changes import (
+    CODES,
+    DECLARED,
+    POSES,
+    Change,
+    Hypothesis,
+    added,
+    compatible,
+    contains,
+    differ_by_turns,
+    is_estimated,
+    joined,
+    listed,
+    rounded_to_quarters,
+    simplicity,
+    single_changes,
+    undo,
+    with_zeros,
+)
+from lite6jax.domains.pose.screening.deviation import Deviation
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
-from lite6jax.recordings.motion import with_joints
 from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
-Hypothesis = tuple["Change", ...]
-
-DECLARED = ("declared_frame", "declared_tool")
-POSES = ("inverted_poses", "mirrored_sensor", "orientation_convention")
-JOINTS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "joint_turns")
-CODES = (*DECLARED, *POSES, *JOINTS)
-"""The faults, in the order in which their changes are made. Of two that fit alike the earlier kind is preferred: a
-declaration is wrong more often than poses, and poses more often than joints."""
-_NUMBERS = {
-    "coupled_joint": "factor",
-    "joint_turns": "added_rad",
-    "mirrored_sensor": "axes",
-    "orientation_convention": "convention",
-}
-"""What the value of a change is called."""
-_SCALAR_LAST = [3, 0, 1, 2]
-
-
-@final
-@dataclass(frozen=True)
-class Change:
-    """One fault, and what undoes it.
-
-    Attributes:
-        code: of `CODES`.
-        joints: concerned, from 0: those swapped, or the joint and the one that it is coupled to.
-        value: of a unit the factor of the column; of a coupling the factor of the other joint; of a zero what is
-            added, rad; of a mirrored sensor the axis that is reversed or the two that are exchanged; of orientations
-            the convention.
-    """
-
-    code: str
-    joints: tuple[int, ...] = ()
-    value: float | str = 1.0
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """Of the fault, as in `DataFault`."""
-        joints = [joint + 1 for joint in self.joints]
-        if self.code == "swapped_joints":
-            return {"joints": joints}
-        found: dict[str, Any] = {"joint": joints[0]} if joints else {}
-        if self.code == "joint_unit":
-            found["unit"] = "deg" if float(self.value) < 1 else "rad"
-        if self.code == "coupled_joint":
-            found["added_joint"] = joints[1]
-        name = _NUMBERS.get(self.code)
-        return found if name is None else found | {name: self.value}
-
-    def undone(self, recording: Recording) -> Recording:
-        """The recording without the fault."""
-        if self.code in DECLARED:
-            free = {"pose_frame": "unknown"} if self.code == "declared_frame" else {"tool": "unknown"}
-            return replace(recording, settings=replace(recording.settings, **free))
-        return self._poses(recording) if self.code in POSES else self._joints(recording)
-
-    def _poses(self, recording: Recording) -> Recording:
-        position, quaternion = recording.position, recording.quaternion
-        assert position is not None
-        convention = str(self.value)
-        if convention.endswith("scalar_last") and quaternion is not None:
-            quaternion = quaternion[:, _SCALAR_LAST]
-        R = measured_rotations(replace(recording, quaternion=quaternion))
-        if self.code == "mirrored_sensor":
-            M = _reflection(convention)
-            position, R = position @ M, None if R is None else M @ R @ M
-        elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
-            R = np.swapaxes(R, 1, 2)
-            position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
-        return replace(recording, position=position, quaternion=None if R is None else unit_quaternions(R))
-
-    def _joints(self, recording: Recording) -> Recording:
-        """What is recorded of each joint, changed as its position is."""
-        A, b = np.eye(recording.dof), np.zeros(recording.dof)
-        i, j = (*self.joints, *self.joints)[:2]
-        if self.code == "swapped_joints":
-            A[[i, j]] = A[[j, i]]
-        elif self.code == "mirrored_joint":
-            A[i, i] = -1.0
-        elif self.code == "joint_unit":
-            A[i, i] = self.value
-        elif self.code == "coupled_joint":
-            A[i, j] = self.value
-        else:
-            b[i] = self.value
-        effort = np.sign(A) if self.code != "coupled_joint" else np.linalg.inv(A).T  # power stays the same
-        return with_joints(recording, A, b, effort)
-
-
-def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
-    """The recording without the faults of a hypothesis."""
-    for change in hypothesis:
-        recording = change.undone(recording)
-    return recording
 
 
 def correct_mismatch(state: Screened) -> Screened:
@@ -139,24 +62,25 @@ def correct_mismatch(state: Screened) -> Screened:
     arm, options = state.rigid_arm, state.options
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
     few = arm.select(spread_rows(arm.samples, options.column_rows))
-    error = _median_error(few)
-    if touches_one_point(arm.recording, arm.noise[0]):
+    error = median_error(few)
+    touches = arm.recording.touches is not None
+    if not touches and touches_one_point(arm.recording, arm.noise[0]):
         return _rule_out(state, error, limit, one_point=True)
     if error <= limit:
         return _rule_out(state, error, limit)
     allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
     near = _search(few, options, allowed)
-    other, left = _nearest_arm(few)
-    unfitted = [_median_error(_free_frames(few, undo(h, few.recording))) for h in near]
+    other, left = (None, np.inf) if touches else _nearest_arm(few)
+    unfitted = [median_error(_free_frames(few, undo(h, few.recording))) for h in near]
     if left <= min([allowed, error / options.clearly_nearer, *unfitted]):
         numbers = {"declared": arm.arm.name, "arm": other, "median_error_m": error, "corrected_error_m": left}
         return state.corrected(DataFault("other_arm", (), numbers))
     fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
-    errors = [_median_error(fit) for _, fit in fits]
+    errors = [median_error(fit) for _, fit in fits]
     least = min(errors, default=np.inf)
     # a chain that is not known may be further from its table than the limit, and fit the recording as it is
     recorded = arm.fitted(options.most_fitted)
-    fitted_error = _median_error(recorded)
+    fitted_error = median_error(recorded)
     if least > allowed:
         best = {"best_alternative_m": least} if fits else {}
         if fitted_error <= options.corrected_reach * arm.arm.reach:
@@ -165,37 +89,63 @@ def correct_mismatch(state: Screened) -> Screened:
         return state.corrected(DataFault("unexplained", (), numbers))
     equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
     equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
-    equal.sort(key=lambda one: (_outside_limits(state, one[0]), _simplicity(one[0])))
+    equal.sort(key=lambda one: (_outside_limits(state, one[0]), simplicity(one[0])))
     chosen, corrected = equal[0]
     scale = min(corrected.scale, recorded.scale)
-    more = 0.5 * np.log(arm.rows * arm.samples) * (len(corrected.unknown) - len(recorded.unknown))
-    if corrected.log_likelihood(scale) - recorded.log_likelihood(scale) < options.trusted_log_likelihood + more:
+    gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
+    if gain < options.trusted_log_likelihood:
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     distinct, rivals = [chosen], []
     for hypothesis, fit in equal[1:]:
-        if any(_whole_turns_apart(hypothesis, other) for other in distinct):
+        if any(differ_by_turns(hypothesis, other) for other in distinct) or contains(hypothesis, chosen):
             continue
         distinct.append(hypothesis)
-        alike = _simplicity(hypothesis)[:2] == _simplicity(chosen)[:2]
+        alike = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
         alike &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
         if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.trusted_log_likelihood:
             rivals.append(hypothesis)
     others = [chosen, *rivals] if rivals else distinct[1:]
-    alternatives = [[{"fault": change.code, **change.numbers} for change in one] for one in others]
-    numbers = {"median_error_m": error, "corrected_error_m": least, "alternatives": alternatives}
+    numbers = {"median_error_m": error, "corrected_error_m": least, "alternatives": listed(others)}
     if rivals:
         return state.corrected(DataFault("undecided", (), numbers))
-    rigid = _rigid(state, undo(chosen, arm.recording))
-    for change in chosen:
-        own = change.numbers | (numbers if change is chosen[-1] else {})
+    refined = _refined(state, chosen, corrected)
+    return correct(state, refined, _rigid(state, undo(refined, arm.recording)), numbers)
+
+
+def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
+    """A hypothesis with its scale and its zeros, but for quarter turns, as all rows have them beside its prior."""
+    of_values = [change for change in hypothesis if is_estimated(change)]
+    deviation = _deviation(state, fitted)
+    weighed = deviation.weighed(of_values)
+    for change in of_values:
+        hypothesis = added(hypothesis, deviation.valued(change, weighed))
+    least = np.log(state.options.least_scale)
+    unscaled = tuple(c for c in hypothesis if c.code != "sensor_scale" or abs(np.log(float(c.value))) > least)
+    return unscaled or hypothesis
+
+
+def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
+    """The recording without the faults of a hypothesis.
+
+    Args:
+        state: before.
+        hypothesis: what is wrong.
+        rigid: the arm with the recording without it.
+        numbers: of the mismatch, which go with the last fault.
+    """
+    board = state.recording.settings.board
+    for change in hypothesis:
+        own = change.numbers | (numbers if change is hypothesis[-1] else {})
         if change.code == "declared_frame":
             turned = Rotation.from_matrix(rigid.T_sensor_base[:3, :3]).as_rotvec()
             own |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
         if change.code == "declared_tool":
-            tool = np.linalg.inv(arm.arm.T_joint_flange) @ rigid.T_flange_tool
+            tool = np.linalg.inv(rigid.arm.T_joint_flange) @ rigid.T_flange_tool
             own["translation_m"] = tool[:3, 3].tolist()
+        if change.code == "sensor_scale" and board is not None:
+            own |= {"declared_m": board.square_m, "square_m": board.square_m / float(change.value)}
         state = state.corrected(DataFault(change.code, (), own), rigid=rigid)
-    return state.transformed(partial(undo, chosen))
+    return state.transformed(partial(undo, hypothesis))
 
 
 def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Screened:
@@ -203,6 +153,7 @@ def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Sc
     settings = state.rigid_arm.recording.settings
     missing = {"joint_turns"}
     missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
+    missing |= {*DECLARED, *POSES} if state.rigid_arm.recording.touches is not None else set()
     missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
     missing |= {"declared_tool"} if settings.tool == "unknown" else set()
     missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
@@ -216,55 +167,30 @@ def touches_one_point(recording: Recording, noise: float) -> bool:
     return median_distance(recording.position) <= 3 * noise
 
 
-def single_changes(recording: Recording) -> Iterator[Hypothesis]:
-    """Every simple hypothesis: each fault alone, and reversed signs of any set of joints."""
-    dof, settings = recording.dof, recording.settings
-    turning = [i for i in range(dof) if i not in recording.sliding]
-    if settings.pose_frame == "base":
-        yield (Change("declared_frame"),)
-    if settings.tool != "unknown":
-        yield (Change("declared_tool"),)
-    axes = ("x", "y", "z", "xy", "yz", "xz") if settings.pose_frame == "base" else ("z",)
-    yield from ((Change("mirrored_sensor", (), axis),) for axis in axes)
-    if recording.quaternion is not None:
-        yield (Change("inverted_poses"),)
-        for convention in ("inverted", "scalar_last", "inverted_scalar_last"):
-            yield (Change("orientation_convention", (), convention),)
-    for pair in combinations(range(dof), 2):
-        yield (Change("swapped_joints", pair),)
-    most = dof if dof <= 8 else 2  # of more joints there are too many sets
-    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, most + 1)):
-        yield tuple(Change("mirrored_joint", (i,)) for i in joints)
-    for i in turning:
-        yield from ((Change("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
-    for i in _with_zeros(recording):
-        for quarters in (2, -2, 1, -1):
-            zero = Change("joint_turns", (i,), quarters * np.pi / 2)
-            yield (zero,)
-            yield (Change("mirrored_joint", (i,)), zero)
-    for i in turning:
-        for j in {i - 1, i + 1} & set(turning):
-            yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
-
-
 def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hypothesis]:
     """Hypotheses worth a fit: the best by error, of few changes first, more only where fewer do not suffice."""
     simple = list(single_changes(few.recording))
+    touches = few.recording.touches is not None
+    if touches:  # each hypothesis takes a fit of its places
+        few = few.select(spread_rows(few.samples, options.pair_rows))
+    else:
+        simple += _scales(few, options)
     beam: list[Hypothesis] = [()]
     best: dict[Hypothesis, float] = {}
-    for changes in range(options.most_changes):
+    for changes in range(1 if touches else options.most_changes):
         rows = few if not changes else few.select(spread_rows(few.samples, options.pair_rows))
-        tried = {_joined(h, more) for h in beam for more in simple if _compatible(h, more)}
-        scored = {h: _median_error(_free_frames(rows, undo(h, rows.recording))) for h in tried}
-        beam = sorted(scored, key=lambda h: (scored[h], _simplicity(h)))[: options.pairs_first]
+        tried = {joined(h, more) for h in beam for more in simple if compatible(h, more)}
+        scored = {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in tried}
+        beam = sorted(scored, key=lambda h: (scored[h], simplicity(h)))[: options.pairs_first]
         if not beam:
             break
         missed = scored[beam[0]] > options.unfitted_ratio * allowed
+        missed |= any(change.code in DECLARED for change in beam[0])  # a zero does what a frame or a tool does
         for h in [*([()] if not changes else []), *beam[: options.zeros_first]] if missed else ():
             zeros = _zeros(rows, h)
             if zeros:
-                refined = _joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
-                scored[refined] = _median_error(_free_frames(rows, undo(refined, rows.recording)))
+                refined = joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
+                scored[refined] = median_error(_free_frames(rows, undo(refined, rows.recording)))
         least = min(scored.values())
         stuck = bool(best) and least > options.worth_another * min(best.values())
         best |= scored
@@ -272,8 +198,25 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
             break
     least = min(best.values(), default=np.inf)
     worth = max(options.unfitted_ratio * allowed, options.fitted_ratio * least)
-    ranked = sorted((h for h in best if best[h] <= worth), key=lambda h: (best[h], _simplicity(h)))
+    # a number of any size reduces some error of any arm: `explain_deviation` judges what explains a part of it
+    near = (h for h in best if best[h] <= (options.unfitted_ratio * allowed if any(map(is_estimated, h)) else worth))
+    ranked = sorted(near, key=lambda h: (best[h], simplicity(h)))
     return ranked[: options.pairs_first]
+
+
+def _scales(few: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
+    """The scale of the sensor at which the nominal arm misses the poses least, where it is grossly wrong."""
+    few = few.select(spread_rows(few.samples, options.pair_rows))
+
+    def error(log_scale: float) -> float:
+        change = Change("sensor_scale", (), float(np.exp(log_scale)))
+        return median_error(_free_frames(few, change.undone(few.recording)))
+
+    most = float(np.log(options.largest_scale))
+    nearest: Any = minimize_scalar(error, bounds=(-most, most), method="bounded")
+    log_scale = float(nearest.x)
+    grossly = abs(log_scale) > np.log(options.least_scale)
+    return [(Change("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
 
 
 def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
@@ -281,8 +224,11 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     arm = _free_frames(few, undo(hypothesis, few.recording))
     settings, dof = arm.recording.settings, arm.recording.dof
     free_frame, free_tool = settings.pose_frame != "base", settings.tool == "unknown"
-    zeros = _with_zeros(arm.recording)
-    unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in range(arm.rows)] * free_tool
+    if few.recording.touches is not None:
+        free_frame = few.form.frame
+    zeros = with_zeros(arm.recording)
+    axes = range(max(arm.rows, 3))
+    unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in axes] * free_tool
     unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
     own = [k for k, (name, _, _) in enumerate(arm.unknown) if name == "reading"]
     precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[own]]
@@ -296,8 +242,7 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
         total[change.joints[0]] = total.get(change.joints[0], 0.0) + float(change.value)
     changes = []
     for i, value in total.items():
-        quarters = np.round(value / (np.pi / 2)) * np.pi / 2
-        value = float(quarters if abs(value - quarters) < TOLERANCE["rad"] else value)
+        value = 0.0 if abs(value) < TOLERANCE["rad"] else rounded_to_quarters(value)
         changes += [Change("joint_turns", (i,), value)] if value else []
     return tuple(changes)
 
@@ -310,15 +255,13 @@ def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
         if one.sliding == few.recording.sliding and one.name != few.arm.name:
             tool = one.T_joint_flange @ declared_tool
             start = few.start._replace(geometry=one.kinematics.ravel(), T_flange_tool=tool)  # type: ignore[arg-type]
-            errors.append((_median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
+            errors.append((median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
     error, name = min(errors, default=(np.inf, None))
     return name, error
 
 
-def _with_zeros(recording: Recording) -> list[int]:
-    """The joints whose zeros the poses show: a free frame and a free tool take up those of the first and the last."""
-    first, last = recording.settings.pose_frame != "base", recording.settings.tool == "unknown"
-    return [i for i in range(int(first), recording.dof - int(last)) if i not in recording.sliding]
+def _deviation(state: Screened, fitted: RigidArm) -> Deviation:
+    return Deviation(fitted, _rigid(state, fitted.recording))
 
 
 def _rigid(state: Screened, recording: Recording) -> RigidArm:
@@ -327,6 +270,8 @@ def _rigid(state: Screened, recording: Recording) -> RigidArm:
 
 def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
     """The arm with another recording of as many rows, and frames in closed form as its settings leave them free."""
+    if recording.touches is not None:
+        return with_joints_of_touches(arm, recording)
     flange = frames.chain(arm.links, recording.joint_position, recording.sliding) @ arm.arm.T_joint_flange
     assert recording.position is not None
     known_tool = np.linalg.inv(arm.arm.T_joint_flange) @ arm.T_flange_tool
@@ -342,26 +287,8 @@ def _free_frames(arm: RigidArm, recording: Recording) -> RigidArm:
     return replace(arm.with_poses(recording), start=start)
 
 
-def _median_error(arm: RigidArm) -> float:
+def median_error(arm: RigidArm) -> float:
     return float(np.median(np.hypot(arm.distance, LEVER * arm.turn)))
-
-
-def _joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
-    """Both, in the order in which changes are made; each once."""
-    return tuple(sorted({*hypothesis, *more}, key=lambda c: (CODES.index(c.code), c.joints)))
-
-
-def _compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
-    """Whether no change of one repeats or takes back one of the other."""
-    made = {(c.code, frozenset(c.joints)) for c in hypothesis}
-    poses = {c.code for c in hypothesis if c.code in POSES}
-    return not any((c.code, frozenset(c.joints)) in made or (c.code in POSES and poses) for c in more)
-
-
-def _simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
-    """The fewer the changes and the earlier their kind in `CODES`, the less."""
-    kinds = [0 if c.code in DECLARED else 1 if c.code in POSES else 2 for c in hypothesis]
-    return len(hypothesis), max(kinds, default=0), tuple(CODES.index(c.code) for c in hypothesis)
 
 
 def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
@@ -371,19 +298,59 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
     return int(np.sum((q < low - slack) | (q > high + slack)))
 
 
-def _whole_turns_apart(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ by whole turns of joints, or by no more than a calibration corrects."""
-    rest_a, rest_b = (tuple(c for c in h if c.code != "joint_turns") for h in (a, b))
-    zeros_a, zeros_b = ({c.joints[0]: float(c.value) for c in h if c.code == "joint_turns"} for h in (a, b))
-    apart = [(zeros_a.get(i, 0.0) - zeros_b.get(i, 0.0)) / (2 * np.pi) for i in {*zeros_a, *zeros_b}]
-    return rest_a == rest_b and bool(np.allclose(apart, np.round(apart), atol=TOLERANCE["rad"] / (2 * np.pi)))
+# ------------------------------------------------------------------ what a fitted arm takes up
 
 
-def _reflection(axes: str) -> Array:
-    """`(3, 3)`: one axis reversed, or two exchanged."""
-    M, places = np.eye(3), ["xyz".index(axis) for axis in axes]
-    M[places] = M[places[::-1]] if len(places) > 1 else -M[places]
-    return M
+def explain_deviation(state: Screened) -> Screened:
+    """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
+    fitted, options = state.rigid_arm, state.options
+    if all(name != "link" for name, _, _ in fitted.unknown):
+        return state.rule_out("arm_deviation", reason="known")
+    start = rigid_arm(fitted.recording, fitted.arm, state.geometry, state.factory)
+    error = median_error(start)
+    made: Hypothesis = ()
+    alternatives: list[Hypothesis] = []
+    for _ in range(fitted.recording.dof + 1):
+        explained = _likeliest(Deviation(fitted, start), options)
+        if explained is None:
+            break
+        change, others = explained
+        more = added(made, change)
+        begun = rigid_arm(undo(more, state.recording), fitted.arm, state.geometry, state.factory)
+        again = begun.fitted(options.most_fitted)
+        if again.scale > options.equal_ratio * fitted.scale:  # the fit had taken up something else
+            break
+        alternatives += others
+        made, start, fitted = more, begun, again
+    if made:
+        numbers: dict[str, Any] = {"median_error_m": error, "corrected_error_m": median_error(start)}
+        numbers["alternatives"] = listed(alternatives)
+        state = correct(state, made, fitted, numbers)
+    numbers = Deviation(fitted, start).summary()
+    if numbers["factor"] < options.beyond_granted:
+        return state.rule_out("arm_deviation", reason="granted", **numbers)
+    return state.corrected(DataFault("arm_deviation", (), numbers))
+
+
+def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change, list[Hypothesis]] | None:
+    """The fault that explains the deviation best, and those that do as well; None where the arm's own prior does."""
+    recording = deviation.arm.recording
+    changes = [Change("joint_turns", (joint,)) for joint in with_zeros(recording)]
+    if recording.touches is None:
+        changes.append(Change("sensor_scale"))
+        changes += [Change("declared_frame")] * (not deviation.arm.form.frame)
+        changes += [Change("declared_tool")] * (not deviation.arm.form.tool)
+    none = deviation.weighed(())
+    weighed = {change: deviation.weighed((change,)) for change in changes}
+    best = max(weighed, key=lambda change: weighed[change].evidence)
+    required = options.trusted_log_likelihood + float(np.log(len(changes)))
+    if weighed[best].evidence - none.evidence < required:
+        return None
+    fits = {change: deviation.weighed((change,), [weighed[best].factor]).fit for change in changes}
+    alike = [change for change in changes if fits[best] - fits[change] < options.trusted_log_likelihood]
+    alike.sort(key=lambda change: simplicity((change,)))
+    valued = [deviation.valued(change, weighed[change]) for change in alike]
+    return valued[0], [(change,) for change in valued[1:]]
 
 
 # ------------------------------------------------------------------ another nominal table

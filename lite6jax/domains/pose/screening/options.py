@@ -52,6 +52,11 @@ class ScreeningOptions:
     trusted_log_likelihood: float = option(
         5.703782474656201, "log-likelihood that a correction must gain", "log 300: one file in some hundred is wrong"
     )
+    beyond_granted: float = option(
+        8.0, "times what factories grant, from which a fitted arm is not the declared one", "real arms are below five"
+    )
+    least_scale: float = option(1.005, "ratio from which a sensor's scale is sought as a fault", "physics is below")
+    largest_scale: float = option(1100.0, "the same up to which", "millimetres that are read as metres")
     # nominal table
     published_tolerance: float = option(2e-5, "m and rad within which a chain is a table", "angles of four decimals")
     share_std: float = option(0.1, "standard deviation of a vague share of the way to a table", "a tenth of the way")
@@ -78,7 +83,6 @@ class ScreeningOptions:
     fewest_pieces: int = option(4, "fewest pieces of a curve beside the moves", "fewer are in the harmonics")
     most_pieces: int = option(16, "pieces of a curve at most", "finer ones only take time")
     # check
-    calibration_reach: float = option(0.03, "share of the reach that calibration explains", "real arms are below 0.015")
     mostly_explained: float = option(0.8, "share of the squared error at which a cause is likely", "set on real arms")
     partly_explained: float = option(0.3, "share of the squared error at which it is possible", "set on real arms")
     as_noise_ratio: float = option(2.0, "error over the declared noise up to which it is noise", "set on real arms")

@@ -38,7 +38,7 @@ def free_constant(state: Screened) -> Screened:
         if gain < price or noisy:
             return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
     numbers = {"constant_m": constant, "std_m": std}
-    return state.corrected(DataFault("distance_offset", (), numbers), rigid=free)
+    return state.corrected(DataFault("distance_offset", (), numbers), rigid=fitted)
 
 
 def _constant(arm: RigidArm) -> tuple[float, float]:

@@ -18,11 +18,19 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.domains.pose.readings import FEWEST, computed_by_controller, median_distance
-from lite6jax.domains.pose.rigid_arm import rigid_arm
+from lite6jax.domains.pose.readings import (
+    FEWEST,
+    angle_step,
+    computed_by_controller,
+    is_below_sensors,
+    median_distance,
+)
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening import (
+    changes,
     frame_jumps,
     hypotheses,
+    orientations,
     placeholders,
     reading_zero,
     settling,
@@ -117,19 +125,61 @@ def note_commanded(state: Screened) -> Screened:
     return state.rule_out("commanded_joints", reason="not_round", share=largest, **named)
 
 
+def drop_computed_orientations(state: Screened) -> Screened:
+    """Positions alone, where a table reproduces the orientations to rounding and not the positions: two sources."""
+    recording, options = state.recording, state.options
+    if recording.quaternion is None or recording.readings is not None:
+        return state
+    if recording.settings.pose_source == "controller_fk":
+        return state.rule_out("computed_orientation", reason="declared")
+    limit = options.computed_rad + min(angle_step(recording.joint_position) * recording.dof**0.5, options.computed_rad)
+    nominal, fitted = orientations.reproduced(state.rigid_arm)
+    if min(nominal, fitted) > limit:
+        return state.rule_out("computed_orientation", reason="measured", error_rad=min(nominal, fitted))
+    alone = replace(recording, quaternion=None)
+    arm = rigid_arm(alone, state.rigid_arm.arm, state.geometry, state.factory)
+    positions = arm.fitted(options.most_fitted)
+    if _is_computed(positions):
+        return state.rule_out("computed_orientation", reason="positions")
+    table = "factory" if state.rigid_arm.exact else "nominal"
+    numbers = {
+        "error_rad": nominal if nominal <= limit else fitted,
+        "chain": table if nominal <= limit else "fitted",
+        "position_error_m": float(np.median(positions.distance)),
+    }
+    state = state.corrected(DataFault("computed_orientation", (), numbers), rigid=arm)
+    return state.transformed(lambda r: replace(r, quaternion=None))
+
+
 def note_computed(state: Screened) -> Screened:
-    """As it is, where the chain reproduces the poses to their rounding: a controller computed them."""
-    arm, recording = state.rigid_arm, state.recording
+    """As it is, where a table, or one that is fitted, reproduces the poses to rounding: a controller computed them."""
+    arm, recording, options = state.rigid_arm, state.recording, state.options
     if recording.settings.pose_source == "controller_fk":
         return state.rule_out("computed_pose", reason="declared")
-    error, position = float(np.median(arm.distance)), recording.position
+    known = rigid_arm(recording, arm.arm, state.geometry, state.factory)
+    error = float(np.median(known.distance))
+    position = recording.position
     assert position is not None
     computed = computed_by_controller(error, position, recording.joint_position)
     computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
-    if not computed or float(np.median(arm.turn)) > state.options.computed_rad:
-        return state.rule_out("computed_pose", reason="measured")
-    numbers = {"median_error_m": error, "chain": "factory" if arm.exact else "nominal"}
-    return state.corrected(DataFault("computed_pose", (), numbers))
+    if computed and float(np.median(known.turn)) <= options.computed_rad:
+        numbers = {"median_error_m": error, "chain": "factory" if known.exact else "nominal"}
+        return state.corrected(DataFault("computed_pose", (), numbers))
+    error = float(np.median(arm.distance))
+    if _is_computed(arm) and float(np.median(arm.turn)) <= options.computed_rad:
+        return state.corrected(DataFault("computed_pose", (), {"median_error_m": error, "chain": "fitted"}))
+    return state.rule_out("computed_pose", reason="measured", median_error_m=error)
+
+
+def _is_computed(fitted: RigidArm) -> bool:
+    """Whether a fitted arm is nearer to the positions than any arm comes back to a place."""
+    freedom = fitted.rows * fitted.samples - len(fitted.unknown)
+    position = fitted.recording.position
+    assert position is not None
+    if freedom < len(fitted.unknown):
+        return False
+    grown = (fitted.rows * fitted.samples / freedom) ** 0.5
+    return is_below_sensors(grown * float(np.median(fitted.distance)), position)
 
 
 def remove_turns(state: Screened) -> Screened:
@@ -161,6 +211,7 @@ class Screen:
         estimated: how many continuous quantities the correction of a fault estimates, whose cost a comparison with
             physics includes; none where the screen decides alone.
         located: whether that cost includes the choice of a row too.
+        of_touches: whether readings that are no poses may have its faults.
     """
 
     codes: tuple[str, ...]
@@ -168,6 +219,7 @@ class Screen:
     run: Callable[[Screened], Screened]
     estimated: Callable[[DataFault], int] = lambda fault: 0
     located: bool = False
+    of_touches: bool = False
 
 
 SCREENS = (
@@ -176,17 +228,19 @@ SCREENS = (
     Screen(("repeated_rows",), "recording", drop_repeats),
     Screen(("position_unit",), "recording", convert_positions),
     Screen(("commanded_joints",), "arm", note_commanded),
-    Screen((*hypotheses.CODES, "undecided", "other_arm", "unexplained"), "arm", hypotheses.correct_mismatch),
+    Screen(("computed_orientation",), "arm", drop_computed_orientations),
+    Screen(
+        (*changes.CODES, "undecided", "other_arm", "unexplained"), "arm", hypotheses.correct_mismatch, of_touches=True
+    ),
+    Screen(("distance_offset",), "fit", reading_zero.free_constant, estimated=lambda fault: 1, of_touches=True),
+    Screen((*changes.CODES, "arm_deviation"), "fit", hypotheses.explain_deviation, of_touches=True),
     Screen(("computed_pose",), "arm", note_computed),
     Screen(("joint_turns",), "arm", remove_turns),
     Screen(("frame_jump",), "fit", frame_jumps.remove_jumps, estimated=lambda fault: 6, located=True),
     Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
     Screen(("nominal_table",), "fit", hypotheses.use_other_table),
 )
-"""All screens of poses, in order."""
-
-TOUCH_SCREENS = (Screen(("distance_offset",), "arm", reading_zero.free_constant, estimated=lambda fault: 1),)
-"""All screens of touches, distances and heights."""
+"""All screens, in order."""
 
 
 def price(screened: Screened, numbers: float, samples: int) -> float:
@@ -197,8 +251,7 @@ def price(screened: Screened, numbers: float, samples: int) -> float:
         numbers: how many were measured, n: rows times samples.
         samples: how many.
     """
-    screens = (*SCREENS, *TOUCH_SCREENS)
-    found = [(screen, fault) for screen in screens for fault in screened.found if fault.code in screen.codes]
+    found = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
     quantities = sum(screen.estimated(fault) for screen, fault in found)
     located = sum(screen.located for screen, _ in found)
     return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
@@ -235,17 +288,10 @@ def screen(
     require_samples(recording, 1)
     options = options or ScreeningOptions()
     state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
-    if recording.touches is not None:  # all other faults that are screened for are of poses
-        rigid = rigid_arm(recording, arm, geometry, factory)
-        require_radians(recording.joint_position, rigid.arm.joint_limits, f"{recording.source}: joint_position")
-        state = replace(state, rigid=rigid, arm=rigid.arm)
-        for entry in TOUCH_SCREENS:
-            state = state if coarse else entry.run(state)
-        return state
     fitted = False
     for entry in SCREENS:
-        if coarse and entry.needs == "fit":
-            break
+        if (coarse and entry.needs == "fit") or (recording.touches is not None and not entry.of_touches):
+            continue
         if entry.needs != "recording" and state.rigid is None:
             state = stations.join_stations(state) if recording.stations else state
             rigid = rigid_arm(state.recording, arm, geometry, factory)

@@ -100,7 +100,8 @@ class Screened:
             recording = self.recording if rigid is None else rigid.recording
         elif rigid is not None:
             rigid = rigid.with_poses(recording)
-        return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault))
+        ruled_out = tuple(one for one in self.ruled_out if one.code != fault.code)
+        return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault), ruled_out=ruled_out)
 
     def rule_out(self, *codes: str, **numbers: Any) -> "Screened":
         """With faults ruled out by the same numbers, but for those of which one was found before."""

@@ -1,0 +1,193 @@
+"""How far a fitted arm is from the nominal one, beside what factories grant, and the fault that explains it.
+
+A chain that is fitted takes up the lost zero of a joint or the wrong size of a marker. Displacements u of its frames
+have the prior N(0, (s σ)²): σ is what factories grant, and s ≥ 1 the likeliest factor for the arm. A hypothesis frees a
+declared frame or tool, or adds a number of its own, a joint's zero or the sensor's scale. Each has its evidence
+
+    log ∫ exp(h·u − ½ u·A u) N(u; 0, L²) du = ½ (L h)·(1 + L A L)⁻¹ L h − ½ log det(1 + L A L),
+
+with the information A and the gradient h of the data at u = 0, and the standard deviations L of its prior.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.calibration.problem import TOUCHED_TOLERANCE
+from lite6jax.domains.pose.rigid_arm import RigidArm
+from lite6jax.domains.pose.screening.changes import Change, rounded_to_quarters
+from lite6jax.estimation.robust import FREEDOM
+
+Array = NDArray[np.floating]
+
+_WIDE = 0.3
+"""m, rad and 1: the standard deviation of a frame or a tool that is free, of a joint's zero and of a scale."""
+_FACTORS = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 50.0)
+"""Of the prior, among which the likeliest is taken."""
+_LEAST_SCALE = 1e-3
+"""Of the noise over the declared one: residuals that are rounding weigh no more."""
+
+
+@final
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis at the likeliest factor of the prior.
+
+    Attributes:
+        factor: s.
+        evidence: its logarithm.
+        fit: the part of it without the determinant, which more numbers never make smaller.
+        displacements: `(number,)`, the mean of u.
+    """
+
+    factor: float
+    evidence: float
+    fit: float
+    displacements: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """What the data say of displacements of all frames of an arm, of its joints' zeros and of the scale of its sensor.
+
+    Numbers are in this order: six of each frame (the base, then that after each joint), those of the sensor's own, one
+    of each joint's zero, and the scale.
+
+    Attributes:
+        arm: fitted.
+        start: the same before the fit, as the table or the calibration file has it.
+    """
+
+    arm: RigidArm
+    start: RigidArm
+
+    @property
+    def frames(self) -> int:
+        """The base, and one after each joint."""
+        return self.arm.recording.dof + 1
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are."""
+        return 6 * self.frames + self.arm.measured.numbers + self.arm.recording.dof + 1
+
+    @cached_property
+    def granted(self) -> Array:
+        """`(number,)`, σ of the displacements of the chain and of a declared frame and tool; zero of all others."""
+        arm, sigma = self.arm, np.zeros(self.size)
+        unknown = zip(arm.unknown, arm.precision, strict=True)
+        of_links = {axis: precision for (name, _, axis), precision in unknown if name == "link"}
+        if not of_links:
+            return sigma
+        pair = (of_links[0] ** -0.5, of_links[5] ** -0.5) if arm.exact else TOUCHED_TOLERANCE
+        sigma[: 6 * self.frames] = np.tile(np.repeat(pair, 3), self.frames)
+        sigma[self._free_places] = 0.0
+        return sigma
+
+    @cached_property
+    def free(self) -> Array:
+        """`(number,)`, standard deviations of what every hypothesis leaves free; zero of all others."""
+        sigma, own = np.zeros(self.size), self._own
+        sigma[self._free_places] = _WIDE
+        precision = self.arm.precision[own]
+        first = 6 * self.frames
+        sigma[first : first + len(precision)] = np.minimum(np.maximum(precision, 1e-12) ** -0.5, _WIDE)
+        return sigma
+
+    @cached_property
+    def data(self) -> tuple[Array, Array]:
+        """The information A `(number, number)` and the gradient h `(number,)`."""
+        arm = self.arm
+        seen = np.zeros((1, arm.rows, arm.samples))
+        if arm.recording.touches is None:
+            seen[0, :3] = arm.rigid.tool[:, :3, 3].T
+        parts = [arm.twists, arm.joints, arm.whitened(seen)]
+        if arm.measured.numbers:
+            parts.insert(1, arm.whitened(arm.measured.by_numbers(arm.rigid.tool)))
+        scale = max(arm.scale, _LEAST_SCALE)
+        root = np.sqrt((FREEDOM + arm.rows) / (FREEDOM + arm.squares / scale**2)) / scale
+        X = (np.concatenate(parts) * root).reshape(self.size, -1)
+        A = X @ X.T
+        return A, A @ self.displaced - X @ (arm.residuals * root).ravel()
+
+    @cached_property
+    def displaced(self) -> Array:
+        """`(number,)`, where the fit has displaced the frames to."""
+        arm, start, u = self.arm, self.start, np.zeros(self.size)
+        steps = [np.linalg.inv(start.T_sensor_base) @ arm.T_sensor_base, *(arm.links @ np.linalg.inv(start.links))[1:]]
+        for frame, T in enumerate(steps):
+            u[6 * frame : 6 * frame + 3] = T[:3, 3]
+            u[6 * frame + 3 : 6 * frame + 6] = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+        u[self._free_places] = 0.0
+        u[6 * self.frames : 6 * self.frames + arm.measured.numbers] = arm.offset[self._own]
+        return u
+
+    def places(self, change: Change) -> slice:
+        """The numbers that a change frees."""
+        last = 6 * self.frames
+        if change.code == "declared_frame":
+            return slice(0, 6)
+        if change.code == "declared_tool":
+            return slice(last - 6, last)
+        zero = self.size - 1 - self.arm.recording.dof + change.joints[0] if change.joints else self.size - 1
+        return slice(zero, zero + 1)
+
+    def weighed(self, hypothesis: Sequence[Change], factors: Sequence[float] = _FACTORS) -> Weighed:
+        """A hypothesis at the likeliest of some factors."""
+        A, h = self.data
+        tried = []
+        for factor in factors:
+            L = np.maximum(factor * self.granted, self.free)
+            for change in hypothesis:
+                L[self.places(change)] = _WIDE
+            M = np.eye(self.size) + L[:, None] * A * L
+            mean = np.linalg.solve(M, L * h)
+            fit = 0.5 * float(L * h @ mean)
+            tried.append(Weighed(factor, fit - 0.5 * float(np.linalg.slogdet(M)[1]), fit, L * mean))
+        return max(tried, key=lambda one: one.evidence)
+
+    def log_likelihood(self, scale: float) -> float:
+        """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
+        arm, u = self.arm, self.displaced
+        A, h = self.data
+        at_fit = replace(arm, precision=np.zeros(len(arm.precision))).log_likelihood(scale)
+        return at_fit - float(h @ u - 0.5 * u @ A @ u) + self.weighed(()).evidence
+
+    def valued(self, change: Change, weighed: Weighed) -> Change:
+        """A change by as much as its number says."""
+        value = float(weighed.displacements[self.places(change)][0])
+        if change.code == "joint_turns":
+            return replace(change, value=rounded_to_quarters(value))
+        return replace(change, value=1 / (1 - value)) if change.code == "sensor_scale" else change
+
+    @property
+    def _free_places(self) -> list[int]:
+        last = 6 * self.frames
+        return [*range(6 * self.arm.form.frame), *range(last - 6 * self.arm.form.tool, last)]
+
+    @property
+    def _own(self) -> list[int]:
+        return [k for k, (name, _, _) in enumerate(self.arm.unknown) if name == "reading"]
+
+    def summary(self) -> dict[str, Any]:
+        """How far the fitted arm is from the nominal one, and which frame is furthest beside what is granted."""
+        weighed, granted = self.weighed(()), self.granted
+        apart = self.arm.rigid.tool[:, :3, 3] - self.start.rigid.tool[:, :3, 3]
+        shares = np.abs(weighed.displacements) / np.where(granted > 0, granted, np.inf)
+        frame, axis = divmod(int(np.argmax(shares)), 6)
+        return {
+            "distance_m": float(np.median(np.linalg.norm(apart, axis=1))),
+            "factor": weighed.factor,
+            "granted_m": float(granted[6]),
+            "granted_rad": float(granted[11]),
+            "frame": frame,
+            "axis": "xyz"[axis % 3],
+            f"largest_{'m' if axis < 3 else 'rad'}": float(weighed.displacements[6 * frame + axis]),
+            "largest_share": float(shares.max()),
+        }
