@@ -349,10 +349,12 @@ def _roll(
         u, L, M, x, following, here, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
         fresh = _State(q, v, zero, first_command, first_command, zero, zero, q)
-        state = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, state)
-        shown = state.y * (1 + p.scale) + p.offset
         share = (jnp.arange(steps) / steps)[:, None]
         between = x + share * (following - x) + zero
+        begun, _ = advance(fresh, (u[0], L[0], M[0], between[0]))
+        fresh = fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
+        state = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, state)
+        shown = state.y * (1 + p.scale) + p.offset
         state, fine_states = jax.lax.scan(advance, state, (u, L, M, between))
         return state, (shown, fine_states)
 

@@ -147,7 +147,7 @@ def mujoco_model(mujoco, step):
 
 def test_the_coupled_arm_agrees_with_mujoco():
     mujoco = pytest.importorskip("mujoco")
-    step = 0.00025
+    step = 0.0001
     model = mujoco_model(mujoco, step)
     data = mujoco.MjData(model)
     u = commands_of(3)
