@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
-from lite6jax.domains.tracking.rollout import GRIP, RIGID_GRIP, Commands, Rolled, Servo, roll
+from lite6jax.domains.tracking.rollout import GRIP, Commands, Rolled, roll
 from lite6jax.effects.dynamic import point_mass
+from lite6jax.effects.servo import RIGID_GRIP, Servo
 
 Array = NDArray[np.floating]
 
@@ -113,7 +114,9 @@ def interpolate(values: Array, commands: Commands) -> Array:
     return (values[:, :, None] + share * (following - values)[:, :, None]).reshape(len(values), -1)
 
 
-def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array, mass: Array | None = None) -> Loads:
+def loads_along(
+    bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array, mass: Array | None = None
+) -> Loads:
     """The loads along a motion `(joint, sample)`, between its samples on a line; M as given, `(joint, step)`."""
     diagonal = bodies.masses(q)
     load = interpolate(bodies.torques(q, dq, ddq) - diagonal * ddq, commands)

@@ -22,92 +22,22 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.effects.servo import Servo
+
 Array = NDArray[np.floating]
 
 LONGEST_STEP = 0.001
 """s, of an integration step: by half of it the rollouts of arms change by a few µrad."""
-UNLIMITED = 1e9
-"""rad/s or Nm, a limit that is never reached."""
 RETURN = 2 / (0.95 * 0.002)
 """1/s, B: 2 / (dmax · timeconst) of MuJoCo's `solreffriction` at its stiffest for a step of 1 ms."""
 GRIP = 0.96 / (1 - 0.96)
 """Grip over the inertia of the links that a joint moves at its zero: d0 / (1 - d0) of MuJoCo's `solimpfriction`."""
-RIGID_GRIP = 1e9
-"""kg·m², of friction that holds without creeping."""
 _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9
 """s, of a low pass, below which it passes all."""
-_LANES = (1, 2, 4, 6, 8, 12, 18, 24, 36, 48, 72, 96, 144, 192, 288, 384)
+_LANES = (6, 24, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
-
-
-@final
-class Servo(NamedTuple):
-    """The numbers of servos and joints, each `(…,)` of one shape; SI units, revolute joints.
-
-    Attributes:
-        stiffness: kp, Nm/rad.
-        damping: kd, Nm·s/rad.
-        integral: ki, Nm/(rad·s).
-        feedforward: kf, Nm·s/rad.
-        delay: d, s.
-        clock_rate: r, 1.
-        time_constant: of the low pass, s.
-        rate_limit: of the filtered command, rad/s.
-        dead_band: half its width, rad.
-        torque_limit: Nm.
-        torque_droop: share of the limit that is lost per rad/s in the direction of the torque, s/rad.
-        viscous: b, Nm·s/rad.
-        coulomb: c, Nm.
-        stribeck: s, Nm.
-        stribeck_speed: v, rad/s.
-        load_friction: μ, 1.
-        grip: G, kg·m².
-        inertia: A, kg·m².
-        spring: k, Nm/rad.
-        spring_torque: Nm at q = 0.
-        backlash: half its width, rad.
-        offset: rad, of the read-out.
-        scale: of the read-out, 1.
-    """
-
-    stiffness: Any
-    damping: Any
-    integral: Any
-    feedforward: Any
-    delay: Any
-    clock_rate: Any
-    time_constant: Any
-    rate_limit: Any
-    dead_band: Any
-    torque_limit: Any
-    torque_droop: Any
-    viscous: Any
-    coulomb: Any
-    stribeck: Any
-    stribeck_speed: Any
-    load_friction: Any
-    grip: Any
-    inertia: Any
-    spring: Any
-    spring_torque: Any
-    backlash: Any
-    offset: Any
-    scale: Any
-
-    @classmethod
-    def ideal(cls, stiffness: Array, damping: Array) -> "Servo":
-        """Without delay, limits, friction and inertia of its own; arguments `(…,)`. The grip is nearly rigid."""
-        kp = np.asarray(stiffness, float)
-        zero = {name: np.zeros(kp.shape) for name in cls._fields}
-        limits = {name: np.full(kp.shape, UNLIMITED) for name in ("rate_limit", "torque_limit")}
-        speed = np.full(kp.shape, 0.1)
-        return cls(**zero | limits | {"stiffness": kp, "damping": np.asarray(damping, float), "stribeck_speed": speed, "grip": np.full(kp.shape, RIGID_GRIP)})
-
-    def take(self, index: Any) -> "Servo":
-        """Some of them."""
-        return Servo(*(np.asarray(field)[index] for field in self))
 
 
 @final
@@ -144,6 +74,13 @@ class Commands(NamedTuple):
     @property
     def samples(self) -> int:
         return len(self.reset)
+
+    def cut(self, samples: int) -> "Commands":
+        """The first so many samples."""
+        return self._replace(
+            integral=self.integral[:, : samples * self.steps + 1],
+            **{name: getattr(self, name)[:samples] for name in ("reset", "first", "start", "velocity")},
+        )
 
 
 def hold_commands(
@@ -354,13 +291,14 @@ def _roll(
         begun, _ = advance(fresh, (u[0], L[0], M[0], between[0]))
         fresh = fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
         state = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, state)
-        shown = state.y * (1 + p.scale) + p.offset
+        wave = p.sine * jnp.sin(state.y) + p.cosine * jnp.cos(state.y)
+        shown = state.y * (1 + p.scale) + p.offset + wave
         state, fine_states = jax.lax.scan(advance, state, (u, L, M, between))
         return state, (shown, fine_states)
 
     begin = (first * steps)[:, None, None]
     n = jnp.arange(len(reset))[:, None, None] * steps + jnp.arange(-1, steps)[None, :, None] + 0.5
-    initial = ((flat[row + begin + 1] - flat[row + begin]) / h)
+    initial = (flat[row + begin + 1] - flat[row + begin]) / h
     areas = area_at(begin + (n - begin) * (1 + p.clock_rate) - p.delay / h, begin, initial)
     mean = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
     after = jnp.concatenate([extra[1:], extra[-1:]])

@@ -5,11 +5,14 @@ import pytest
 from scipy.signal import lsim
 
 from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along, roll_coupled
-from lite6jax.domains.tracking.rollout import RIGID_GRIP, Servo, hold_commands, roll
+from lite6jax.domains.tracking.rollout import hold_commands, roll
+from lite6jax.effects.servo import RIGID_GRIP, Servo
 
 PERIOD = 0.01
 TIME = np.arange(400) * PERIOD
-KINEMATICS = np.array([[0.0, 0.0, 0.2, 0.0, 0.1, 0.0], [0.0, 0.0, 0.0, -1.5, 0.0, 0.2], [0.25, 0.0, 0.0, 0.1, 0.0, 0.0]])
+KINEMATICS = np.array(
+    [[0.0, 0.0, 0.2, 0.0, 0.1, 0.0], [0.0, 0.0, 0.0, -1.5, 0.0, 0.2], [0.25, 0.0, 0.0, 0.1, 0.0, 0.0]]
+)
 CENTERS = np.array([[0.01, 0.02, 0.03], [0.12, 0.01, 0.0], [0.08, 0.0, 0.02]])
 MASSES = np.array([1.5, 1.2, 0.8])
 TENSORS = np.array([[2e-3, 3e-3, 2.5e-3], [2e-3, 6e-3, 6e-3], [1e-3, 2e-3, 2e-3]])
@@ -34,7 +37,9 @@ def commands_of(joints, pause=0.5):
 
 def plain(joints, **numbers):
     servo = Servo.ideal(np.full(joints, 300.0), np.full(joints, 12.0))._replace(inertia=ARMATURE[:joints])
-    return servo._replace(**{name: np.broadcast_to(np.asarray(value, float), (joints,)) for name, value in numbers.items()})
+    return servo._replace(
+        **{name: np.broadcast_to(np.asarray(value, float), (joints,)) for name, value in numbers.items()}
+    )
 
 
 def roll_alone(servo, u, **options):
