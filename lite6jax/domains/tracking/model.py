@@ -35,6 +35,12 @@ _FIELDS: dict[type[Effect], tuple[str, ...]] = {
 }
 """Of effects on torques that act within a step, the fields of a servo that their numbers add to."""
 
+_POSITIVE = (
+    *("damping", "integral", "time_constant", "dead_band", "viscous", "coulomb", "stribeck", "load_friction"),
+    *("inertia", "backlash", "torque_droop"),
+)
+"""Fields of a servo that cannot be negative, whatever a step of a fit tries."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -91,7 +97,8 @@ def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = Tr
     for term, part in zip(terms.terms, terms.slices, strict=True):
         assert isinstance(term, Effect)
         model = with_effect(model, term, np.asarray(values[part], float), coupled)
-    return model
+    positive = {name: np.maximum(getattr(model.servo, name), 0.0) for name in _POSITIVE}
+    return replace(model, servo=model.servo._replace(**positive))
 
 
 def roll_out(

@@ -82,7 +82,7 @@ class Known:
 
 
 class _State(NamedTuple):
-    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and the torque `(every sample,)` Nm beside."""
+    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and a torque `(every sample,)` Nm beside."""
 
     joint: int
     servo: Servo

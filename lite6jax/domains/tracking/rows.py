@@ -29,7 +29,7 @@ FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
 _COARSE = 3e-4
 """rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
-_LONG = 0.0025
+_LONG = 0.005
 """s, of an integration step of recordings with that noise."""
 _STILL = 0.2
 """s at the beginning of a run over which a resting arm is averaged."""
@@ -202,8 +202,8 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
         raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
     if np.max(np.abs(recording.commanded_position - recording.joint_position)) < _SAME:
         raise InputError(
-            f"{recording.source}: commands and read-outs are equal to {_SAME:g} rad: the log holds commands twice, or a "
-            "simulator without dynamics; record measured joints as q1_rad ..."
+            f"{recording.source}: commands and read-outs are equal to {_SAME:g} rad: the log holds commands twice, or "
+            "a simulator without dynamics; record measured joints as q1_rad ..."
         )
     still = np.ptp(recording.commanded_position, 0) < _SAME
     if still.all():
