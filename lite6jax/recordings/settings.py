@@ -216,9 +216,7 @@ class RecordingSettings:
         Annotated[tuple[Constant, ...], Meta(min_length=1)] | None,
         "a list with one number in N m per A for each joint, none zero",
     ] = None
-    command: Annotated[
-        Literal["none", "position"], "position, where commands beside measured joints are to be diagnosed, or none"
-    ] = "none"
+    command: Annotated[Literal["position"], "position, the only commands that are read"] = "position"
     servo: Annotated[
         Unknown | ServoSettings,
         "unknown, or {stiffness_Nm_per_rad: [...], damping_Nm_s_per_rad: [...], delay_s: 0.0, hold: previous or "

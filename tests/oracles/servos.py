@@ -1,0 +1,28 @@
+"""A position servo on a pendulum in plain NumPy: small explicit steps, sharp friction, a held and delayed command."""
+
+import numpy as np
+
+
+def follow(command, period, *, kp, kd, inertia, weight=0.0, coulomb=0.0, viscous=0.0, delay=0.0, play=0.0, fine=200):
+    """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
+
+    Its weight exerts weight·sin q, in Nm.
+    """
+    h = period / fine
+    q = command[0]
+    for _ in range(200):
+        q = command[0] - weight * np.sin(q) / kp
+    v = 0.0
+    y = q
+    read = np.empty(len(command))
+    for k in range(len(command) * fine):
+        if k % fine == 0:
+            read[k // fine] = y
+        late = max(int(np.floor((k * h - delay) / period + 1e-9)), 0)
+        pulled = kp * (command[late] - q) - (kd + viscous) * v - weight * np.sin(q)
+        stopped = v + h * pulled / inertia
+        band = h * coulomb / inertia
+        v = np.sign(stopped) * max(abs(stopped) - band, 0.0)
+        q += h * v
+        y = min(max(y, q - play), q + play)
+    return read
