@@ -101,11 +101,11 @@ class ServoFit:
 
         Those of stiffness and damping are ratios to `start`.
         """
-        found = {}
+        by_label = {}
         for term, part in zip(self.fit.terms.terms, self.fit.terms.slices, strict=True):
             assert isinstance(term, Effect)
-            found[term.label] = term.reported(self.fit.values[part], self.fit.covariance[part, part])
-        return found
+            by_label[term.label] = term.reported(self.fit.values[part], self.fit.covariance[part, part])
+        return by_label
 
     @cached_property
     def model(self) -> TrackingModel:
@@ -248,12 +248,12 @@ def fit_servos(
             training[edges[block] : edges[block + 1]] = True
     part_problem, part_fit = _fitted(whole, terms, options, training)
     heldout = _heldout(whole, part_problem, part_fit, training)
-    problem, found = _fitted(part_problem, terms, options, whole.valid, part_fit)
-    return ServoFit(problem, found, heldout)
+    problem, whole_fit = _fitted(part_problem, terms, options, whole.valid, part_fit)
+    return ServoFit(problem, whole_fit, heldout)
 
 
 def _check(terms: Terms, arm: Arm) -> None:
-    """Refuses effects that this arm cannot have, or that have no numbers of their own."""
+    """Refuses effects that this arm cannot have, or that are none on servos."""
     for k, effect in enumerate(terms.terms):
         named = isinstance(effect, Effect) and not effect.nonparametric
         if not named or TRACKING_EFFECTS.get(effect.name) is not type(effect):
@@ -277,11 +277,11 @@ def _fitted(
     return problem, white if noise.white else fit(problem, terms, options, white.values, None, training, noise)
 
 
-def _heldout(whole: TrackingProblem, problem: TrackingProblem, found: Fit, training: Mask) -> HeldOutTracking:
+def _heldout(whole: TrackingProblem, problem: TrackingProblem, fitted: Fit, training: Mask) -> HeldOutTracking:
     """The errors on the samples that were not fitted."""
     data = whole.data
     commanded = np.asarray(data.recording.commanded_position).T
-    after = problem.readouts(np.zeros(0), found.terms, found.values)
+    after = problem.readouts(np.zeros(0), fitted.terms, fitted.values)
     before = whole.readouts(np.zeros(len(whole.unknowns)), Terms(), np.zeros(0)) if data.declared else commanded
     late = _best_delay(commanded, data.measured, data.recording.run, data.commands.period, training)
 

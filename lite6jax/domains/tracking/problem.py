@@ -257,28 +257,28 @@ class TrackingProblem:
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
             wanted += enumerate(self._of_effect(effect, at[part], others, numbers), part.start)
-        columns = self._computed([each for _, some in wanted for each in some])
-        found = np.zeros((own.size, self.rows, self.samples))
-        for number, some in wanted:
-            for each in some:
-                joint = each.before.joint
-                found[number, joint] = columns[each.key][self.chosen] / self.noise[joint]
-        return found
+        differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
+        columns = np.zeros((own.size, self.rows, self.samples))
+        for number, by_joint in wanted:
+            for difference in by_joint:
+                joint = difference.before.joint
+                columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
+        return columns
 
     def _of_effect(self, effect: Effect, at: Array, others: Terms, numbers: Array) -> list[list[_Difference]]:
         """The columns of an effect at some numbers of its own, beside others, one list for each number."""
-        kept = [term != effect for term in others.terms]
-        terms, values = others.part(numbers, kept)
+        terms, values = others.part(numbers, [term != effect for term in others.terms])
         none = np.zeros(len(self.unknowns))
         model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
         extra = model.exerted(self.data.dynamics)
         joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
         before = {joint: self._state(model.servo, extra, joint) for joint in joints}
         units = unit_torques(effect, self.data.dynamics) if _exerts(effect) else None
-        found = []
+        numbers_by_joint = []
         for k in range(effect.size):
             step = self._step(effect, k, float(at[k]))
-            servo, total = model.servo, extra
+            servo = model.servo
+            total = extra
             if units is not None:
                 more = np.zeros((self.rows, self.data.commands.samples))
                 more[joints_of(effect)] = step * units[k]  # type: ignore[arg-type]
@@ -287,9 +287,9 @@ class TrackingProblem:
                 changed = at + step * np.eye(effect.size)[k]
                 servo = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed])).servo
             name = effect, k, at.tobytes()
-            each = [_Difference(name, before[joint], self._state(servo, total, joint), step) for joint in joints]
-            found.append(each)
-        return found
+            after = {joint: self._state(servo, total, joint) for joint in joints}
+            numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
+        return numbers_by_joint
 
     def _state(self, servo: Servo, extra: Array | None, joint: int) -> _State:
         return _State(joint, servo.take([joint]), None if extra is None else extra[joint])
@@ -299,7 +299,7 @@ class TrackingProblem:
         coordinate = effect.coordinates[k]
         if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0 and not at:
             return 1 / (_REACHED * self._largest(effect))
-        step = max(_SHARE * abs(at), coordinate.typical) if not at else max(_SHARE * abs(at), 0.02 * coordinate.typical)
+        step = max(_SHARE * abs(at), _SHARE * coordinate.typical) if at else coordinate.typical
         return step if at + step <= coordinate.upper else -step
 
     def _largest(self, effect: OfJoint) -> float:
@@ -349,9 +349,9 @@ class TrackingProblem:
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the unknown numbers of servos, `(number, joint, sample)`."""
-        found = np.zeros((len(self.unknowns), self.rows, self.samples))
+        columns = np.zeros((len(self.unknowns), self.rows, self.samples))
         if not self.unknowns:
-            return found
+            return columns
         model = self.model(np.zeros(len(self.unknowns)), terms, values)
         extra = model.exerted(self.data.dynamics)
         wanted = []
@@ -360,11 +360,11 @@ class TrackingProblem:
             changed = getattr(before.servo, unknown.field) * np.exp(_SHARE)
             after = before._replace(servo=before.servo._replace(**{unknown.field: changed}))
             wanted.append(_Difference(unknown, before, after, _SHARE))
-        columns = self._computed(wanted)
-        for number, each in enumerate(wanted):
-            joint = each.before.joint
-            found[number, joint] = columns[each.key][self.chosen] / self.noise[joint]
-        return found
+        differences = self._computed(wanted)
+        for number, difference in enumerate(wanted):
+            joint = difference.before.joint
+            columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
+        return columns
 
     def relinearised(self, nuisance: Array) -> "TrackingProblem":
         """The same problem at other numbers of the servos: nuisance zero is then there."""
@@ -392,25 +392,25 @@ class TrackingProblem:
     @lazy
     def components(self) -> tuple[Component, ...]:
         """The torque of each joint, as it shows while the joint moves slowly: over the stiffness."""
-        found = []
+        torques = []
         for j in range(self.rows):
             column = np.zeros((self.rows, self.samples))
             column[j] = -1 / (self.servo.stiffness[j] * self.noise[j])
-            found.append(Component(f"joint{j + 1}", "", column))
-        return tuple(found)
+            torques.append(Component(f"joint{j + 1}", "", column))
+        return tuple(torques)
 
     @lazy
     def quantities(self) -> tuple[Quantity, ...]:
         """The drivers of each joint that vary; they act at their own joint alone, through its servo."""
-        found = []
+        varied = []
         for j in range(1, self.rows + 1):
             for quantity in _QUANTITIES:
                 driver = joint_driver(quantity, j, False)
                 values = read_driver(driver, self.data.dynamics)
                 if values is not None and np.ptp(values) > _LEAST_VARIED:
                     site = f"joint{j}"
-                    found.append(Quantity(driver, np.asarray(values, float), frozenset({site}), site))
-        return tuple(found)
+                    varied.append(Quantity(driver, np.asarray(values, float), frozenset({site}), site))
+        return tuple(varied)
 
     def process(
         self,
