@@ -114,13 +114,11 @@ def interpolate(values: Array, commands: Commands) -> Array:
     return (values[:, :, None] + share * (following - values)[:, :, None]).reshape(len(values), -1)
 
 
-def loads_along(
-    bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array, mass: Array | None = None
-) -> Loads:
-    """The loads along a motion `(joint, sample)`, between its samples on a line; M as given, `(joint, step)`."""
+def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array) -> Loads:
+    """The loads along a motion `(joint, sample)`, between its samples on a line."""
     diagonal = bodies.masses(q)
-    load = interpolate(bodies.torques(q, dq, ddq) - diagonal * ddq, commands)
-    return Loads(load, interpolate(diagonal, commands) if mass is None else mass)
+    load = bodies.torques(q, dq, ddq) - diagonal * ddq
+    return Loads(interpolate(load, commands), interpolate(diagonal, commands))
 
 
 def roll_coupled(
@@ -129,8 +127,6 @@ def roll_coupled(
     bodies: Bodies,
     loads: Loads,
     extra: Array | None = None,
-    sweeps: int = _SWEEPS,
-    settled: float = _SETTLED,
 ) -> tuple[Rolled, Loads]:
     """The coupled arm, and the loads along it.
 
@@ -140,15 +136,13 @@ def roll_coupled(
         bodies: the arm.
         loads: to begin with.
         extra: `(joint, sample)` Nm, as of `roll`.
-        sweeps: at most.
-        settled: rad, by which two read-outs differ at the end.
     """
     joints = np.arange(bodies.joints)
     before = None
-    for _ in range(sweeps):
+    for _ in range(_SWEEPS):
         rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
         change = np.inf if before is None else float(np.max(np.abs(rolled.readout - before)))
-        if not bodies.links.any() or change < settled:
+        if not bodies.links.any() or change < _SETTLED:
             break
         before = rolled.readout
         torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)

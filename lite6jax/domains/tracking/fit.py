@@ -133,7 +133,8 @@ class ServoFit:
             run: `(sample,)`, which changes where a run begins; one run where not given.
 
         Raises:
-            InputError: arrays of other shapes, numbers that are not finite, or times that do not increase in a run.
+            InputError: arrays of other shapes, numbers that are not finite, times that do not increase in a run, or a
+                motion along which the rollout is not finite.
         """
         t, u, runs = _checked(time, command, run, self.data.arm.dof)
         position = np.empty(u.shape)
@@ -156,6 +157,8 @@ class ServoFit:
         still = np.zeros_like(u.T)
         loads = loads_along(self.model.bodies, commands, u.T, still, still)
         readout, loads = roll_out(self.model, commands, loads, None, data.has_masses)
+        if not np.isfinite(readout).all():
+            raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
         outside = self._outside(readout, loads, commands.steps, period)
         later = slice(before, None)
         position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)

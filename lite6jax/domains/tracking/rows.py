@@ -37,6 +37,16 @@ _MOVED = 5.0
 """Standard deviations of the noise within which an arm rests."""
 _SAME = 1e-6
 """rad, by which commands and read-outs differ at most where they are one."""
+_MOVING = 1e-2
+"""rad, the standard deviation of commands and read-outs from which they are compared."""
+_LATEST = 0.5
+"""s, by which a read-out follows its command at most."""
+_FOLLOWS = 0.9
+"""Correlation from which a read-out follows a command."""
+_UNRELATED = 0.5
+"""Correlation below which it does not."""
+_GAIN = 1.7
+"""Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
 _FEWEST = 50
 """Samples of a recording at least."""
 
@@ -188,6 +198,43 @@ def _start(even: Recording, noise: Array) -> Array:
     return start
 
 
+def _check_commands(even: Recording) -> None:
+    """Refuses read-outs that follow commands with another sign or unit, or those of another joint.
+
+    Read-outs and commands are correlated at the lag of at most `_LATEST` that suits each pair best.
+    """
+    assert even.time is not None
+    command = np.asarray(even.commanded_position)
+    measured = even.joint_position
+    moving = np.flatnonzero((np.std(command, 0) > _MOVING) & (np.std(measured, 0) > _MOVING))
+    period = float(np.median(np.diff(even.time)))
+    lags = np.unique(np.linspace(0, min(_LATEST / period, len(command) // 2), 26).astype(int))
+    best = np.zeros((len(moving), len(moving)))
+    for lag in lags:
+        both = np.corrcoef(measured[lag:, moving].T, command[: len(command) - lag, moving].T)
+        matrix = np.nan_to_num(both[: len(moving), len(moving) :])
+        best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
+    for place, joint in enumerate(moving.tolist()):
+        follows = best[place, place]
+        other = int(np.argmax(best[place]))
+        column = joint + 1
+        if follows < -_FOLLOWS:
+            raise InputError(
+                f"{even.source}: q{column}_rad moves against cmd{column}_rad; change the sign of one of them"
+            )
+        if abs(follows) < _UNRELATED and best[place, other] > _FOLLOWS:
+            raise InputError(
+                f"{even.source}: q{column}_rad follows cmd{moving[other] + 1}_rad and not cmd{column}_rad; exchange "
+                "the columns"
+            )
+        gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
+        if follows > _FOLLOWS and not 1 / _GAIN < gain < _GAIN:
+            raise InputError(
+                f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
+                "unit, after the same gear"
+            )
+
+
 def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     """The rows of a recording with commands.
 
@@ -209,6 +256,7 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     if still.all():
         raise InputError(f"{recording.source}: its commands never move; record a motion")
     even = even_rows(recording)
+    _check_commands(even)
     settings = even.settings
     quanta = np.array([_quantum(column) for column in recording.joint_position.T])
     noise = np.sqrt(settings.joint_noise_rad**2 + quanta**2 / 12 + FLOOR**2)

@@ -142,6 +142,8 @@ def commanded(q, command, **changed):
 
 
 LINE = np.linspace(0.0, 1.0, 100)[:, None]
+WAVE = 0.3 * np.sin(np.arange(800) * 0.05)[:, None]
+LATE = np.vstack([np.zeros((4, 1)), WAVE[:-4]])
 
 
 @pytest.mark.parametrize(
@@ -152,11 +154,27 @@ LINE = np.linspace(0.0, 1.0, 100)[:, None]
         (lambda: commanded(LINE, 0 * LINE), "its commands never move; record a motion"),
         (lambda: commanded(LINE, LINE + 0.1, time=None), "commands need times; add time_s"),
         (lambda: commanded(LINE[:20], LINE[:20] + 0.1), "has 20 rows; record at least 51"),
+        (lambda: commanded(-LATE, WAVE), "q1_rad moves against cmd1_rad; change the sign of one of them"),
+        (
+            lambda: commanded(LATE, 2 * WAVE),
+            "q1_rad moves 0.*[0-9] times as far as cmd1_rad; give both in the same unit",
+        ),
     ],
 )
 def test_what_is_no_tracking_recording_is_refused(recording, message):
     with pytest.raises(InputError, match=message):
         fit_servos(recording(), PENDULUM)
+
+
+def test_exchanged_joints_are_refused():
+    two = Arm("two", np.vstack([PENDULUM.kinematics, [[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]]]))
+    other = 0.3 * np.cos(np.arange(800) * 0.083)[:, None]
+    later = np.vstack([np.tile(other[:1], (4, 1)), other[:-4]])
+    time = np.arange(800) * PERIOD
+    given = {"arm": two, "time": time, "motion": "trajectory"}
+    recording = Recording.from_arrays(np.hstack([later, LATE]), commanded_position=np.hstack([WAVE, other]), **given)
+    with pytest.raises(InputError, match="q1_rad follows cmd2_rad and not cmd1_rad; exchange the columns"):
+        fit_servos(recording, two)
 
 
 @pytest.mark.parametrize(
