@@ -58,6 +58,7 @@ def record(command, servo, run=None, **changed):
         run=run,
         motion="trajectory",
         joint_noise_rad=2e-5,
+        payload_com_m=(0.0, -0.1, 0.0),
         servo=servo,
     )
 
