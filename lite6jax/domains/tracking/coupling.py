@@ -138,13 +138,14 @@ def roll_coupled(
         extra: `(joint, sample)` Nm, as of `roll`.
     """
     joints = np.arange(bodies.joints)
-    before = None
+    rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+    if not bodies.links.any():
+        return rolled, loads
     for _ in range(_SWEEPS):
-        rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
-        change = np.inf if before is None else float(np.max(np.abs(rolled.readout - before)))
-        if not bodies.links.any() or change < _SETTLED:
-            break
         before = rolled.readout
         torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
         loads = Loads(torques - loads.mass * rolled.acceleration, loads.mass)
+        rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+        if float(np.max(np.abs(rolled.readout - before))) < _SETTLED:
+            break
     return rolled, loads

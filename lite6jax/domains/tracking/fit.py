@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -240,8 +240,8 @@ def fit_servos(
     options = options or EngineOptions()
     terms = Terms(tuple(kind(joint) for kind in _USUAL for joint in range(1, arm.dof + 1)))
     if effects is not None:
+        _check(effects, arm)
         terms = Terms(tuple(effects))
-        _check(terms, arm)
     data = tracking_rows(recording, arm)
     whole = tracking_problem(data)
     training = np.zeros(whole.samples, bool)
@@ -255,15 +255,15 @@ def fit_servos(
     return ServoFit(problem, whole_fit, heldout)
 
 
-def _check(terms: Terms, arm: Arm) -> None:
+def _check(effects: Sequence[Any], arm: Arm) -> None:
     """Refuses effects that this arm cannot have, or that are none on servos."""
-    for k, effect in enumerate(terms.terms):
+    for k, effect in enumerate(effects):
         named = isinstance(effect, Effect) and not effect.nonparametric
         if not named or TRACKING_EFFECTS.get(effect.name) is not type(effect):
             raise InputError(f"effects: {effect} is none on servos; take them from tracking_catalogue({arm.dof})")
         if effect.joints_needed > arm.dof:
             raise InputError(f"effects: {effect.label} is of a joint that {arm.name} does not have; it has {arm.dof}")
-        if effect in terms.terms[:k]:
+        if effect in effects[:k]:
             raise InputError(f"effects: {effect.label} is there twice; leave one out")
 
 

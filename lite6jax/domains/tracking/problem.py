@@ -23,6 +23,7 @@ from lite6jax.effects.dynamic import (
     PayloadTorque,
     RotorInertia,
     StribeckFriction,
+    TorqueEffect,
     UnnamedTorque,
     ViscousFriction,
     declared,
@@ -273,7 +274,11 @@ class TrackingProblem:
         extra = model.exerted(self.data.dynamics)
         joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
         before = {joint: self._state(model.servo, extra, joint) for joint in joints}
-        units = unit_torques(effect, self.data.dynamics) if _exerts(effect) else None
+        units = None
+        acted_on = slice(None)
+        if isinstance(effect, TorqueEffect) and _exerts(effect):
+            units = unit_torques(effect, self.data.dynamics)
+            acted_on = joints_of(effect)
         numbers_by_joint = []
         for k in range(effect.size):
             step = self._step(effect, k, float(at[k]))
@@ -281,7 +286,7 @@ class TrackingProblem:
             total = extra
             if units is not None:
                 more = np.zeros((self.rows, self.data.commands.samples))
-                more[joints_of(effect)] = step * units[k]  # type: ignore[arg-type]
+                more[acted_on] = step * units[k]
                 total = more if extra is None else extra + more
             else:
                 changed = at + step * np.eye(effect.size)[k]

@@ -3,7 +3,7 @@
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import jax
 import numpy as np
@@ -147,7 +147,7 @@ def even_rows(recording: Recording) -> Recording:
         )
         if recording.commanded_position is not None:
             parts["commanded_position"].append(recording.commanded_position[first:last][at])
-    arrays = {name: np.concatenate(part) for name, part in parts.items() if part}
+    arrays: dict[str, Any] = {name: np.concatenate(part) for name, part in parts.items() if part}
     return Recording.assembled(
         **arrays,
         run=np.concatenate(runs),
