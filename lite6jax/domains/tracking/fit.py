@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm_of
-from lite6jax.domains.tracking.coupling import Loads, loads_along
+from lite6jax.domains.tracking.coupling import loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.problem import TrackingProblem, tracking_problem
 from lite6jax.domains.tracking.rollout import hold_commands
@@ -68,7 +68,7 @@ class TrackedMotion:
 
     Attributes:
         position: `(sample, joint)` rad, what encoders show.
-        outside: `(sample,)` bool, rows in which a joint's velocity or load is beyond what was fitted.
+        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
     """
 
     position: Array
@@ -156,10 +156,10 @@ class ServoFit:
         commands = hold_commands(u, np.zeros(len(u), int), period, u, longest=data.commands.step)
         still = np.zeros_like(u.T)
         loads = loads_along(self.model.bodies, commands, u.T, still, still)
-        readout, loads = roll_out(self.model, commands, loads, None, data.has_masses)
+        readout, _ = roll_out(self.model, commands, loads, None, data.has_masses)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
-        outside = self._outside(readout, loads, commands.steps, period)
+        outside = self._outside(readout)
         later = slice(before, None)
         position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)
         rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
@@ -167,23 +167,22 @@ class ServoFit:
 
     @cached_property
     def _ranges(self) -> list[tuple[Array, Array]]:
-        """The least and the greatest velocity and load of each joint that were fitted, `(joint,)` each."""
-        readout = self.problem.readouts(np.zeros(0), self.fit.terms, self.fit.values)
-        loads = self.problem.known.loads or self.problem.loads
-        quantities = _quantities(readout, loads, self.data.commands.steps, self.data.commands.period)
+        """The least and the greatest velocity and weight of each joint that were fitted, `(joint,)` each."""
+        quantities = self._quantities(self.problem.readouts(np.zeros(0), self.fit.terms, self.fit.values))
         return [(each.min(1), each.max(1)) for each in quantities]
 
-    def _outside(self, readout: Array, loads: Loads, steps: int, period: float) -> Mask:
+    def _outside(self, readout: Array) -> Mask:
         beyond = np.zeros(readout.shape[1], bool)
-        for values, (lower, upper) in zip(_quantities(readout, loads, steps, period), self._ranges, strict=True):
+        for values, (lower, upper) in zip(self._quantities(readout), self._ranges, strict=True):
             margin = _BEYOND * np.maximum(upper - lower, 1e-3)
             beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
         return beyond
 
-
-def _quantities(readout: Array, loads: Loads, steps: int, period: float) -> tuple[Array, Array]:
-    """`(joint, sample)` rad/s and Nm, on which servos and friction depend."""
-    return np.gradient(readout, period, axis=1), loads.load[:, ::steps]
+    def _quantities(self, readout: Array) -> tuple[Array, Array]:
+        """`(joint, sample)` rad/s and Nm at rest, on which servos and friction depend."""
+        still = np.zeros_like(readout)
+        weight = self.data.bodies.torques(readout, still, still)
+        return np.gradient(readout, self.data.commands.period, axis=1), weight
 
 
 def _checked(
