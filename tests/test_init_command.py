@@ -80,7 +80,9 @@ def test_the_sidecar_explains_every_key(recorded, capsys):
     commented = re.findall(r"^  # (\w+): (.*)$", text, re.MULTILINE)
     examples = {key: value for key, value in commented if key in inspection.KEYS}
     of_torques = {"torque_source", "torque_noise_Nm", "inertial", "torque_constant_Nm_per_A"}
-    assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - of_torques - set(OF_READINGS)
+    of_commands = {"command", "servo"}
+    others = of_torques | of_commands | set(OF_READINGS)
+    assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - others
     assert max(map(len, text.splitlines())) <= 120
     # each example is accepted in its place
     keys = "|".join(examples)

@@ -53,7 +53,7 @@ COLUMNS = {
     "tau": "joint torques: what the motor exerts about +z of its joint",
     "current": "motor currents; torques with `torque_constant_Nm_per_A` in the sidecar",
     "temp": "temperatures of the joints",
-    "cmd": "commanded joint positions beside the measured ones: kept, and used by nothing yet",
+    "cmd": "commanded joint positions beside the measured ones, to which servos are fitted",
     "time": "time of the sample; without it the order of the rows is the sequence",
     **dict.fromkeys("xyz", "measured position of the tool point"),
     **dict.fromkeys(columns.DEVIATION, "deviation of the measured position from `x y z`, which are nominal beside it"),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute, joint_size
-from lite6jax.effects import dynamic, kinematic
+from lite6jax.effects import dynamic, kinematic, servo
 from lite6jax.effects.composition import missing
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Effect
@@ -44,6 +44,19 @@ TORQUE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
     )
 })  # fmt: skip
 """The classes of effects on torques by name."""
+_IN_BOTH = (
+    *(dynamic.ViscousFriction, dynamic.CoulombFriction, dynamic.LoadFriction, dynamic.RotorInertia),
+    dynamic.JointSpring,
+)
+"""Effects on torques that a servo follows worse for."""
+TRACKING_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
+    kind.name: kind
+    for kind in (
+        *(servo.CommandTimeOffset, servo.ClockDrift, *servo.OF_JOINTS),
+        *(*_IN_BOTH, dynamic.StribeckFriction, dynamic.PayloadTorque, dynamic.BaseTilt, dynamic.UnnamedTorque),
+    )
+})  # fmt: skip
+"""The classes of effects on how servos follow their commands, by name."""
 
 _FRICTIONS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of the largest gravity torque of a joint: between two of them a step or a play is about the same."""
@@ -161,6 +174,19 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
         *(kind(link) for kind in (d.LinkMass, d.LinkCom) for link in joints),
         *(d.LinkInertia(joint) for joint in joints if not of_slide[joint]),
         *(d.PayloadTorque(), d.PayloadBody(), d.BaseTilt(), d.TorqueTimeOffset()),
+    )
+
+
+def tracking_catalogue(dof: int) -> tuple[Effect, ...]:
+    """Every named effect on how the servos of an arm follow their commands, without Stribeck friction.
+
+    Args:
+        dof: number of joints, all revolute.
+    """
+    kinds = (*servo.OF_JOINTS, *_IN_BOTH)
+    return (
+        *(kind(joint) for kind in kinds for joint in range(1, dof + 1)),
+        *(servo.CommandTimeOffset(), servo.ClockDrift(), dynamic.PayloadTorque(), dynamic.BaseTilt()),
     )
 
 

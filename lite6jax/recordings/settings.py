@@ -131,6 +131,24 @@ class BoardSettings(_Record, frozen=True):
         return tuple((i % self.columns * self.square_m, i // self.columns * self.square_m, 0.0) for i in range(count))
 
 
+Rate = Annotated[float, Meta(ge=0.0, le=1e7)]
+PerJoint = Annotated[tuple[Rate, ...], Meta(min_length=1)]
+
+
+class ServoSettings(_Record, frozen=True):
+    """Position servos with a stiffness and a damping of each joint, the delay of all, and how commands are held."""
+
+    stiffness_Nm_per_rad: PerJoint  # noqa: N815 (the sidecar's key)
+    damping_Nm_s_per_rad: PerJoint  # noqa: N815 (the sidecar's key)
+    delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    hold: Literal["previous", "interpolated"] = "previous"
+    gravity_compensation: bool = False
+
+    def __post_init__(self) -> None:
+        if 0.0 in self.stiffness_Nm_per_rad:
+            raise ValueError("stiffness_Nm_per_rad: is zero")
+
+
 @dataclass(frozen=True)
 class RecordingSettings:
     """What a sidecar declares; the defaults are those of a recording without one.
@@ -198,6 +216,12 @@ class RecordingSettings:
         Annotated[tuple[Constant, ...], Meta(min_length=1)] | None,
         "a list with one number in N m per A for each joint, none zero",
     ] = None
+    command: Annotated[Literal["position"], "position, the only commands that are read"] = "position"
+    servo: Annotated[
+        Unknown | ServoSettings,
+        "unknown, or {stiffness_Nm_per_rad: [...], damping_Nm_s_per_rad: [...], delay_s: 0.0, hold: previous or "
+        "interpolated, gravity_compensation: false}, with one stiffness and one damping per joint, in N m and rad",
+    ] = "unknown"
     contact_noise_m: Annotated[
         Sigma | None, "one sigma in m of the touched point about its contact, more than zero"
     ] = None
@@ -274,6 +298,14 @@ class RecordingSettings:
                 raise InputError(
                     f"{source}: recording.{key} has {len(given)} numbers for {joints} joints; give one per joint"
                 )
+        if isinstance(self.servo, ServoSettings):
+            for key in ("stiffness_Nm_per_rad", "damping_Nm_s_per_rad"):
+                given = getattr(self.servo, key)
+                if len(given) != joints:
+                    raise InputError(
+                        f"{source}: recording.servo.{key} has {len(given)} numbers for {joints} joints; give one per "
+                        "joint"
+                    )
         return each
 
     def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":

@@ -196,6 +196,8 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
     of = {*found.readings, *(["readings"] if found.readings else ())}
     if found.of("tau") is not None or found.of("current") is not None:
         of.add("torques")
+    if found.of("cmd") is not None:
+        of.add("commands")
     if found.of("position") is not None or any(name.startswith("x_") for name in found.given.values()):
         of.add("poses")
     lines.append("recording:" if settings else "recording: {}  # nothing is declared yet")

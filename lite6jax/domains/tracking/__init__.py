@@ -1,0 +1,1 @@
+"""Commanded against measured joints: rollouts of servos, their problem, and what a diagnosed arm does with commands."""

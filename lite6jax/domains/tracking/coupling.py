@@ -1,0 +1,151 @@
+"""What the arm exerts on each joint along a motion, and rollouts of the coupled arm by iterating it.
+
+Of joint i the rest of the arm exerts L = τ(q, q̇, q̈) − M·q̈ᵢ, with the inverse dynamics τ of rigid bodies and M the
+diagonal of the mass matrix. L is taken along one rollout of all joints and held in the next one. Its fixed point is the
+coupled arm, whatever M is taken.
+"""
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
+from lite6jax.domains.tracking.rollout import GRIP, Commands, Rolled, roll
+from lite6jax.effects.dynamic import point_mass
+from lite6jax.effects.servo import RIGID_GRIP, Servo
+
+Array = NDArray[np.floating]
+
+_SWEEPS = 12
+"""Rollouts at most, each along the motion of the one before."""
+_SETTLED = 1e-7
+"""rad, by which read-outs of two sweeps differ at most at the end."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The rigid bodies of an arm with a payload.
+
+    Attributes:
+        kinematics: `(joint, 6)` m and rad.
+        links: `(joint, 10)` inertial numbers, with the payload's.
+        payload_center: `(3,)` m, in the frame after the last joint.
+        gravity: `(3,)` m/s² in the base frame.
+    """
+
+    kinematics: Array
+    links: Array
+    payload_center: Array
+    gravity: Array
+
+    @classmethod
+    def of_arm(cls, arm: Arm, payload: float, center: Array, gravity: Array) -> "Bodies":
+        """Of an arm, with a payload in kg whose centre `(3,)` m is in the flange's frame; without masses, of none."""
+        at = arm.T_joint_flange[:3, :3] @ np.asarray(center, float) + arm.T_joint_flange[:3, 3]
+        links = np.zeros((arm.dof, 10)) if arm.mass is None else np.array(link_parameters(arm))
+        links[-1] += point_mass(payload, at)
+        return cls(np.asarray(arm.kinematics), links, at, np.asarray(gravity, float))
+
+    @property
+    def joints(self) -> int:
+        return len(self.links)
+
+    def with_payload(self, mass: float) -> "Bodies":
+        """With more kg at the payload's centre."""
+        links = self.links.copy()
+        links[-1] += point_mass(mass, self.payload_center)
+        return replace(self, links=links)
+
+    def tilted(self, tilt: Array) -> "Bodies":
+        """With the base tilted by small rotations `(2,)` rad about x and y."""
+        turn = np.array([tilt[0], tilt[1], 0.0])
+        return replace(self, gravity=self.gravity - np.cross(turn, self.gravity))
+
+    def torques(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """`(joint, sample)` Nm along a motion of that shape."""
+        return np.asarray(inverse_dynamics(self.kinematics, self.links, q, dq, ddq, self.gravity))
+
+    def mass_matrix(self, q: Array) -> Array:
+        """`(joint, joint, sample)` kg·m², at positions `(joint, sample)`."""
+        still = np.zeros_like(q)
+        columns = []
+        for joint in range(self.joints):
+            unit = still.copy()
+            unit[joint] = 1.0
+            columns.append(np.asarray(inverse_dynamics(self.kinematics, self.links, q, still, unit, np.zeros(3))))
+        return np.stack(columns, 1)
+
+    def masses(self, q: Array) -> Array:
+        """`(joint, sample)` kg·m², the diagonal of the mass matrix."""
+        return np.diagonal(self.mass_matrix(q), axis1=0, axis2=1).T
+
+    @property
+    def grip(self) -> Array:
+        """`(joint,)` kg·m², how firmly friction holds joints that stick; that of no masses is nearly rigid."""
+        if not self.links.any():
+            return np.full(self.joints, RIGID_GRIP)
+        M = self.mass_matrix(np.zeros((self.joints, 1)))[..., 0]
+        return GRIP / np.diagonal(np.linalg.pinv(M))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What acts on each joint beside its servo, at every step.
+
+    Attributes:
+        load: `(joint, step)` Nm, L.
+        mass: `(joint, step)` kg·m², M.
+    """
+
+    load: Array
+    mass: Array
+
+
+def interpolate(values: Array, commands: Commands) -> Array:
+    """Values `(joint, sample)` on a line from sample to sample, `(joint, step)`; the last of a run holds."""
+    ends = np.r_[commands.reset[1:], True]
+    following = np.where(ends, values, np.roll(values, -1, 1))
+    share = np.arange(commands.steps) / commands.steps
+    return (values[:, :, None] + share * (following - values)[:, :, None]).reshape(len(values), -1)
+
+
+def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array) -> Loads:
+    """The loads along a motion `(joint, sample)`, between its samples on a line."""
+    diagonal = bodies.masses(q)
+    load = bodies.torques(q, dq, ddq) - diagonal * ddq
+    return Loads(interpolate(load, commands), interpolate(diagonal, commands))
+
+
+def roll_coupled(
+    servo: Servo,
+    commands: Commands,
+    bodies: Bodies,
+    loads: Loads,
+    extra: Array | None = None,
+) -> tuple[Rolled, Loads]:
+    """The coupled arm, and the loads along it.
+
+    Args:
+        servo: each `(joint,)`.
+        commands: of all joints.
+        bodies: the arm.
+        loads: to begin with.
+        extra: `(joint, sample)` Nm, as of `roll`.
+    """
+    joints = np.arange(bodies.joints)
+    rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+    if not bodies.links.any():
+        return rolled, loads
+    for _ in range(_SWEEPS):
+        before = rolled.readout
+        torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
+        loads = Loads(torques - loads.mass * rolled.acceleration, loads.mass)
+        rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+        if float(np.max(np.abs(rolled.readout - before))) < _SETTLED:
+            break
+    return rolled, loads

@@ -1,0 +1,525 @@
+"""Measured joints as an estimation problem: rollouts from commands alone, and the columns of effects as differences."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.torque.predict import joints_of, read_driver, unit_torques
+from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along
+from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
+from lite6jax.domains.tracking.rollout import roll
+from lite6jax.domains.tracking.rows import TrackingRows
+from lite6jax.effects.catalogue import Untestable, torque_shaped, tracking_catalogue
+from lite6jax.effects.drivers import joint_driver
+from lite6jax.effects.dynamic import (
+    BaseTilt,
+    CoulombFriction,
+    LoadFriction,
+    PayloadTorque,
+    RotorInertia,
+    StribeckFriction,
+    TorqueEffect,
+    UnnamedTorque,
+    ViscousFriction,
+    declared,
+)
+from lite6jax.effects.effect import Effect, OfJoint
+from lite6jax.effects.servo import RateLimit, Servo, ServoDamping, ServoStiffness, TorqueLimit, TorqueSpeedLimit
+from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
+from lite6jax.estimation.terms import Term, Terms
+
+Array = NDArray[np.floating]
+
+# type checkers do not accept a cached property where a protocol declares a property
+lazy = property if TYPE_CHECKING else cached_property
+
+_SHARE = 0.02
+"""Of a number, by which it is changed for a derivative."""
+_REACHED = 0.7
+"""Of the largest speed or torque: the limit at which a first column is taken."""
+_PRIOR = 1.5
+"""Standard deviation of the prior of the logarithm of a servo's unknown number."""
+NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
+_QUANTITIES = ("position", "velocity", "speed", "direction of motion", "gravity torque")
+"""Of each joint."""
+_LEAST_VARIED = 1e-3
+"""Range of a driver below which it did not vary."""
+_KEPT = 4096
+"""Columns that are kept."""
+_AT_ONCE = 2e7
+"""Steps of all lanes that are integrated in one call: 160 MB for each quantity of a lane."""
+
+
+class Unknown(NamedTuple):
+    """A number of the nuisance: the logarithm of a field of the servo of a joint, from 0."""
+
+    field: str
+    joint: int
+
+
+@final
+@dataclass(eq=False)
+class Known:
+    """What has been computed, shared between the problems of one recording.
+
+    Attributes:
+        columns: of effects and unknowns, `(every sample,)` rad by what they depend on.
+        rollouts: read-outs `(joint, every sample)` rad by model.
+        loads: along the latest rollout of a coupled arm.
+    """
+
+    columns: dict[Any, Array] = field(default_factory=dict)
+    rollouts: dict[bytes, Array] = field(default_factory=dict)
+    loads: Loads | None = None
+
+    def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
+        """Another process computes it anew, which is faster than to send it."""
+        return Known, ()
+
+
+class _State(NamedTuple):
+    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and a torque `(every sample,)` Nm beside."""
+
+    joint: int
+    servo: Servo
+    extra: Array | None
+
+    @property
+    def key(self) -> tuple[int, bytes, bytes]:
+        """The same for the same rollout."""
+        numbers = np.concatenate([np.asarray(part) for part in self.servo])
+        return self.joint, numbers.tobytes(), b"" if self.extra is None else self.extra.tobytes()
+
+
+class _Difference(NamedTuple):
+    """The column `(every sample,)` rad of a number: a difference of rollouts over that of the number."""
+
+    name: Any
+    before: _State
+    after: _State
+    over: float
+
+    @property
+    def key(self) -> Any:
+        """The same for the same column."""
+        return self.name, self.before.key
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TrackingProblem:
+    """A tracking recording; `estimation.problem.Problem` describes the members it shares.
+
+    Residuals are exact rollouts. Columns are differences of rollouts with one number changed, of joints along the loads
+    of the latest rollout. At zero of a number in which they are not linear they are secants of a usual size.
+
+    Attributes:
+        data: the rows.
+        chosen: `(sample,)`, which samples of the grid these are.
+        servo: at the point of linearisation.
+        unknowns: the nuisance.
+        offset: `(number,)`, from the prior's mean to `servo`.
+        candidates: effects that are testable with this recording.
+        untestable: those that are not, and why.
+        valid: `(sample,)`, those that may be used at all.
+        known: what has been computed.
+    """
+
+    data: TrackingRows
+    chosen: NDArray[np.integer]
+    servo: Servo
+    unknowns: tuple[Unknown, ...]
+    offset: Array
+    candidates: tuple[Effect, ...]
+    untestable: tuple[Untestable, ...]
+    valid: Mask
+    known: Known = field(default_factory=Known)
+
+    def __getstate__(self) -> dict[str, object]:
+        """What another process is sent: the fields, and nothing that is cached."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    # ------------------------------------------------------------------ what rows, noise and runs are
+
+    @property
+    def rows(self) -> int:
+        """One a joint."""
+        return len(self.data.measured)
+
+    @property
+    def samples(self) -> int:
+        return len(self.chosen)
+
+    @lazy
+    def groups(self) -> NDArray[np.integer]:
+        """Each joint has a noise of its own."""
+        return np.arange(self.rows)
+
+    @lazy
+    def run(self) -> NDArray[np.integer]:
+        return self.data.recording.run[self.chosen]
+
+    @property
+    def every_run(self) -> NDArray[np.integer]:
+        return np.asarray(self.data.motion.run)
+
+    @property
+    def declared(self) -> bool:
+        """Whether the sidecar declares the noise of encoders."""
+        return self.data.recording.settings.joint_noise_rad > 0
+
+    @property
+    def floored(self) -> bool:
+        """Rollouts are not more exact than declared."""
+        return True
+
+    @property
+    def noise(self) -> Array:
+        """`(joint,)` rad."""
+        return self.data.noise
+
+    @property
+    def sigma(self) -> Array:
+        """`(joint, 1)` rad."""
+        return self.data.noise[:, None]
+
+    @property
+    def measured(self) -> Array:
+        """`(joint, sample)` rad."""
+        return self.data.measured[:, self.chosen]
+
+    @lazy
+    def precision(self) -> Array:
+        return np.full(len(self.unknowns), _PRIOR**-2)
+
+    @lazy
+    def informative(self) -> Mask:
+        return np.zeros(len(self.unknowns), bool)
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """None."""
+        return Terms(), np.zeros(0)
+
+    # ------------------------------------------------------------------ residuals
+
+    @cached_property
+    def loads(self) -> Loads:
+        """Along the measured motion."""
+        motion = self.data.motion
+        moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
+        return loads_along(self.data.bodies, self.data.commands, *(np.asarray(part) for part in moved))
+
+    def model(self, nuisance: Array, terms: Terms, values: Array) -> TrackingModel:
+        """The arm with its servos, by the nuisance `(number,)` and the numbers of terms."""
+        base = TrackingModel(self.servo_at(nuisance), self.data.bodies)
+        return compose(base, terms, values, self.data.coupled)
+
+    def servo_at(self, nuisance: Array) -> Servo:
+        """The servos at a nuisance `(number,)`."""
+        changed = {name: np.array(getattr(self.servo, name)) for name in {one.field for one in self.unknowns}}
+        for unknown, number in zip(self.unknowns, nuisance, strict=True):
+            changed[unknown.field][unknown.joint] *= np.exp(np.clip(number, -20.0, 20.0))
+        return self.servo._replace(**changed)
+
+    def readouts(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Rolled-out read-outs `(joint, every sample)` rad."""
+        model = self.model(nuisance, terms, values)
+        extra = model.exerted(self.data.dynamics)
+        key = _bytes(model, extra)
+        if key not in self.known.rollouts:
+            if len(self.known.rollouts) > 64:
+                self.known.rollouts.clear()
+            start = self.known.loads or self.loads
+            readouts, loads = roll_out(model, self.data.commands, start, extra, self.data.coupled)
+            self.known.rollouts[key] = readouts
+            self.known.loads = loads
+        return self.known.rollouts[key]
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """`(joint, sample)` over `sigma`, rolled out minus measured."""
+        return (self.readouts(nuisance, terms, values)[:, self.chosen] - self.measured) / self.sigma
+
+    # ------------------------------------------------------------------ columns
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """How residuals change with the numbers of effects, `(number, joint, sample)`."""
+        own = Terms(tuple(terms))
+        at = np.zeros(own.size) if values is None else np.asarray(values, float)
+        others, numbers = beside or (own, at)
+        wanted: list[tuple[int, list[_Difference]]] = []
+        for effect, part in zip(own.terms, own.slices, strict=True):
+            assert isinstance(effect, Effect)
+            wanted += enumerate(self._of_effect(effect, at[part], others, numbers), part.start)
+        differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
+        columns = np.zeros((own.size, self.rows, self.samples))
+        for number, by_joint in wanted:
+            for difference in by_joint:
+                joint = difference.before.joint
+                columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
+        return columns
+
+    def _of_effect(self, effect: Effect, at: Array, others: Terms, numbers: Array) -> list[list[_Difference]]:
+        """The columns of an effect at some numbers of its own, beside others, one list for each number."""
+        terms, values = others.part(numbers, [term != effect for term in others.terms])
+        none = np.zeros(len(self.unknowns))
+        model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
+        extra = model.exerted(self.data.dynamics)
+        joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
+        before = {joint: self._state(model.servo, extra, joint) for joint in joints}
+        units = None
+        acted_on = slice(None)
+        if isinstance(effect, TorqueEffect) and _exerts(effect):
+            units = unit_torques(effect, self.data.dynamics)
+            acted_on = joints_of(effect)
+        numbers_by_joint = []
+        for k in range(effect.size):
+            step = self._step(effect, k, float(at[k]))
+            servo = model.servo
+            total = extra
+            if units is not None:
+                more = np.zeros((self.rows, self.data.commands.samples))
+                more[acted_on] = step * units[k]
+                total = more if extra is None else extra + more
+            else:
+                changed = at + step * np.eye(effect.size)[k]
+                servo = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed])).servo
+            name = effect, k, at.tobytes()
+            after = {joint: self._state(servo, total, joint) for joint in joints}
+            numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
+        return numbers_by_joint
+
+    def _state(self, servo: Servo, extra: Array | None, joint: int) -> _State:
+        return _State(joint, servo.take([joint]), None if extra is None else extra[joint])
+
+    def _step(self, effect: Effect, k: int, at: float) -> float:
+        """By how much a number is changed for its column."""
+        coordinate = effect.coordinates[k]
+        if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0 and not at:
+            return 1 / (_REACHED * self._largest(effect))
+        step = max(_SHARE * abs(at), _SHARE * coordinate.typical) if at else coordinate.typical
+        return step if at + step <= coordinate.upper else -step
+
+    def _largest(self, effect: OfJoint) -> float:
+        """The speed of a joint's command in rad/s, or its servo's torque in Nm, that is seldom exceeded."""
+        j = effect.joint - 1
+        command = np.asarray(self.data.recording.commanded_position)[:, j]
+        if isinstance(effect, RateLimit):
+            return max(float(np.quantile(np.abs(np.diff(command)), 0.99)) / self.data.commands.period, 1e-3)
+        torque = self.servo.stiffness[j] * np.abs(command - self.data.measured[j])
+        return max(float(np.quantile(torque, 0.99)), 1e-3)
+
+    def _computed(self, wanted: Sequence[_Difference]) -> dict[Any, Array]:
+        """Columns `(every sample,)` rad by their keys."""
+        known = self.known.columns
+        missing = {each.key: each for each in wanted if each.key not in known}
+        if not missing:
+            return {each.key: known[each.key] for each in wanted}
+        states = {state.key: state for each in missing.values() for state in (each.before, each.after)}
+        readouts = dict(zip(states, self._rolled(list(states.values())), strict=True))
+        if len(known) + len(missing) > _KEPT:
+            known.clear()
+        new = {key: (readouts[each.after.key] - readouts[each.before.key]) / each.over for key, each in missing.items()}
+        known.update(new)
+        return {each.key: new[each.key] if each.key in new else known[each.key] for each in wanted}
+
+    def _rolled(self, states: Sequence[_State]) -> Array:
+        """Read-outs `(state, every sample)` rad along the latest loads."""
+        loads = self.known.loads or self.loads
+        commands = self.data.commands
+        servo = Servo(*(np.concatenate(parts) for parts in zip(*(state.servo for state in states), strict=True)))
+        joints = np.array([state.joint for state in states])
+        extra = None
+        if any(state.extra is not None for state in states):
+            nothing = np.zeros(commands.samples)
+            extra = np.stack([nothing if state.extra is None else state.extra for state in states])
+        parts = []
+        most = max(int(_AT_ONCE / (commands.samples * commands.steps)), 12)
+        for first in range(0, len(states), most):
+            some = slice(first, first + most)
+            more = None if extra is None else extra[some]
+            parts.append(roll(servo.take(some), commands, joints[some], loads.load, loads.mass, extra=more).readout)
+        return np.concatenate(parts)
+
+    def factored(self, term: Term) -> None:
+        """None: a term acts through the loop."""
+        return
+
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with the unknown numbers of servos, `(number, joint, sample)`."""
+        columns = np.zeros((len(self.unknowns), self.rows, self.samples))
+        if not self.unknowns:
+            return columns
+        model = self.model(np.zeros(len(self.unknowns)), terms, values)
+        extra = model.exerted(self.data.dynamics)
+        wanted = []
+        for unknown in self.unknowns:
+            before = self._state(model.servo, extra, unknown.joint)
+            changed = getattr(before.servo, unknown.field) * np.exp(_SHARE)
+            after = before._replace(servo=before.servo._replace(**{unknown.field: changed}))
+            wanted.append(_Difference(unknown, before, after, _SHARE))
+        differences = self._computed(wanted)
+        for number, difference in enumerate(wanted):
+            joint = difference.before.joint
+            columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
+        return columns
+
+    def relinearised(self, nuisance: Array) -> "TrackingProblem":
+        """The same problem at other numbers of the servos: nuisance zero is then there."""
+        return replace(self, servo=self.servo_at(nuisance), offset=self.offset + nuisance)
+
+    def limits(self, term: Term) -> list[tuple[float, float]]:
+        """Those of the effect; no friction or rotor is less than nothing."""
+        assert isinstance(term, Effect)
+        first, *others = [(number.lower, number.upper) for number in term.coordinates]
+        less = declared(self.data.arm, term) if term.chosen is None else 0.0
+        return [(first[0] - less, first[1]), *others]
+
+    # ------------------------------------------------------------------ what is tried
+
+    @lazy
+    def periodic(self) -> tuple[PeriodicFamily, ...]:
+        """None: waves of one turn are candidates."""
+        return ()
+
+    @lazy
+    def shaped(self) -> tuple[Effect, ...]:
+        """Stribeck friction at a few of its speeds."""
+        return tuple(effect for effect in torque_shaped(self.data.motion) if isinstance(effect, StribeckFriction))
+
+    @lazy
+    def components(self) -> tuple[Component, ...]:
+        """The torque of each joint, as it shows while the joint moves slowly: over the stiffness."""
+        torques = []
+        for j in range(self.rows):
+            column = np.zeros((self.rows, self.samples))
+            column[j] = -1 / (self.servo.stiffness[j] * self.noise[j])
+            torques.append(Component(f"joint{j + 1}", "", column))
+        return tuple(torques)
+
+    @lazy
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The drivers of each joint that vary; they act at their own joint alone, through its servo."""
+        varied = []
+        for j in range(1, self.rows + 1):
+            for quantity in _QUANTITIES:
+                driver = joint_driver(quantity, j, False)
+                values = read_driver(driver, self.data.dynamics)
+                if values is not None and np.ptp(values) > _LEAST_VARIED:
+                    site = f"joint{j}"
+                    varied.append(Quantity(driver, np.asarray(values, float), frozenset({site}), site))
+        return tuple(varied)
+
+    def process(
+        self,
+        component: Component,
+        quantities: Sequence[Quantity],
+        kernel: str,
+        spread: float,
+        rolloff: tuple[float, ...] = (),
+    ) -> UnnamedTorque:
+        """A nonparametric torque over the ranges of the recording."""
+        joint = int(component.site.removeprefix("joint"))
+        phrase = " and ".join(one.driver.phrase for one in quantities)
+        (lower, upper), *further = (one.bounds for one in quantities)
+        others = tuple(number for pair in further for number in pair)
+        return UnnamedTorque(joint, phrase, lower, upper, kernel, others, spread, rolloff)
+
+    def seen(self, functions: Array) -> Array:
+        return functions[..., self.chosen]
+
+    # ------------------------------------------------------------------ other samples and models
+
+    def select(self, rows: NDArray[np.integer]) -> "TrackingProblem":
+        """Some of the samples; all are rolled out."""
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows])
+
+    def thinned(self, every: int) -> "TrackingProblem":
+        return self if every == 1 else self.select(np.arange(self.samples)[::every])
+
+    def alternative(self, terms: Terms) -> None:
+        """None: there is one model of the inputs."""
+        return
+
+    def inputs(self, terms: Terms) -> tuple[Term, ...]:
+        """None: commands are known."""
+        return ()
+
+
+def _exerts(effect: Effect) -> bool:
+    """Whether columns of an effect are those of torques along the measured motion, and not of a servo's numbers."""
+    bare = TrackingModel(Servo.ideal(np.ones(effect.joints_needed), np.ones(effect.joints_needed)), NO_BODIES)
+    return bool(with_effect(bare, effect, np.zeros(effect.size), coupled=False).torques)
+
+
+def _bytes(model: TrackingModel, extra: Array | None) -> bytes:
+    parts = [*map(np.asarray, model.servo), model.bodies.links, model.bodies.gravity]
+    return b"".join(part.tobytes() for part in parts) + (b"" if extra is None else extra.tobytes())
+
+
+def unknowns_of(data: TrackingRows) -> tuple[Unknown, ...]:
+    """Of servos that are not declared stiffness and damping, and what the arm's description does not say either."""
+    if data.declared:
+        return ()
+    names = ["stiffness", "damping"]
+    names += ["inertia"] if data.arm.rotor_inertia is None else []
+    names += ["coulomb"] if data.arm.coulomb_friction is None else []
+    return tuple(Unknown(name, joint) for name in names for joint in range(data.arm.dof))
+
+
+def tracking_problem(data: TrackingRows) -> TrackingProblem:
+    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
+    unknowns = unknowns_of(data)
+    candidates = tracking_catalogue(data.arm.dof)
+    fitted = (ServoStiffness, ServoDamping, ViscousFriction) if unknowns else ()
+    fitted += (CoulombFriction,) if any(one.field == "coulomb" for one in unknowns) else ()
+    fitted += (RotorInertia,) if any(one.field == "inertia" for one in unknowns) else ()
+    fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction)
+    candidates = tuple(effect for effect in candidates if not isinstance(effect, fitted))
+    chosen = np.arange(data.commands.samples)
+    valid = np.ones(len(chosen), bool)
+    problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)
+    return started(problem) if unknowns else problem
+
+
+_STIFFNESSES = np.geomspace(0.3, 1500.0, 12)
+_TIMES = (0.01, 0.025, 0.06, 0.15)
+_INERTIAS = (1e-4, 6e-4, 3e-3)
+_BANDS = (1e-3, 2e-2)
+"""Of the grid from which a fit of unknown servos starts: Nm/rad, s of damping over stiffness, s² of inertia over
+stiffness, rad of friction over stiffness."""
+_LONGEST_START = 4000
+"""Samples of the rollouts of that grid."""
+
+
+def started(problem: TrackingProblem) -> TrackingProblem:
+    """The problem at the numbers of a grid that fit best, joint by joint."""
+    data = problem.data
+    names = {one.field for one in problem.unknowns}
+    inertias = _INERTIAS if "inertia" in names else (0.0,)
+    bands = _BANDS if "coulomb" in names else (0.0,)
+    grid = np.array(list(product(_STIFFNESSES, _TIMES, inertias, bands)))
+    few = min(data.commands.samples, _LONGEST_START)
+    commands = data.commands.cut(few)
+    fine = few * commands.steps
+    loads = problem.loads
+    servo = {name: np.array(getattr(problem.servo, name)) for name in Servo._fields}
+    for joint in range(problem.rows):
+        lanes = Servo(*(np.full(len(grid), numbers[joint]) for numbers in servo.values()))
+        kp = grid[:, 0]
+        fields = {"stiffness": kp, "damping": kp * grid[:, 1], "inertia": kp * grid[:, 2], "coulomb": kp * grid[:, 3]}
+        lanes = lanes._replace(**{name: fields[name] for name in names})
+        joints = np.full(len(grid), joint)
+        rolled = roll(lanes, commands, joints, loads.load[:, :fine], loads.mass[:, :fine]).readout
+        errors = np.mean((rolled - data.measured[joint, :few]) ** 2, 1)
+        best = int(np.nanargmin(errors))
+        for name in names:
+            servo[name][joint] = getattr(lanes, name)[best]
+    return replace(problem, servo=Servo(**servo))

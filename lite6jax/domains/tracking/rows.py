@@ -1,0 +1,276 @@
+"""The rows of a tracking recording on an even grid: commands, read-outs, the declared servos and the rigid bodies."""
+
+import itertools
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, final
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.dynamics import link_parameters
+from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed
+from lite6jax.domains.torque.rows import RigidBodies, require_joints
+from lite6jax.domains.tracking.coupling import Bodies
+from lite6jax.domains.tracking.rollout import Commands, hold_commands
+from lite6jax.effects.dynamic import Dynamics, direction
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.servo import Servo
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording
+from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.recordings.settings import RecordingSettings, ServoSettings
+
+Array = NDArray[np.floating]
+
+FLOOR = 3e-5
+"""rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
+_COARSE = 3e-4
+"""rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
+_LONG = 0.005
+"""s, of an integration step of recordings with that noise."""
+_STILL = 0.2
+"""s at the beginning of a run over which a resting arm is averaged."""
+_MOVED = 5.0
+"""Standard deviations of the noise within which an arm rests."""
+_SAME = 1e-6
+"""rad, by which commands and read-outs differ at most where they are one."""
+_MOVING = 1e-2
+"""rad, the standard deviation of commands and read-outs from which they are compared."""
+_LATEST = 0.5
+"""s, by which a read-out follows its command at most."""
+_FOLLOWS = 0.9
+"""Correlation from which a read-out follows a command."""
+_UNRELATED = 0.5
+"""Correlation below which it does not."""
+_GAIN = 1.7
+"""Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
+_FEWEST = 50
+"""Samples of a recording at least."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TrackingRows:
+    """What a tracking recording holds, on an even grid.
+
+    Attributes:
+        recording: its rows on the grid, `row` the data row of each.
+        arm: the declared arm.
+        bodies: its rigid bodies, without masses where it has none.
+        commands: held between samples.
+        measured: `(joint, sample)` rad.
+        noise: `(joint,)` rad, one sigma of read-outs, their quantum and `FLOOR` included.
+        servo: each `(joint,)`, as declared, with friction and rotors of the arm's description.
+        declared: whether the servo is declared.
+        coupled: whether rollouts are those of the coupled arm.
+    """
+
+    recording: Recording
+    arm: Arm
+    bodies: Bodies
+    commands: Commands
+    measured: Array
+    noise: Array
+    servo: Servo
+    declared: bool
+    coupled: bool
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether the arm's description has masses."""
+        return bool(self.bodies.links.any())
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The measured motion, smoothed, with accelerations; NumPy arrays."""
+        return measured_motion(self.recording)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """The arm along the measured motion."""
+        arm, settings = self.arm, self.recording.settings
+        links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+        center = self.bodies.payload_center
+        gravity = np.array(settings.gravity_m_per_s2)
+        return RigidBodies(self.motion, links, center, gravity, np.asarray(arm.kinematics)).dynamics(links)
+
+
+def measured_motion(recording: Recording) -> Motion:
+    """The motion of an even recording, low-passed, with accelerations."""
+    assert recording.time is not None
+    rate = 1 / float(np.median(np.diff(recording.time)))
+    chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
+    smooth = smoothed(recording, chosen)
+    return jax.tree.map(np.asarray, motion_of_recording(recording))._replace(
+        joint_position=smooth.position,
+        joint_velocity=smooth.velocity,
+        direction=direction(smooth.velocity),
+        joint_acceleration=smooth.acceleration,
+    )
+
+
+def even_rows(recording: Recording) -> Recording:
+    """The rows on an even grid: read-outs on lines between rows, commands held from the row before.
+
+    A gap of more than ten samples begins a run.
+
+    Raises:
+        InputError: no times, or too few rows.
+    """
+    if recording.time is None:
+        raise InputError(f"{recording.source}: commands need times; add time_s")
+    time, run = recording.time, recording.run
+    steps = np.diff(time)[(np.diff(run) == 0) & (np.diff(time) > 0)]
+    if len(steps) < _FEWEST:
+        raise InputError(f"{recording.source}: has {recording.samples} rows; record at least {_FEWEST + 1}")
+    period = float(np.median(steps))
+    begins = np.r_[True, (np.diff(run) != 0) | (np.diff(time) > 10 * period) | (np.diff(time) < 0)]
+    edges = np.r_[np.flatnonzero(begins), len(time)]
+    parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", "commanded_position", "payload")}
+    rows: list[NDArray[np.integer]] = []
+    runs: list[NDArray[np.integer]] = []
+    for number, (first, last) in enumerate(itertools.pairwise(edges)):
+        t = time[first:last]
+        if last - first < 2:
+            continue
+        grid = t[0] + period * np.arange(int(np.floor((t[-1] - t[0]) / period + 1e-6)) + 1)
+        at = np.clip(np.searchsorted(t, grid + 1e-3 * period, side="right") - 1, 0, len(t) - 1)
+        rows.append(recording.row[first:last][at])
+        runs.append(np.full(len(grid), number))
+        parts["time"].append(grid)
+        parts["payload"].append(recording.payload[first:last][at])
+        parts["joint_position"].append(
+            np.stack([np.interp(grid, t, column) for column in recording.joint_position[first:last].T], 1)
+        )
+        if recording.commanded_position is not None:
+            parts["commanded_position"].append(recording.commanded_position[first:last][at])
+    arrays: dict[str, Any] = {name: np.concatenate(part) for name, part in parts.items() if part}
+    return Recording.assembled(
+        **arrays,
+        run=np.concatenate(runs),
+        row=np.concatenate(rows),
+        settings=replace(recording.settings, motion="trajectory"),
+        source=recording.source,
+        sliding=recording.sliding,
+    )
+
+
+def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tuple[Servo, bool]:
+    """The servos `(joint,)` of a sidecar, and whether it declares them; with the friction and rotors of the arm."""
+    joints = arm.dof
+    given = settings.servo
+    known = isinstance(given, ServoSettings)
+    kp = np.array(given.stiffness_Nm_per_rad) if isinstance(given, ServoSettings) else np.full(joints, 100.0)
+    kd = np.array(given.damping_Nm_s_per_rad) if isinstance(given, ServoSettings) else np.full(joints, 5.0)
+    delay = given.delay_s if isinstance(given, ServoSettings) else 0.0
+    fields = {"viscous": arm.viscous_friction, "coulomb": arm.coulomb_friction, "inertia": arm.rotor_inertia}
+    of_arm = {name: np.array(numbers, float) for name, numbers in fields.items() if numbers is not None}
+    if arm.spring_stiffness is not None and arm.spring_rest is not None:
+        of_arm["spring"] = np.array(arm.spring_stiffness)
+        of_arm["spring_torque"] = -arm.spring_stiffness * arm.spring_rest
+    servo = Servo.ideal(kp, kd)._replace(delay=np.full(joints, delay), grip=bodies.grip, **of_arm)
+    return servo, known
+
+
+def _quantum(values: Array) -> float:
+    """The step of a read-out `(sample,)`, the least difference that repeats; zero where it has none."""
+    steps = np.abs(np.diff(np.unique(np.round(values, 9))))
+    steps = steps[steps > 1e-9]
+    if len(steps) < 5 or len(np.unique(values)) > 0.5 * len(values):
+        return 0.0
+    return float(np.percentile(steps, 10))
+
+
+def _start(even: Recording, noise: Array) -> Array:
+    """`(sample, joint)` rad, from which runs begin: of an arm that rests there, the mean over `_STILL`."""
+    assert even.time is not None
+    start = even.joint_position.copy()
+    period = float(np.median(np.diff(even.time)))
+    long = max(int(_STILL / period), 1)
+    for first in np.flatnonzero(np.r_[True, np.diff(even.run) != 0]):
+        part = even.joint_position[first : first + long]
+        part = part[even.run[first : first + long] == even.run[first]]
+        rests = np.ptp(part, 0) < 2 * _MOVED * noise
+        start[first] = np.where(rests, part.mean(0), start[first])
+    return start
+
+
+def _check_commands(even: Recording) -> None:
+    """Refuses read-outs that follow commands with another sign or unit, or those of another joint.
+
+    Read-outs and commands are correlated at the lag of at most `_LATEST` that suits each pair best.
+    """
+    assert even.time is not None
+    command = np.asarray(even.commanded_position)
+    measured = even.joint_position
+    moving = np.flatnonzero((np.std(command, 0) > _MOVING) & (np.std(measured, 0) > _MOVING))
+    period = float(np.median(np.diff(even.time)))
+    lags = np.unique(np.linspace(0, min(_LATEST / period, len(command) // 2), 26).astype(int))
+    best = np.zeros((len(moving), len(moving)))
+    for lag in lags:
+        both = np.corrcoef(measured[lag:, moving].T, command[: len(command) - lag, moving].T)
+        matrix = np.nan_to_num(both[: len(moving), len(moving) :])
+        best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
+    for place, joint in enumerate(moving.tolist()):
+        follows = best[place, place]
+        other = int(np.argmax(best[place]))
+        column = joint + 1
+        if follows < -_FOLLOWS:
+            raise InputError(
+                f"{even.source}: q{column}_rad moves against cmd{column}_rad; change the sign of one of them"
+            )
+        if abs(follows) < _UNRELATED and best[place, other] > _FOLLOWS:
+            raise InputError(
+                f"{even.source}: q{column}_rad follows cmd{moving[other] + 1}_rad and not cmd{column}_rad; exchange "
+                "the columns"
+            )
+        gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
+        if follows > _FOLLOWS and not 1 / _GAIN < gain < _GAIN:
+            raise InputError(
+                f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
+                "unit, after the same gear"
+            )
+
+
+def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
+    """The rows of a recording with commands.
+
+    Raises:
+        InputError: no commands, no times, too few rows, joints of another kind or number, or commands that are the
+            read-outs again.
+    """
+    require_joints(recording, arm)
+    if arm.sliding:
+        raise InputError(f"{recording.source}: has prismatic joints, whose commands are not diagnosed; leave them out")
+    if recording.commanded_position is None:
+        raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
+    if np.max(np.abs(recording.commanded_position - recording.joint_position)) < _SAME:
+        raise InputError(
+            f"{recording.source}: commands and read-outs are equal to {_SAME:g} rad: the log holds commands twice, or "
+            "a simulator without dynamics; record measured joints as q1_rad ..."
+        )
+    still = np.ptp(recording.commanded_position, 0) < _SAME
+    if still.all():
+        raise InputError(f"{recording.source}: its commands never move; record a motion")
+    even = even_rows(recording)
+    _check_commands(even)
+    settings = even.settings
+    quanta = np.array([_quantum(column) for column in recording.joint_position.T])
+    noise = np.sqrt(settings.joint_noise_rad**2 + quanta**2 / 12 + FLOOR**2)
+    center = np.array(settings.payload_com_m)
+    compensated = isinstance(settings.servo, ServoSettings) and settings.servo.gravity_compensation
+    gravity = np.zeros(3) if compensated else np.array(settings.gravity_m_per_s2)
+    bodies = Bodies.of_arm(arm, float(np.median(even.payload)), center, gravity)
+    servo, known = declared_servo(settings, arm, bodies)
+    fine = bool(np.max(noise) < _COARSE)
+    assert even.time is not None
+    period = float(np.median(np.diff(even.time)))
+    interpolated = isinstance(settings.servo, ServoSettings) and settings.servo.hold == "interpolated"
+    longest = {} if fine else {"longest": _LONG}
+    commands = hold_commands(
+        np.asarray(even.commanded_position), even.run, period, _start(even, noise), None, interpolated, **longest
+    )
+    return TrackingRows(even, arm, bodies, commands, even.joint_position.T.copy(), noise, servo, known, fine)

@@ -1,0 +1,101 @@
+"""The estimation problem of commands and measured joints: its columns against differences of its exact residuals."""
+
+import numpy as np
+import pytest
+
+from lite6jax.domains.tracking.problem import tracking_problem
+from lite6jax.domains.tracking.rows import tracking_rows
+from lite6jax.effects.dynamic import CoulombFriction
+from lite6jax.effects.servo import RateLimit
+from lite6jax.estimation.terms import Terms
+from tests.domains.tracking.test_servo_fit import PENDULUM, SERVO, commands_of, record
+
+SAMPLES = 600
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return tracking_problem(tracking_rows(record(commands_of(SAMPLES), SERVO), PENDULUM))
+
+
+def slope(problem, effect, k, step, beside=(), values=()):
+    """The difference of residuals by one number of an effect, beside other effects with their values."""
+    terms = Terms((*beside, effect))
+    none = np.zeros(len(problem.precision))
+    start = np.concatenate([values, np.zeros(effect.size)])
+    moved = start.copy()
+    moved[len(values) + k] = step
+    return (problem.residual(none, terms, moved) - problem.residual(none, terms, start)) / step
+
+
+def apart(column, other):
+    """The distance of two columns over the length of one."""
+    return np.linalg.norm(column - other) / np.linalg.norm(other)
+
+
+def test_columns_are_how_exact_residuals_change(problem):
+    for effect in problem.candidates:
+        columns = problem.columns([effect])
+        for k, coordinate in enumerate(effect.coordinates):
+            if coordinate.unit in ("s/rad", "1/Nm"):
+                continue  # of limits that are not reached: see below
+            exact = slope(problem, effect, k, coordinate.typical)
+            label = f"{effect.label}: {coordinate.name}"
+            if label == "base_tilt:base: tilt_x_rad":  # about the joint's own axis
+                assert not columns[k].any()
+            else:
+                assert apart(columns[k], exact) < 0.05, label
+
+
+def test_the_column_of_a_limit_is_one_of_a_limit_that_is_reached(problem):
+    column = problem.columns([RateLimit(1)])[0]
+    assert np.abs(column).max() > 100 * np.abs(slope(problem, RateLimit(1), 0, 1e-3)).max()
+
+
+def test_columns_beside_a_term_are_those_at_its_numbers(problem):
+    friction = Terms((CoulombFriction(1),))
+    numbers = np.array([2.0])
+    for effect in problem.candidates:
+        if effect.name in ("command_delay", "servo_stiffness"):
+            column = problem.columns([effect], beside=(friction, numbers))[0]
+            exact = slope(problem, effect, 0, effect.coordinates[0].typical, friction.terms, numbers)
+            assert apart(column, exact) < 0.05
+            assert apart(column, exact) < 0.5 * apart(problem.columns([effect])[0], exact)
+
+
+def test_a_process_is_a_torque_through_the_loop(problem):
+    quantity = next(one for one in problem.quantities if one.driver.phrase == "position of joint 1")
+    process = problem.process(problem.components[0], [quantity], "line", 0.5)
+    columns = problem.columns([process])
+    # slow: the torque over the stiffness, later by the lag of the servo
+    quasi_static = problem.components[0].column * process.functions_of(problem.data.dynamics)[:, None]
+    assert columns.shape == quasi_static.shape
+    for column, expected in zip(columns, quasi_static, strict=True):
+        lagged = [apart(column[:, lag:], expected[:, : SAMPLES - lag]) for lag in range(12)]
+        assert min(lagged) < 0.35
+
+
+def test_fewer_samples_are_rows_of_all(problem):
+    few = problem.thinned(7)
+    none = np.zeros(len(problem.precision))
+    terms = Terms(problem.candidates[:1])
+    values = np.full(terms.size, 0.01)
+    assert few.samples == len(range(0, SAMPLES, 7))
+    assert np.array_equal(few.residual(none, terms, values), problem.residual(none, terms, values)[:, ::7])
+    assert np.array_equal(few.columns(terms.terms), problem.columns(terms.terms)[..., ::7])
+
+
+def test_unknown_servos_are_a_nuisance_that_moves_to_where_it_is_linearised():
+    problem = tracking_problem(tracking_rows(record(commands_of(SAMPLES), "unknown"), PENDULUM))
+    assert [one.field for one in problem.unknowns] == ["stiffness", "damping"]
+    assert not {"servo_stiffness", "servo_damping", "viscous_friction"} & {one.name for one in problem.candidates}
+    step = np.array([0.01, -0.02])
+    moved = problem.relinearised(step)
+    here = problem.residual(step, Terms(), np.zeros(0))
+    assert moved.residual(np.zeros(2), Terms(), np.zeros(0)) == pytest.approx(here, abs=1e-9)
+    assert moved.offset == pytest.approx(step)
+    columns = problem.nuisance_columns(Terms(), np.zeros(0))
+    for k, column in enumerate(columns):
+        number = 0.01 * np.eye(2)[k]
+        change = problem.residual(number, Terms(), np.zeros(0)) - problem.residual(np.zeros(2), Terms(), np.zeros(0))
+        assert apart(column, change / 0.01) < 0.05

@@ -1,0 +1,31 @@
+"""A position servo on a pendulum in plain Python: small explicit steps, sharp friction, a held and delayed command."""
+
+import math
+
+import numpy as np
+
+
+def follow(command, period, *, kp, kd, inertia, weight=0.0, coulomb=0.0, viscous=0.0, delay=0.0, play=0.0, fine=100):
+    """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
+
+    Its weight exerts weight·sin q, in Nm.
+    """
+    h = period / fine
+    command = [float(u) for u in command]
+    q = command[0]
+    for _ in range(200):
+        q = command[0] - weight * math.sin(q) / kp
+    v = 0.0
+    y = q
+    read = np.empty(len(command))
+    for k in range(len(command) * fine):
+        if k % fine == 0:
+            read[k // fine] = y
+        late = max(math.floor((k * h - delay) / period + 1e-9), 0)
+        pulled = kp * (command[late] - q) - (kd + viscous) * v - weight * math.sin(q)
+        stopped = v + h * pulled / inertia
+        band = h * coulomb / inertia
+        v = math.copysign(max(abs(stopped) - band, 0.0), stopped)
+        q += h * v
+        y = min(max(y, q - play), q + play)
+    return read
