@@ -73,7 +73,7 @@ def test_the_screens_are_documented_in_their_order():
 
     section = CONTRIBUTING.partition("### What happens to a recording with swapped joints")[2].partition("\n1. ")[2]
     documented = re.findall(r"`([a-z_]+)`", section.partition("\n\n")[0])
-    assert documented == [code for screen in SCREENS for code in screen.codes]
+    assert documented == list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
 
 
 def test_the_effects_and_faults_of_torques_are_documented():

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.table import RawTable
@@ -184,7 +184,9 @@ def pair_poses(arrays: Mapping[str, Array], notes: list[str]) -> dict[str, Array
     for side, T in found.items():
         assert T is not None
         columns |= {f"{side}_{axis}": T[:, k, 3] for k, axis in enumerate("xyz")}
-        quaternion = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True, canonical=True)
+        quaternion = scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_quat(
+            scalar_first=True, canonical=True
+        )
         columns |= {f"{side}_q{part}": column for part, column in zip("wxyz", quaternion.T, strict=True)}
     inverted = [name for name, part in parts.items() if part.inverted]
     turned = f"; {', '.join(inverted[:2])} are turned back" if inverted else ""
@@ -241,13 +243,15 @@ def _rotations(arrays: Mapping[str, Array]) -> Array | None:
     """`(sample, 3, 3)` of matrices, rotation vectors, or quaternions by the names of their parts."""
     quaternion = _joined(arrays, "xyzw")
     if quaternion is not None:
-        return None if not quaternion.any(1).all() else Rotation.from_quat(quaternion).as_matrix()
+        return (
+            None if not quaternion.any(1).all() else scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
+        )
     if len(arrays) != 1:
         return None
     (array,) = arrays.values()
     if array.shape[1:] == (3, 3):
         return array
-    return Rotation.from_rotvec(array).as_matrix() if array.shape[1:] == (3,) else None
+    return scipy.spatial.transform.Rotation.from_rotvec(array).as_matrix() if array.shape[1:] == (3,) else None
 
 
 def _joined(arrays: Mapping[str, Array], letters: str) -> Array | None:

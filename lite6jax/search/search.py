@@ -89,7 +89,7 @@ def search(
 
 
 def _with_wandering_as_noise(selection: Selection, training: Mask, options: EngineOptions) -> Selection:
-    """The selection with what read-outs do by themselves as nuisance: no physics of the arm, which is not predicted."""
+    """The selection with what read-outs do by themselves as nuisance: no physics, and no prediction has it."""
     state = selection.state
     wandering = tuple(one for one in state.tested if is_wander(one.term))
     if not wandering:

@@ -58,7 +58,7 @@ class Selector:
             return self.above_noise(self._grown(state, thorough, asked))
         grown = self._grown(autocorrelated, thorough, set())
         if not autocorrelated.fit.noise.white:
-            # what moves parts of the arm makes rows autocorrelated too
+            # terms of what varies slowly make rows autocorrelated too
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
             grown = max(grown, instead, key=self._odds)
