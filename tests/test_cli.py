@@ -568,7 +568,7 @@ def test_check_of_a_recording(capsys, tmp_path):
     assert (code, err) == (0, "")
     text = flat(said)
     assert "! Repeated rows: 1 row exactly repeats joints and pose of an earlier row (row 61 those of row 60)" in text
-    offset = re.search(r"! Tool offset: A tool offset is likely: a shift of \((\S+), (\S+), (\S+)\) mm", text)
+    offset = re.search(r"! Tool other than declared: .* it is at \((\S+), (\S+), (\S+)\) mm on the flange", text)
     np.testing.assert_allclose([float(v) for v in offset.groups()], [0, 0, 30], atol=3)
     assert "· Geometry: The error is a calibration error: a change of geometry explains" in text
     assert "! Outliers: Row 40 is an outlier, by up to" in text
