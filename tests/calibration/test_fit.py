@@ -347,7 +347,7 @@ def test_messages():
     few, many = recording(rng, x, 5), recording(rng, x, 50)
     for source, options, message in [
         (few, {}, r"simulated.csv: 5 samples give 30 numbers, too few .* record at least 6"),
-        (many, {"geometry": "exact"}, r"needs a factory_calibration in the sidecar; use --geometry free"),
+        (many, {"geometry": "exact"}, r"needs a factory_calibration in the sidecar; use `geometry='free'`"),
         (many, {"nominal": "xarm7"}, r"has 6 joints, but xarm7 has 7"),
         (dataclasses.replace(many, position=many.position + 1j), {}, "row 1 has .* give finite real numbers"),
         (np.zeros((6, 5)), {}, r"give \(joint, 6\) finite numbers"),

@@ -312,7 +312,7 @@ def test_drivers_are_read_and_said():
     np.testing.assert_allclose(distance * np.cos(elevation) * np.sin(azimuth), y, atol=1e-15)
     np.testing.assert_allclose(distance * np.sin(elevation), z, atol=1e-15)
     assert not Driver("measured position's elevation").known(motion._replace(measured_position=None), loads)
-    assert len(QUANTITIES) == 29
+    assert len(QUANTITIES) == 30
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ class Column:
     chosen: float | None = None
     coordinates: tuple = (Number(),)
     includes: tuple = ()
+    rivals: tuple = ()
 
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"{self.name}:{self.site}")
@@ -53,6 +54,7 @@ class Wave:
     linear: bool = True
     nonparametric: bool = False
     includes: tuple = ()
+    rivals: tuple = ()
 
     free = property(lambda self: self.order is None)
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
@@ -90,6 +92,7 @@ class Decay:
     linear: bool = True
     nonparametric: bool = False
     includes: tuple = ()
+    rivals: tuple = ()
 
     free = property(lambda self: self.width is None)
     chosen = property(lambda self: self.width)
@@ -146,6 +149,7 @@ class Process:
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()
+    rivals: tuple = ()
 
     coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
     size = property(lambda self: kernels.size_of(self.kernel, self.bounds))
