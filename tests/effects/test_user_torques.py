@@ -39,7 +39,9 @@ def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
     (estimate,) = finding.parameters.values()
     assert abs(estimate.value - 0.5) < 4 * estimate.std < 0.2
     document = json.loads(json.dumps(found.to_dict()))
-    with pytest.raises(InputError, match="its model has the effect 'air_drag', and the catalogue has none of this name"):
+    with pytest.raises(
+        InputError, match="its model has the effect 'air_drag', and the catalogue has none of this name"
+    ):
         model_from_document(document)
     model = model_from_document(document, effects)
     np.testing.assert_allclose(predict(model, dragged), predict(found.model, dragged), rtol=0, atol=1e-12)

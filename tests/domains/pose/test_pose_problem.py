@@ -445,7 +445,7 @@ def test_every_quantity_that_is_known_is_there_once():
         joint_velocity=velocity, direction=np.sign(velocity), joint_temperature_rise=9 * rise
     )
     found = [one.driver.phrase for one in quantities(moving, None)]
-    assert len(found) == len(set(found)) == 1 + 4 * 3  # time; positions, velocities, directions and temperatures
+    assert len(found) == len(set(found)) == 2 + 4 * 3  # time and order; of each joint four
     own = {one.driver.phrase: one.own for one in quantities(moving, None)}
     assert {"joint2", "link2"} <= own["velocity of joint 2"]
     assert own["time"] == {""}

@@ -140,7 +140,9 @@ def test_an_effect_of_ones_own(arm, tmp_path):
     moved = motion["joint_position"].copy()
     moved[:, 2] += 3e-4 * np.tanh(moved[:, 2])
     np.testing.assert_allclose(poses, arm.poses({**motion, "joint_position": moved}), rtol=0, atol=1e-11)
-    assert "effect 'cable_drag': unknown" in refusal(read_model, stored(tmp_path, content))
+    assert "its model has the effect 'cable_drag', and the catalogue has none of this name" in refusal(
+        read_model, stored(tmp_path, content)
+    )
 
 
 def test_a_model_of_no_domain_is_refused(arm, tmp_path):

@@ -147,9 +147,11 @@ class Deviation:
             for change in hypothesis:
                 L[self.places(change)] = _WIDE
             M = np.eye(self.size) + L[:, None] * A * L
-            mean = np.linalg.solve(M, L * h)
+            eigenvalues, V = np.linalg.eigh(M)
+            eigenvalues = np.maximum(eigenvalues, 1.0)  # less is rounding
+            mean = V @ ((V.T @ (L * h)) / eigenvalues)
             fit = 0.5 * float(L * h @ mean)
-            tried.append(Weighed(factor, fit - 0.5 * float(np.linalg.slogdet(M)[1]), fit, L * mean))
+            tried.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log(eigenvalues))), fit, L * mean))
         return max(tried, key=lambda one: one.evidence)
 
     def log_likelihood(self, scale: float) -> float:

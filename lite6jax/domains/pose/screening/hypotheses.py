@@ -301,6 +301,10 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
 # ------------------------------------------------------------------ what a fitted arm takes up
 
 
+_LEAST_GROSS = {"joint_turns": np.deg2rad(1.0), "sensor_scale": 0.01}
+"""A zero in rad and a scale that are less are within what a chain of its own may do: a home-made arm looks so."""
+
+
 def explain_deviation(state: Screened) -> Screened:
     """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
     fitted, options = state.rigid_arm, state.options
@@ -350,6 +354,9 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change,
     alike = [change for change in changes if fits[best] - fits[change] < options.trusted_log_likelihood]
     alike.sort(key=lambda change: simplicity((change,)))
     valued = [deviation.valued(change, weighed[change]) for change in alike]
+    size = float(valued[0].value) - 1 if valued[0].code == "sensor_scale" else float(valued[0].value)
+    if abs(size) < _LEAST_GROSS.get(valued[0].code, 0.0):
+        return None
     return valued[0], [(change,) for change in valued[1:]]
 
 
