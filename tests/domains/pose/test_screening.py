@@ -597,13 +597,14 @@ class TestFrameJump:
             assert screen(Made(folder, (text,), seed=13, **setup).recording(still)).found == ()
 
 
-def test_a_chain_far_from_its_table_is_no_other_reading(tmp_path):
-    """A zero 150 mrad off misses grossly with the nominal chain; one that is fitted meets the poses as they stand."""
+def test_a_zero_that_a_fitted_chain_takes_up_is_said(tmp_path):
+    """A zero 150 mrad off misses grossly with the nominal chain; a fitted one meets the poses as they stand."""
     far = ("joint_offset:joint=3,offset_rad=0.15",)
     made = Made(tmp_path, far, seed=8, geometry="free", frame=True, tool=True, orientation=False)
     screened = screen(made.recording(moving_motion(8, 200)))
-    assert screened.found == ()
-    assert ruled_out(screened, "joint_unit")["fitted_error_m"] < 1e-4
+    (fault,) = screened.found
+    assert (fault.code, fault.numbers["joint"]) == ("joint_turns", 3)
+    assert abs(fault.numbers["added_rad"]) == pytest.approx(0.15, abs=0.01)
 
 
 class TestRegistry:

@@ -109,6 +109,8 @@ def correct_mismatch(state: Screened) -> Screened:
     if rivals:
         return state.corrected(DataFault("undecided", (), numbers))
     refined = _refined(state, chosen, corrected)
+    if not refined:  # a scale that is none: the chain is what misses
+        return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     return correct(state, refined, _rigid(state, undo(refined, arm.recording)), numbers)
 
 
@@ -120,8 +122,7 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
     least = np.log(state.options.least_scale)
-    unscaled = tuple(c for c in hypothesis if c.code != "sensor_scale" or abs(np.log(float(c.value))) > least)
-    return unscaled or hypothesis
+    return tuple(c for c in hypothesis if c.code != "sensor_scale" or abs(np.log(float(c.value))) > least)
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
