@@ -294,7 +294,11 @@ def _recognised(
     if place.unit.reason != "name":
         points = np.stack([np.asarray(columns[name], float) for name in place.columns], 1)
         T = np.asarray(model.model.T_sensor_base)
-        units = [name for name, size in place.units.items() if _can_be_reached(points / size, reach, T)]
+        units = [
+            name
+            for name, size in place.units.items()
+            if name in ("m", "mm") and _can_be_reached(points / size, reach, T)
+        ]
         if len(units) != 1:
             name = place.columns[0]
             raise InputError(

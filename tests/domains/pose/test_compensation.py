@@ -417,8 +417,8 @@ def test_positions_under_names_of_their_own_are_read_in_the_unit_that_the_arm_re
         if options:  # what the message says is what helps
             said = refused(capsys, "compensate", diagnosis, own, "--out", out, "--force")
             assert "say which they are: --column NAME=x_mm, and likewise y_mm and z_mm" in said
-        code, said, _ = run(capsys, "compensate", diagnosis, own, *options, "--out", out, "--force")
-        assert code == 0
+        code, said, err = run(capsys, "compensate", diagnosis, own, *options, "--out", out, "--force")
+        assert code == 0, err
         assert options or "columns are read as X=x_mm, Y=y_mm, Z=z_mm" in flat(said)
         joints = pyarrow.csv.read_csv(out).to_pandas().filter(regex="^q")
         np.testing.assert_allclose(joints, expected, atol=1e-6)
