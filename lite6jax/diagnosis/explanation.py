@@ -22,6 +22,7 @@ from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.domains.pose.screening.screen import price, screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.effects.deflection import place_of
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
@@ -202,7 +203,7 @@ def _with_wandering(best: Explanation) -> Explanation:
     memories = 1 / (np.pi * corners)  # over the length of the recording
     length = None if time is None else float(np.ptp(np.asarray(time)))
     fault = DataFault("wandering_readout", (), {
-        "joints": [int(effect.where.removeprefix("joint")) for effect in problem.wandering],
+        "joints": [place_of(effect.where)[1] for effect in problem.wandering],
         "std_rad": [effect.spread for effect in problem.wandering],
         "memory_samples": (memories * problem.samples).tolist(),
         "memory_s": None if length is None else (memories * length).tolist(),

@@ -13,7 +13,7 @@ from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
 from lite6jax.search.scan import Considered, Weighed
 from lite6jax.search.select import Selector, is_wander
-from lite6jax.search.state import SelectedTerm, State, refitted
+from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
 _ROUNDS = 3
 """Linearisations: the first about the nuisance alone, each next about what the one before has found."""
@@ -95,13 +95,14 @@ def _with_wandering_as_noise(selection: Selection, training: Mask, options: Engi
     if not wandering:
         return selection
     terms = [one.term for one in wandering]
-    physics = [one for one in state.tested if not is_wander(one.term)]
-    few = replace(selection, state=refitted(selection.problem, state, physics, options.rough))
     problem = selection.problem.with_nuisance(terms)
     reference = selection.reference.with_nuisance(terms)
-    begun = _begun(problem, reference, training, options, few)
-    begun = replace(begun, considered=selection.considered, wandering=wandering)
-    return at_estimate(replace(begun, cost_of_wandering=begun.state.evidence - state.evidence), options)
+    physics = tuple(one for one in state.tested if not is_wander(one.term))
+    part = state.fit.part([not is_wander(one.term) for one in state.tested])
+    rest = fitted_again(problem, reference, replace(state, fit=part, tested=physics), training, options)
+    cost = rest.evidence - state.evidence
+    converted = replace(selection, problem=problem, reference=reference, state=rest)
+    return at_estimate(replace(converted, wandering=wandering, cost_of_wandering=cost), options)
 
 
 def _stride(samples: int, most: int) -> int:

@@ -173,13 +173,17 @@ class Selector:
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
-        if _wanders(one):
+        if one.process and one.process[2] == "wander":
             return not any(is_wander(term) and (term.site, term.component) == (one.site, one.place) for term in model)
         there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
         if not there or self._continues(one, model):
             return True
         other = one.cause not in map(_phrases, there)
-        return bool(one.process) and other and {_is_spectrum(term) for term in there} == {one.process[2] != "spectrum"}
+        return (
+            bool(one.process)
+            and other
+            and {_kernel_of(term) == "spectrum" for term in there} == {one.process[2] != "spectrum"}
+        )
 
     def _component_of(self, term: Term) -> Component | None:
         """The component of a process, or of a name at a site that has but one; None where a name may move several.
@@ -325,7 +329,7 @@ class Selector:
     def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term, weighed = one.term, Weighed(self.scan, test)
         if term.nonparametric:
-            kernel, rolloff = getattr(term, "kernel", ""), getattr(term, "rolloff", ())
+            kernel, rolloff = _kernel_of(term), getattr(term, "rolloff", ())
             found = weighed.of_kernel(*self._process_of(term), kernel, rolloff, exact=True)
         else:
             found = weighed.as_is(term)
@@ -585,17 +589,14 @@ def _phrases(term: Term) -> tuple[str, ...]:
     return tuple(driver.phrase for driver in term.drivers)
 
 
-def _is_spectrum(term: Term) -> bool:
-    return getattr(term, "kernel", "") == "spectrum"
+def _kernel_of(term: Term) -> str:
+    """The kernel of a process; empty of a name."""
+    return getattr(term, "kernel", "")
 
 
 def is_wander(term: Term) -> bool:
     """Whether a term is what a read-out does by itself, which nothing recorded drives."""
-    return getattr(term, "kernel", "") == "wander"
-
-
-def _wanders(ranked: Ranked) -> bool:
-    return bool(ranked.process) and ranked.process[2] == "wander"
+    return _kernel_of(term) == "wander"
 
 
 def _either(which: tuple[int, ...]) -> list[tuple[int, ...]]:

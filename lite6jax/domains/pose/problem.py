@@ -15,7 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose import columns
-from lite6jax.domains.pose.columns import Deflections, MassErrors, mass_errors, physics_of
+from lite6jax.domains.pose.columns import Deflections, MassErrors, mass_errors, physics_of, site_of
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Site,
@@ -183,8 +183,9 @@ class PoseProblem(RigidArm):
             elif name == "wave":
                 found.append((self.sites["joint", j, 0] * self._waves[k][j])[None])
             elif name == "wander":
-                joint = _joint_of(self.wandering[j])
-                found.append((self.sites["joint", joint, 0] * self.deflections.basis(self.wandering[j])[k])[None])
+                effect = self.wandering[j]
+                at = site_of(effect.where, effect.component)
+                found.append((self.sites[at] * self.deflections.basis(effect)[k])[None])
             else:
                 found.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
         return np.concatenate(found)
@@ -328,7 +329,8 @@ class PoseProblem(RigidArm):
         total = self.offset + nuisance
         for number, effect in enumerate(self.wandering):
             own = [name == "wander" and which == number for name, which, _ in self.unknown]
-            errors[_joint_of(effect)] += total[own] @ self.deflections.basis(effect)
+            _, joint, _ = site_of(effect.where, effect.component)
+            errors[joint] += total[own] @ self.deflections.basis(effect)
         return errors
 
     def with_nuisance(self, terms: Sequence[Term]) -> "PoseProblem":
@@ -525,11 +527,6 @@ def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> t
     if settings.payload_uncertainty_kg:
         found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
     return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])
-
-
-def _joint_of(effect: Unnamed) -> int:
-    """The joint of an effect at one, counted from 0."""
-    return int(effect.where.removeprefix("joint")) - 1
 
 
 def _order(term: Term) -> float | None:
