@@ -113,9 +113,9 @@ def features(
         both = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
         return both * spectrum_deviations(bounds, rolloff)[:, None]
     if kernel == "wander":
-        deviations = wander_deviations(rolloff)
+        size = wander_deviations(rolloff)
         place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
-        return xp.cos(np.pi * np.arange(len(deviations))[:, None] * place) * deviations[:, None]
+        return xp.cos(np.pi * np.arange(len(size))[:, None] * place) * size[:, None]
     each = _factors(names, values, bounds)
     if len(each) == 1:
         return each[0]
@@ -167,7 +167,12 @@ def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> ND
     return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
 
 
-def wander_deviations(rolloff: Sequence[float], every: bool = False) -> NDArray:
+def deviations(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:
+    """`(feature,)`, the prior's standard deviation of each order of a spectrum or of what wanders."""
+    return spectrum_deviations(bounds, rolloff) if kernel == "spectrum" else wander_deviations(rolloff)
+
+
+def wander_deviations(rolloff: Sequence[float]) -> NDArray:
     """`(order,)`, the prior's standard deviation of each order of what wanders with unit variance; 1 without a corner.
 
     A first-order autoregression of memory m in a recording of length T has the spectrum 1 / (1 + (k / c)²) of its
@@ -175,17 +180,14 @@ def wander_deviations(rolloff: Sequence[float], every: bool = False) -> NDArray:
 
     Args:
         rolloff: corner c and slope 2; empty for orders of unit variance.
-        every: whether also those far above the corner are given, as zeros.
     """
-    orders = np.arange(_FASTEST + 1)
     if not rolloff:
-        return np.ones(len(orders))
+        return np.ones(_FASTEST + 1)
     corner, slope = rolloff
-    variance = 4 / (np.pi * corner) / (1 + (orders / corner) ** slope)
+    highest = min(int(np.ceil(_CORNERS * corner)), _FASTEST)
+    variance = 4 / (np.pi * corner) / (1 + (np.arange(highest + 1) / corner) ** slope)
     variance[0] /= 2
-    count = min(int(np.ceil(_CORNERS * corner)), _FASTEST) + 1
-    deviations = np.where(orders < count, np.sqrt(variance), 0.0)
-    return deviations if every else deviations[:count]
+    return np.sqrt(variance)
 
 
 @cache

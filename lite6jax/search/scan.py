@@ -41,10 +41,12 @@ PAIRS = (
     *(f"{a}*{b}" for pair in (("line", "smooth"), ("line", "medium"), ("line", "fine"), ("line", "rough"),
                               ("line", "wave"), ("cubic", "wave")) for a, b in (pair, pair[::-1])),
 )  # fmt: skip
-_SPECTRA = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
-"""Corner and slope of the spectra that are tried."""
-_MEMORIES = (1.6, 4.0, 10.0, 24.0)
-"""Corners of what wanders, in half-waves over the recording: memories of a fifth, a 13th, a 31st and a 75th of it."""
+_ROLLOFFS = {
+    "spectrum": tuple(product((3.0, 8.0, 20.0), (2.0, 4.0))),
+    "wander": tuple(product((1.6, 4.0, 10.0, 24.0), (2.0,))),
+}
+"""Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
+13th, a 31st and a 75th of it."""
 KINDS = np.log(4.0)
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
@@ -169,7 +171,7 @@ class Scan:
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
         if which == (self.drivers,):
-            return float(KINDS + np.log(len(self.wandering)) + np.log(len(_MEMORIES)))
+            return float(KINDS + np.log(len(self.wandering)) + np.log(len(_ROLLOFFS["wander"])))
         if (site, which) in self._costs:
             return self._costs[site, which]
         cost = KINDS + np.log(max(len(self.problem.components), 1))
@@ -370,17 +372,7 @@ class Weighed:
         same = [*same, *self._near(term)]
         others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
         others = [one for one in others if one.chosen is None and not one.periodic]
-        if not same or not others:
-            return []
-        model = self._test.fit.terms, self._test.fit.values
-        own, beside = ([self._problem.columns([one], beside=model) for one in some] for some in (same, others))
-        pairs = [(a, b) for a in range(len(same)) for b in range(len(others))]
-        evidence = self._marginal.of_names([np.concatenate([own[a], beside[b]]) for a, b in pairs])
-        found = []
-        for (a, b), one in zip(pairs, evidence, strict=True):
-            first, second = (_of_term(one, self._scan.cost_of_name(term), term) for term in (same[a], others[b]))
-            found.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
-        return sorted(found, key=lambda pair: -pair.net)
+        return self._pairs(same, others, product(range(len(same)), range(len(others))))
 
     def pairs_at(self, site: str) -> list[Pair]:
         """Two names of a site that are not there yet, the likeliest pair first; waves of the lowest orders among them.
@@ -388,23 +380,26 @@ class Weighed:
         Two may nearly cancel, as gravity and what balances it, so that either alone says little; or lie so near that a
         third explains more than either, as a wave between two orders does.
         """
-        test = self._test
-        present = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
+        present = {one for term in self._test.fit.terms.terms for one in (term, *term.includes)}
         names = [one for one in self._scan.names if one.site == site and (one.chosen is None or one.periodic)]
         names = [one for one in names if one not in present and one.linear]
-        model = test.fit.terms, test.fit.values
-        columns = [self._problem.columns([one], beside=model) for one in names]
-        acting = [k for k, own in enumerate(columns) if np.any(own[:, self._rows])]
-        chosen = list(combinations(acting, 2))
-        if not chosen:
+        return self._pairs(names, names, combinations(range(len(names)), 2))
+
+    def _pairs(self, first: Sequence[Term], second: Sequence[Term], at: Iterable[tuple[int, int]]) -> list[Pair]:
+        """Pairs of one of the first names with one of the second, by their places, the likeliest first."""
+        model = self._test.fit.terms, self._test.fit.values
+        columns = [[self._problem.columns([one], beside=model) for one in names] for names in (first, second)]
+        pairs = list(at)
+        if not pairs:
             return []
-        evidence = self._marginal.of_names([np.concatenate([columns[a], columns[b]]) for a, b in chosen])
-        pairs = []
-        for (a, b), one in zip(chosen, evidence, strict=True):
-            first = _of_term(one, self._scan.cost_of_name(names[a]), names[a], self._label(names[a]))
-            second = _of_term(one, self._scan.cost_of_name(names[b]), names[b], self._label(names[b]))
-            pairs.append(Pair((first, second), float(one.gain) - first.cost - second.cost))
-        return sorted(pairs, key=lambda pair: -pair.net)
+        evidence = self._marginal.of_names([np.concatenate([columns[0][a], columns[1][b]]) for a, b in pairs])
+        weighed = []
+        for (a, b), one in zip(pairs, evidence, strict=True):
+            names = [
+                _of_term(one, self._scan.cost_of_name(name), name, self._label(name)) for name in (first[a], second[b])
+            ]
+            weighed.append(Pair((names[0], names[1]), float(one.gain) - names[0].cost - names[1].cost))
+        return sorted(weighed, key=lambda pair: -pair.net)
 
     def _label(self, name: Term) -> str:
         """The label of a name, of a wave with its order."""
@@ -525,23 +520,11 @@ class Weighed:
     def wanders(self) -> list[Ranked]:
         """What the read-outs that may wander do so, each with the likeliest memory."""
         acting = {id(component) for component in self.components}
-        each = [self._wanders_of(one) for one in self._scan.wandering if id(one) in acting]
+        order = self._scan.drivers
+        each = [
+            self._of_rolloffs(one, order, "wander", exact=True) for one in self._scan.wandering if id(one) in acting
+        ]
         return _best_of_each([one for some in each for one in some])
-
-    def _wanders_of(self, component: Component) -> list[Ranked]:
-        """Of every memory: they differ in the size of their functions alone."""
-        k = self._scan.drivers
-        (pull,), (information,), *noise = self._equations(component, self._scan.features((k,), "wander")[None], True)
-        found = []
-        for corner in _MEMORIES:
-            rolloff = corner, 2.0
-            size = kernels.wander_deviations(rolloff, every=True)
-            acting = np.flatnonzero(size)
-            size = size[acting]
-            own = pull[acting] * size, information[np.ix_(acting, acting)] * np.outer(size, size)
-            one = of_process(*own, *noise, self._options.confounded)
-            found.append(self._process(one, component, (k,), "wander", rolloff))
-        return found
 
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
@@ -549,18 +532,20 @@ class Weighed:
         for component in self.components:
             for k, one in enumerate(self._scan.quantities[: self._scan.drivers]):
                 if one.driver.turns == component.site:
-                    found += self._spectra_of(component, k, exact=True)
+                    found += self._of_rolloffs(component, k, "spectrum", exact=True)
         return _best_of_each(found)
 
-    def _spectra_of(self, component: Component, k: int, exact: bool = False) -> list[Ranked]:
-        """Of every corner and slope: they differ in the size of their functions alone."""
-        functions = self._scan.features((k,), "spectrum")[None]
+    def _of_rolloffs(self, component: Component, k: int, kernel: str, exact: bool = False) -> list[Ranked]:
+        """Every roll-off that is tried of a kernel: they differ in the size of their functions alone."""
+        functions = self._scan.features((k,), kernel)[None]
         (pull,), (information,), left, freedom = self._equations(component, functions, exact)
         found = []
-        for rolloff in _SPECTRA:
-            size = kernels.spectrum_deviations(self._scan.quantities[k].bounds, rolloff)
-            one = of_process(pull * size, information * np.outer(size, size), left, freedom, self._options.confounded)
-            found.append(self._process(one, component, (k,), "spectrum", rolloff))
+        for rolloff in _ROLLOFFS[kernel]:
+            size = kernels.deviations(kernel, self._scan.quantities[k].bounds, rolloff)
+            acting = slice(len(size))
+            scaled = information[acting, acting] * np.outer(size, size)
+            one = of_process(pull[acting] * size, scaled, left, freedom, self._options.confounded)
+            found.append(self._process(one, component, (k,), kernel, rolloff))
         return found
 
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
@@ -593,7 +578,7 @@ class Weighed:
             return [self.of_kernel(component, which, name, exact=exact) for name in names]
         found, k = list[Ranked](), next(iter(which))
         if k == self._scan.drivers:
-            return self._wanders_of(component)
+            return self._of_rolloffs(component, k, "wander", exact=True)
         many, splines = self._scan.splines
         if k in many:
             (pull,), (information,), *noise = self._equations(component, splines[[many.index(k)]], exact)
@@ -604,7 +589,7 @@ class Weighed:
             names = [name for name in names if name not in kernels.SCALED]
         found += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if self._scan.quantities[k].driver.turns == component.site:
-            found += self._spectra_of(component, k, exact)
+            found += self._of_rolloffs(component, k, "spectrum", exact)
         return found
 
     def alike(self, component: Component, which: tuple[int, ...]) -> Ranked | None:
