@@ -176,6 +176,11 @@ class Driver:
         return self.quantity == "order of recording"
 
     @property
+    def is_time(self) -> bool:
+        """Whether it is the time, in which what is read out may jump."""
+        return self.quantity == "time"
+
+    @property
     def turns(self) -> str:
         """The site whose own turns it counts, where errors may be of any order; empty where there is none."""
         return f"joint{self.place}" if self.quantity == "position" else ""

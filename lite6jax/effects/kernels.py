@@ -18,6 +18,7 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
 | wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
 wanders by itself, a first-order autoregression |
+| step | 1 from a value of u on, else 0 | a jump |
 | play | line, and Σ of what play operators of seven widths lag behind, over the width | hysteresis |
 """
 
@@ -73,7 +74,7 @@ SCALED: dict[str, Kernel] = {
     "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
 }
 OF_ANGLES = ("wave", "spectrum")
-KERNELS = (*SCALED, *OF_ANGLES, "play", "wander")
+KERNELS = (*SCALED, *OF_ANGLES, "play", "wander", "step")
 _FASTEST = 96
 """Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
 is faster is hardly told from that noise."""
@@ -103,7 +104,8 @@ def features(
         values: `(driver, sample)`.
         bounds: lower and upper of each driver, in its unit.
         run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
-        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance.
+        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of a
+            step, the value from which on it is; the middle of its range where not given.
     """
     xp, names = library_of(values), factors_of(kernel)
     if kernel == "play":
@@ -116,6 +118,9 @@ def features(
         size = wander_deviations(rolloff)
         place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
         return xp.cos(np.pi * np.arange(len(size))[:, None] * place) * size[:, None]
+    if kernel == "step":
+        (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
+        return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
     each = _factors(names, values, bounds)
     if len(each) == 1:
         return each[0]
@@ -145,6 +150,8 @@ def size_of(kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...] =
     """How many features a kernel has."""
     if kernel == "wander":
         return len(wander_deviations(rolloff))
+    if kernel == "step":
+        return 2
     if kernel == "play":
         return len(_PLAYS) + 2
     if kernel == "spectrum":

@@ -52,7 +52,7 @@ class Process(Effect, ABC):
         further: lower and upper of the second driver.
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
-            spread² / (1 + (k / c)ˢ); likewise of what wanders.
+            spread² / (1 + (k / c)ˢ); likewise of what wanders. Of a step, the value from which on it is.
 
     Raises:
         InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
@@ -83,7 +83,10 @@ class Process(Effect, ABC):
                 f"{self.label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each"
             )
         rolloff = self.rolloff
-        if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in ("spectrum", "wander")):
+        if self.kernel == "step":
+            if len(rolloff) != 1 or not self.lower < rolloff[0] <= self.upper:
+                raise InputError(f"{self.label}: a step is not possible at {rolloff}; give one value within its range")
+        elif rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in ("spectrum", "wander")):
             raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 
     @property

@@ -222,10 +222,6 @@ class Problem(LinearisedProblem, Protocol):
         """Functions `(…, every sample)` as they reach the samples of this problem, through its filter if it has one."""
         ...
 
-    def with_nuisance(self, terms: Sequence[Term]) -> "Problem":
-        """The same problem with the processes that read-outs do by themselves as nuisance, under their priors."""
-        ...
-
     def thinned(self, every: int) -> "Problem":
         """One in `every` samples."""
         ...
@@ -236,6 +232,14 @@ class Problem(LinearisedProblem, Protocol):
 
     def inputs(self, terms: Terms) -> "Sequence[Term]":
         """The candidates that say that an input on which these terms depend is wrong, such as a load."""
+        ...
+
+
+class WanderingProblem(Problem, Protocol):
+    """A problem whose quantities have the order of recording, in which read-outs may wander by themselves."""
+
+    def with_nuisance(self, terms: Sequence[Term]) -> "WanderingProblem":
+        """The same problem with the processes that read-outs do by themselves as nuisance, under their priors."""
         ...
 
 

@@ -5,10 +5,11 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders | ln 4 |
+| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders or jumps | ln 4 |
 | a name | ln of their number, and ln 17 where a number of it is tried; ln 2 in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a read-out that wanders | ln of these, ln of the memories |
+| one that jumps | ln of these, ln of the samples |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
 A site's own quantities have 0.6 of the probability together, all of them 0.4.
@@ -179,6 +180,16 @@ class Scan:
         cost += np.log(1 + len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)  # the spectrum is one more
         return self._costs.setdefault((site, which), float(cost))
 
+    @cached_property
+    def cost_of_step(self) -> float:
+        """Of a read-out that jumps, any of them, at any sample."""
+        return float(KINDS + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples))
+
+    @cached_property
+    def time(self) -> int | None:
+        """Which quantity the time is; None where there is none."""
+        return next((k for k, one in enumerate(self.quantities) if one.driver.is_time), None)
+
     def _cost_of_quantity(self, site: str, k: int) -> float:
         own = self.own[site]
         return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / self.drivers)
@@ -197,6 +208,8 @@ class Scan:
             driver = self.quantities[k].driver
             if driver.is_order or name == "wander":
                 return bool(driver.is_order) and kernel == "wander"
+            if name == "step":
+                return bool(driver.is_time)
             if self.discrete[k] and name != "line":
                 return False
             if (name == "wave" and not driver.is_angle) or (name == "play" and not driver.is_remembered):
@@ -308,6 +321,7 @@ class Weighed:
         least /= 1 if white else _UNDERRATED
         found = [*self.named(), *self.waves()]
         found += self.wanders()
+        found += self.steps()
         if scan.among is None:
             found += self.spectra()
             singles = self.singles(max([least, *(one.net - self._options.close for one in found)]))
@@ -526,6 +540,30 @@ class Weighed:
         ]
         return _best_of_each([one for some in each for one in some])
 
+    def steps(self) -> list[Ranked]:
+        """What the read-outs that may wander do by a jump in time, each at the likeliest sample."""
+        acting = {id(component) for component in self.components}
+        each = [self._step(one) for one in self._scan.wandering if id(one) in acting]
+        return _best_of_each([one for one in each if one is not None])
+
+    def _step(self, component: Component) -> Ranked | None:
+        """The likeliest jump in time of a read-out: sums over the samples after it give that of every sample."""
+        k = self._scan.time
+        if k is None:
+            return None
+        times = self._problem.seen(np.asarray(self._scan.quantities[k].values)[None])[0]
+        order = np.argsort(times, kind="stable")
+        sums = self._sums(component)
+        after = lambda of_samples: np.cumsum(of_samples[..., order[::-1]], -1)[..., ::-1][..., 1:]  # noqa: E731
+        pull, information = after(sums.pull), after(sums.weight) - np.sum(after(sums.inside) ** 2, 0)
+        later = np.diff(times[order]) > 0
+        if not later.any():
+            return None
+        pull, information = pull[later][:, None], np.maximum(information[later], 0.0)[:, None, None]
+        gains = of_process(pull, information, sums.left, sums.freedom, self._options.confounded).gain
+        at = float(times[order][1:][later][np.argmax(gains)])
+        return self.of_kernel(component, (k,), "step", (at,), exact=True)
+
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         found = []
@@ -588,6 +626,8 @@ class Weighed:
             ]
             names = [name for name in names if name not in kernels.SCALED]
         found += [self.of_kernel(component, which, name, exact=exact) for name in names]
+        if k == self._scan.time and self._scan.may_wander(component):
+            found += [one for one in [self._step(component)] if one is not None]
         if self._scan.quantities[k].driver.turns == component.site:
             found += self._of_rolloffs(component, k, "spectrum", exact)
         return found
@@ -688,7 +728,8 @@ class Weighed:
             spread = float(f"{np.sqrt(evidence.variance):.4g}")
             return self._problem.process(component, own, kernel, spread, rolloff)
 
-        site, cost = component.site, self._scan.cost_of_process(component.site, which)
+        site = component.site
+        cost = self._scan.cost_of_step if kernel == "step" else self._scan.cost_of_process(site, which)
         cause, process = tuple(self._scan.phrases[k] for k in which), (component, which, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
 

@@ -1,13 +1,13 @@
 """The search of one problem: which terms, together, its residuals require."""
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import cast, final
 
 import numpy as np
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.problem import Mask, Problem, WanderingProblem
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
@@ -95,8 +95,8 @@ def _with_wandering_as_noise(selection: Selection, training: Mask, options: Engi
     if not wandering:
         return selection
     terms = [one.term for one in wandering]
-    problem = selection.problem.with_nuisance(terms)
-    reference = selection.reference.with_nuisance(terms)
+    problem = cast(WanderingProblem, selection.problem).with_nuisance(terms)
+    reference = cast(WanderingProblem, selection.reference).with_nuisance(terms)
     physics = tuple(one for one in state.tested if not is_wander(one.term))
     part = state.fit.part([not is_wander(one.term) for one in state.tested])
     rest = fitted_again(problem, reference, replace(state, fit=part, tested=physics), training, options)

@@ -11,7 +11,7 @@ which a process may depend.
    less likely by 2 at most.
 5. Then exchange each term for whatever is likelier in its place.
 
-Autocorrelated noise takes the place of terms, and terms its place, where that is likelier.
+Autocorrelated noise takes the place of processes where that is likelier, and terms its place where that is clearly so.
 
 A site has one process, at one or more components, and may have the spectrum of its gear beside it: further processes
 could not be told apart from these. A term is rejected if independent noise at the same component explains more.
@@ -61,17 +61,15 @@ class Selector:
             # terms of what varies slowly make rows autocorrelated too
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
-            grown = max(grown, instead, key=self._odds)
+            clearly = instead.fit.noise.white and not grown.fit.noise.white
+            if instead.evidence > grown.evidence + (self.options.close if clearly else 0.0):
+                grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
 
-    def _odds(self, state: State) -> float:
-        """Log evidence, less what autocorrelated noise has to gain in each group."""
-        return state.evidence - self.options.close * sum(model.share > 0 for model in state.fit.noise.models)
-
     def _noise_instead(self, state: State) -> State | None:
-        """The state with other noise in the place of a process, where that is not clearly less likely; else None."""
+        """The state with other noise in the place of a process, where that is likelier; else None."""
         trials = []
         for k, one in enumerate(state.tested):
             if one.term.nonparametric and not is_wander(one.term):
@@ -81,8 +79,8 @@ class Selector:
                     trials.append(trial)
         if not trials:
             return None
-        likeliest = self._dropped(self._estimated(max(trials, key=self._odds)))
-        return likeliest if self._odds(likeliest) > self._odds(state) - self.options.close else None
+        likeliest = self._dropped(self._estimated(max(trials, key=lambda trial: trial.evidence)))
+        return likeliest if likeliest.evidence > state.evidence else None
 
     def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
         """With all that is worth adding; names are tried for the processes that are not among those `asked`."""
@@ -174,7 +172,8 @@ class Selector:
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
         if one.process and one.process[2] == "wander":
-            return not any(is_wander(term) and (term.site, term.component) == (one.site, one.place) for term in model)
+            place = one.site, one.place
+            return not any(is_wander(term) and (term.site, getattr(term, "component", "")) == place for term in model)
         there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
         if not there or self._continues(one, model):
             return True

@@ -349,6 +349,10 @@ def test_drivers_are_read_and_said():
             "unnamed:joint1: rolloff (2.0, 1.0) is not possible; give corner and slope of a spectrum",
         ),
         (
+            lambda: Unnamed("joint1", "time", 0.0, 1.0, "step", rolloff=(2.0,)),
+            "unnamed:joint1: a step is not possible at (2.0,); give one value within its range",
+        ),
+        (
             lambda: Unnamed("joint1", "position of joint 1", 0.0, 1.0, "spectrum", rolloff=(0.0, 1.0)),
             "unnamed:joint1: rolloff (0.0, 1.0) is not possible; give corner and slope of a spectrum",
         ),

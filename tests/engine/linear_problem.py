@@ -127,7 +127,7 @@ class Driver:
     is_angle = is_remembered = property(lambda self: self.phrase == "angle")
     place = 0
     discrete = False
-    is_order = False
+    is_order = is_time = False
     turns = ""
 
 

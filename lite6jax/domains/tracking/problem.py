@@ -14,7 +14,7 @@ from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
 from lite6jax.domains.tracking.rollout import roll
 from lite6jax.domains.tracking.rows import TrackingRows
-from lite6jax.effects.catalogue import Untestable, torque_shaped, tracking_catalogue
+from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import (
     BaseTilt,
@@ -392,7 +392,9 @@ class TrackingProblem:
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
         """Stribeck friction at a few of its speeds."""
-        return tuple(effect for effect in torque_shaped(self.data.motion) if isinstance(effect, StribeckFriction))
+        motion = self.data.motion
+        shaped = torque_shaped(motion, resolved_speeds(motion))
+        return tuple(effect for effect in shaped if isinstance(effect, StribeckFriction))
 
     @lazy
     def components(self) -> tuple[Component, ...]:

@@ -197,7 +197,7 @@ def test_the_model_predicts_another_motion(diagnosed, tmp_path):
         (lambda d: d["model"].update(gravity=[0, 0, 1e6]), "gravity"),
         (lambda d: d["model"]["drives"].update(coulomb_friction=[0.1]), "coulomb_friction has the shape"),
         (lambda d: d["model"]["drives"].update(damping=[0.1]), "damping"),
-        (lambda d: d["model"]["effects"][0].update(effect="viscous_frictio"), "unknown"),
+        (lambda d: d["model"]["effects"][0].update(effect="viscous_frictio"), "the catalogue has none of this name"),
         (lambda d: d["model"].update(more=1), "unknown field `more`"),
         (lambda d: d.pop("domain"), "is no diagnosis of torques"),
     ],

@@ -4,9 +4,10 @@ A chain that is fitted takes up the lost zero of a joint or the wrong size of a 
 have the prior N(0, (s σ)²): σ is what factories grant, and s ≥ 1 the likeliest factor for the arm. A hypothesis frees a
 declared frame or tool, or adds a number of its own, a joint's zero or the sensor's scale. Each has its evidence
 
-    log ∫ exp(h·u − ½ u·A u) N(u; 0, L²) du = ½ (L h)·(1 + L A L)⁻¹ L h − ½ log det(1 + L A L),
+    log ∫ exp(z·R u − ½ |R u|²) N(u; 0, L²) du = ½ Σ sᵢ² (uᵢ·z)² / (1 + sᵢ²) − ½ Σ log(1 + sᵢ²),
 
-with the information A and the gradient h of the data at u = 0, and the standard deviations L of its prior.
+with the derivatives Q R of the whitened data, its part z = Qᵀ y in their span, the standard deviations L of its prior,
+and R L = Σ uᵢ sᵢ vᵢᵀ. The information RᵀR is not made, as sᵢ² goes beyond 1e16 where a sensor is exact.
 """
 
 from collections.abc import Sequence
@@ -102,7 +103,7 @@ class Deviation:
 
     @cached_property
     def data(self) -> tuple[Array, Array]:
-        """The information A `(number, number)` and the gradient h `(number,)`."""
+        """The triangular factor R `(number, number)` of the derivatives, and the part z `(number,)` of the data."""
         arm = self.arm
         seen = np.zeros((1, arm.rows, arm.samples))
         if arm.recording.touches is None:
@@ -112,9 +113,9 @@ class Deviation:
             parts.insert(1, arm.whitened(arm.measured.by_numbers(arm.rigid.tool)))
         scale = max(arm.scale, _LEAST_SCALE)
         root = np.sqrt((FREEDOM + arm.rows) / (FREEDOM + arm.squares / scale**2)) / scale
-        X = (np.concatenate(parts) * root).reshape(self.size, -1)
-        A = X @ X.T
-        return A, A @ self.displaced - X @ (arm.residuals * root).ravel()
+        derivatives = (np.concatenate(parts) * root).reshape(self.size, -1).T
+        Q, R = np.linalg.qr(derivatives)
+        return R, R @ self.displaced - Q.T @ (arm.residuals * root).ravel()
 
     @cached_property
     def displaced(self) -> Array:
@@ -140,26 +141,25 @@ class Deviation:
 
     def weighed(self, hypothesis: Sequence[Change], factors: Sequence[float] = _FACTORS) -> Weighed:
         """A hypothesis at the likeliest of some factors."""
-        A, h = self.data
+        R, z = self.data
         tried = []
         for factor in factors:
             L = np.maximum(factor * self.granted, self.free)
             for change in hypothesis:
                 L[self.places(change)] = _WIDE
-            M = np.eye(self.size) + L[:, None] * A * L
-            eigenvalues, V = np.linalg.eigh(M)
-            eigenvalues = np.maximum(eigenvalues, 1.0)  # less is rounding
-            mean = V @ ((V.T @ (L * h)) / eigenvalues)
-            fit = 0.5 * float(L * h @ mean)
-            tried.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log(eigenvalues))), fit, L * mean))
+            U, s, Vt = np.linalg.svd(R * L, full_matrices=False)
+            along = U.T @ z
+            fit = 0.5 * float(np.sum((s * along) ** 2 / (1 + s**2)))
+            mean = L * (Vt.T @ (s * along / (1 + s**2)))
+            tried.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log1p(s**2))), fit, mean))
         return max(tried, key=lambda one: one.evidence)
 
     def log_likelihood(self, scale: float) -> float:
         """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
-        arm, u = self.arm, self.displaced
-        A, h = self.data
+        arm, (R, z) = self.arm, self.data
+        Ru = R @ self.displaced
         at_fit = replace(arm, precision=np.zeros(len(arm.precision))).log_likelihood(scale)
-        return at_fit - float(h @ u - 0.5 * u @ A @ u) + self.weighed(()).evidence
+        return at_fit - float(z @ Ru - 0.5 * Ru @ Ru) + self.weighed(()).evidence
 
     def valued(self, change: Change, weighed: Weighed) -> Change:
         """A change by as much as its number says."""
@@ -167,6 +167,13 @@ class Deviation:
         if change.code == "joint_turns":
             return replace(change, value=rounded_to_quarters(value))
         return replace(change, value=1 / (1 - value)) if change.code == "sensor_scale" else change
+
+    def share(self, change: Change, weighed: Weighed) -> float:
+        """The largest displacement by a change, of a zero, a frame or a tool, over what factories grant of it."""
+        displaced = np.abs(weighed.displacements[self.places(change)])
+        of_length, of_angle = self.granted[6], self.granted[11]
+        granted = np.repeat([of_length, of_angle], 3) if len(displaced) == 6 else np.array([of_angle])
+        return float(np.max(displaced / granted))
 
     @property
     def _free_places(self) -> list[int]:

@@ -121,8 +121,8 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     weighed = deviation.weighed(of_values)
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
-    least = np.log(state.options.least_scale)
-    return tuple(c for c in hypothesis if c.code != "sensor_scale" or abs(np.log(float(c.value))) > least)
+    options = state.options
+    return tuple(one for one in hypothesis if one.code != "sensor_scale" or _is_gross(one, np.inf, options))
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
@@ -302,10 +302,6 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
 # ------------------------------------------------------------------ what a fitted arm takes up
 
 
-_LEAST_GROSS = {"joint_turns": np.deg2rad(1.0), "sensor_scale": 0.01}
-"""A zero in rad and a scale that are less are within what a chain of its own may do: a home-made arm looks so."""
-
-
 def explain_deviation(state: Screened) -> Screened:
     """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
     fitted, options = state.rigid_arm, state.options
@@ -355,10 +351,22 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change,
     alike = [change for change in changes if fits[best] - fits[change] < options.trusted_log_likelihood]
     alike.sort(key=lambda change: simplicity((change,)))
     valued = [deviation.valued(change, weighed[change]) for change in alike]
-    size = float(valued[0].value) - 1 if valued[0].code == "sensor_scale" else float(valued[0].value)
-    if abs(size) < _LEAST_GROSS.get(valued[0].code, 0.0):
+    if not _is_gross(valued[0], deviation.share(alike[0], weighed[alike[0]]), options):
         return None
     return valued[0], [(change,) for change in valued[1:]]
+
+
+def _is_gross(change: Change, share: float, options: ScreeningOptions) -> bool:
+    """Whether a change is more than what a chain and a sensor do by themselves.
+
+    Args:
+        change: with its value.
+        share: its displacement over what factories grant.
+        options: the thresholds.
+    """
+    if change.code == "sensor_scale":
+        return abs(np.log(float(change.value))) > np.log(options.least_scale)
+    return share > options.least_gross
 
 
 # ------------------------------------------------------------------ another nominal table

@@ -55,6 +55,11 @@ class ScreeningOptions:
     beyond_granted: float = option(
         8.0, "times what factories grant, from which a fitted arm is not the declared one", "real arms are below five"
     )
+    least_gross: float = option(
+        3.0,
+        "times what factories grant, from which a zero, a frame or a tool is a fault",
+        "chains of one's own are below",
+    )
     least_scale: float = option(1.005, "ratio from which a sensor's scale is sought as a fault", "physics is below")
     largest_scale: float = option(1100.0, "the same up to which", "millimetres that are read as metres")
     # nominal table
