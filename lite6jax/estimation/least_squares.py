@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import LinearisedProblem, Mask, prior_precision
-from lite6jax.estimation.projection import ROUNDING, half_inverse, scaled_inverse, scaled_solve
+from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve, schur_complement
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 
@@ -67,10 +67,8 @@ class Fit:
         converged: whether the last step was short enough.
         noise: the noise model.
         penalty: sum over all numbers of the squared deviation from the prior's mean over the prior's variance.
-        volume: ½ ln of the determinant of the precision of the nuisance and all processes together, over that of
-            their priors: by it the evidence is less than the likelihood. Each process alone beside the others would not
-            count what two of them share, and the nuisance has more information where noise is taken as white (the
-            restricted likelihood; D. Harville, Journal of the American Statistical Association 72, 1977, eq. 3.2).
+        volume: ½ ln det(I + τ²λ) of all processes together, by which their evidence is less than the gain of the
+            likelihood: each alone beside the others would not count what two of them share.
     """
 
     terms: Terms
@@ -297,27 +295,27 @@ def _fitted(
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
-    volume = _volume(H, precision, terms, rounding)
+    volume = _volume_of_processes(H, precision, terms)
     rest = covariance, state, training, effective, converged, noise, penalty, volume
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
 
 
-def _volume(H: Array, precision: Array, terms: Terms, rounding: float) -> float:
-    """½ ln of the determinant of the precision of nuisance and processes, over that of their prior where they have one.
+def _volume_of_processes(H: Array, precision: Array, terms: Terms) -> float:
+    """½ ln of the determinant of the processes' precision beside all other numbers, over that of their prior.
 
     Args:
         H: `(number, number)`, the normal equations with the priors; the nuisance first.
         precision: `(number,)` of the priors.
         terms: of the model.
-        rounding: as of `half_inverse`.
     """
     sizes = [one.size for one in terms.terms]
-    names = np.repeat(np.array([not one.nonparametric for one in terms.terms], bool), sizes)
-    random = np.concatenate([np.ones(len(precision) - len(names), bool), ~names])
-    if not random.any() or not len(H):
+    processes = np.repeat(np.array([one.nonparametric for one in terms.terms], bool), sizes)
+    acting = np.concatenate([np.zeros(len(precision) - len(processes), bool), processes]) & (precision > 0)
+    if not acting.any() or not len(H):
         return 0.0
-    priors = precision[random & (precision > 0)]
-    return 0.5 * (half_inverse(H[np.ix_(random, random)], rounding)[1] - float(np.sum(np.log(priors))))
+    beside = schur_complement(H, np.flatnonzero(~acting))[np.ix_(acting, acting)]
+    root = np.sqrt(precision[acting])
+    return 0.5 * float(np.linalg.slogdet(beside / np.outer(root, root))[1])
 
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
