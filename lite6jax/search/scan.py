@@ -129,6 +129,26 @@ class Pair(NamedTuple):
     net: float
 
 
+class _Equations(NamedTuple):
+    """Equations of processes of one kernel at a component.
+
+    Attributes:
+        component: where.
+        sets: the quantities of each process.
+        pull: `(process, function)`.
+        information: `(process, function, function)`.
+        left: the sum of squares that is left there.
+        freedom: its degrees of freedom.
+    """
+
+    component: Component
+    sets: Sequence[tuple[int, ...]]
+    pull: Array
+    information: Array
+    left: float
+    freedom: float
+
+
 @final
 class Scan:
     """What is tried in one problem; the features of its quantities are computed once.
@@ -507,10 +527,11 @@ class Weighed:
             some, order = order[:_WEIGHED], order[_WEIGHED:]
             pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
             left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
-            for name in kernels.SCALED:
-                each = self._of_splines(name, pull, information, left, freedom)
-                for i, *one in zip(some, *each, strict=True):
-                    found.append(self._process(Evidence(*one), at[i][0], (at[i][1],), name))
+            every = [self._of_splines(name, pull, information, left, freedom) for name in kernels.SCALED]
+            best = np.argmax([one.gain for one in every], 0)
+            for n, (i, k) in enumerate(zip(some, best, strict=True)):
+                likeliest = Evidence(*(part[n] for part in every[k]))
+                found.append(self._process(likeliest, at[i][0], (at[i][1],), list(kernels.SCALED)[k]))
             others = [(at[i][0], (at[i][1],), "wave") for i in some]
             others += [(at[i][0], (at[i][1],), "play") for i in some if at[i][1] not in self._scan.own[at[i][0].site]]
             found += self._of_all(one for one in others if self._scan.suits(one[2], one[1]))
@@ -596,12 +617,41 @@ class Weighed:
         return _best_of_each(self._of_all(asked))
 
     def _of_all(self, asked: Iterable[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
-        """Processes by component, quantities and kernel."""
-        alike: dict[tuple[int, str], tuple[Component, list[tuple[int, ...]]]] = {}
+        """Processes by component, quantities and kernel; those of one kernel are weighed together."""
+        alike: dict[str, dict[int, tuple[Component, list[tuple[int, ...]]]]] = {}
         for component, which, kernel in asked:
-            alike.setdefault((id(component), kernel), (component, []))[1].append(which)
-        each = (self._of_kernel(*members, kernel) for (_, kernel), members in alike.items())
-        return [one for some in each for one in some]
+            alike.setdefault(kernel, {}).setdefault(id(component), (component, []))[1].append(which)
+        found = list[Ranked]()
+        for kernel, members in alike.items():
+            waiting, count = list[_Equations](), 0
+            for component, sets in members.values():
+                most = max(_AT_ONCE // max(self._scan.features(sets[0], kernel).size, 1), 1)
+                for k in range(0, len(sets), most):
+                    some = sets[k : k + most]
+                    functions = np.stack([self._scan.features(which, kernel) for which in some])
+                    waiting.append(_Equations(component, some, *self._equations(component, functions)))
+                    count += len(some)
+                    if count >= _WEIGHED:
+                        found += self._together(waiting, kernel)
+                        waiting, count = [], 0
+            found += self._together(waiting, kernel)
+        return found
+
+    def _together(self, waiting: Sequence[_Equations], kernel: str) -> list[Ranked]:
+        """Processes of one kernel, whose equations are known."""
+        if not waiting:
+            return []
+        counts = [len(one.sets) for one in waiting]
+        left = np.repeat([one.left for one in waiting], counts)[:, None, None]
+        freedom = np.repeat([one.freedom for one in waiting], counts)[:, None, None]
+        pull = np.concatenate([one.pull for one in waiting])
+        information = np.concatenate([one.information for one in waiting])
+        evidence = of_process(pull, information, left, freedom, self._options.confounded)
+        places = ((one.component, which) for one in waiting for which in one.sets)
+        return [
+            self._process(Evidence(*numbers), *place, kernel)
+            for place, numbers in zip(places, zip(*evidence, strict=True), strict=True)
+        ]
 
     def _plain(self, k: int) -> str:
         """The kernel as which a quantity of a pair is first weighed."""
@@ -695,25 +745,9 @@ class Weighed:
         exact: bool = False,
     ) -> Ranked:
         """A process of one kernel."""
-        return self._of_kernel(component, [which], kernel, rolloff, exact)[0]
-
-    def _of_kernel(
-        self,
-        component: Component,
-        members: Sequence[tuple[int, ...]],
-        kernel: str,
-        rolloff: tuple[float, ...] = (),
-        exact: bool = False,
-    ) -> list[Ranked]:
-        """The same kernel of several sets of quantities, as many in one call as memory allows."""
-        most = max(_AT_ONCE // max(self._scan.features(members[0], kernel, rolloff).size, 1), 1)
-        found = list[Ranked]()
-        for some in (members[k : k + most] for k in range(0, len(members), most)):
-            functions = np.stack([self._scan.features(which, kernel, rolloff) for which in some])
-            evidence = of_process(*self._equations(component, functions, exact), self._options.confounded)
-            each = zip(some, zip(*evidence, strict=True), strict=True)
-            found += [self._process(Evidence(*one), component, which, kernel, rolloff) for which, one in each]
-        return found
+        functions = self._scan.features(which, kernel, rolloff)[None]
+        evidence = of_process(*self._equations(component, functions, exact), self._options.confounded)
+        return self._process(Evidence(*(part[0] for part in evidence)), component, which, kernel, rolloff)
 
     def _process(
         self,

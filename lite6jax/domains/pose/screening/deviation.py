@@ -189,7 +189,8 @@ class Deviation:
         weighed, granted = self.weighed(()), self.granted
         apart = self.arm.rigid.tool[:, :3, 3] - self.start.rigid.tool[:, :3, 3]
         shares = np.abs(weighed.displacements) / np.where(granted > 0, granted, np.inf)
-        frame, axis = divmod(int(np.argmax(shares)), 6)
+        equal = shares > (1 - 1e-3) * shares.max()  # along one axis, two frames share a displacement alike
+        frame, axis = divmod(int(np.argmax(equal)), 6)
         return {
             "distance_m": float(np.median(np.linalg.norm(apart, axis=1))),
             "factor": weighed.factor,
