@@ -17,6 +17,7 @@ with import_lazily():
     from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export
     from lite6jax.effects import catalogue
+    from lite6jax.estimation import prior as priors
     from lite6jax.report import listings, screen
 
 
@@ -99,20 +100,30 @@ class Convert:
 @final
 @dataclass(frozen=True)
 class Effects:
-    """List the effects that a diagnosis searches for: site, driver, unit and formula of each.
+    """List the effects that a diagnosis searches for: site, driver, unit and formula of each; or what each kind of
+    explanation costs before any data.
 
     For example:
 
         lite6jax effects
         lite6jax effects --domain dynamic --json
+        lite6jax effects --prior
     """
 
     domain: Literal["kinematic", "dynamic"] | None = None
     """Only those on poses (kinematic) or on torques (dynamic)."""
+    prior: bool = False
+    """The prior probabilities of explanations instead: effects, faults of the data, errors of what was declared."""
     json: command.Json = False
 
     def run(self) -> int:
         """Prints."""
+        if self.prior:
+            if self.domain is not None:
+                raise InputError("--prior: holds for both domains; leave --domain out")
+            return command.present(
+                self.json, lambda: _as_json(listings.prior_entries(priors.PRIOR)), listings.prior_report(priors.PRIOR)
+            )
         found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
         return command.present(
             self.json, lambda: _as_json([effect.to_dict() for effect in found]), listings.effects_report(found)

@@ -343,7 +343,7 @@ def diagnose_poses(
         given: dict[str, Any] = {"geometry": seen.geometry, "factory": seen.factory, "effects": effects}
         found = diagnose_poses(seen.recording, arm, **given, options=options, progress=progress)
         return replace(found, against=seen)
-    options = options or Options()
+    options = (options or Options()).of(recording.settings)
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening, arm)

@@ -3,7 +3,7 @@
 This is the one orchestrator above screening and search. Screening corrects what is plainly a fault. A frame jump,
 joints that were read before they settled, a constant of distances, another nominal table and a calibration file whose
 numbers all have errors resemble physics: each is accepted only where it is more likely than the physics found without
-it, the last two, and a constant that the screening left open, by a margin (`trusted_log_likelihood`).
+it; the last two, and a constant that the screening left open, by the cost of their prior probability.
 """
 
 from dataclasses import dataclass, field, replace
@@ -253,7 +253,7 @@ def _constant_weighed(best: Explanation, case: Case) -> Explanation:
     rival = case.explanation(replace(best.decisions, corrections=corrections))
     if screened:
         best = _likelier(best, rival, "distance_offset")
-    elif rival.evidence - best.evidence > case.options.screening.trusted_log_likelihood:
+    elif rival.evidence - best.evidence > case.options.prior.cost("distance_constant"):
         best = _likelier(rival, best, "distance_offset")
     return _with_constant(best, bool(best.screened.count("distance_offset")))
 
@@ -294,7 +294,7 @@ def _table_weighed(best: Explanation, case: Case) -> Explanation:
     gap = published.evidence - best.evidence
     more: dict[str, object] = {}
     if likelier is not None:
-        if gap <= case.options.screening.trusted_log_likelihood:
+        if gap <= case.options.prior.cost("nominal_table"):
             return best
         more = {"log_likelihood_gap": gap, "rival_terms": best.labels}
     if case.geometry != "declared":
@@ -326,10 +326,12 @@ def _calibration_weighed(best: Explanation, case: Case) -> Explanation:
     rival = case.search(best.screened, replace(best.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
-    gap = rival.evidence - best.evidence
-    if gap <= case.options.screening.trusted_log_likelihood:
-        return best
-    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": best.labels}
+    gap = rival.evidence - best.evidence - case.options.prior.cost("calibration_off")
+    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": abs(gap), "rival_terms": best.labels}
+    if gap <= 0:
+        likely = gap > -case.options.engine.close
+        ruled_out = DataFault("calibration_off", (), {"reason": "physics" if likely else "unlikely", **numbers})
+        return replace(best, screened=replace(best.screened, ruled_out=(*best.screened.ruled_out, ruled_out)))
     fault = DataFault("calibration_off", (), numbers)
     return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 

@@ -1,11 +1,14 @@
 """All options of a diagnosis in one object: the engine's, the screening's, and its own."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import InputError
-from lite6jax.estimation.options import EngineOptions, option
+from lite6jax.estimation.documented import option
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.prior import Prior
+from lite6jax.recordings import RecordingSettings
 
 _USUAL_FOLDS = 5
 
@@ -81,6 +84,21 @@ class Options:
     def __post_init__(self) -> None:
         if self.folds < 2:
             raise InputError(f"folds: {self.folds}; give 2 or more, of which each is predicted from the others")
+
+    @property
+    def prior(self) -> Prior:
+        """The probabilities of explanations before any data."""
+        return self.engine.prior
+
+    def of(self, settings: RecordingSettings) -> "Options":
+        """With the probabilities that a recording's settings give.
+
+        Raises:
+            InputError: a name that is no explanation.
+        """
+        prior = self.prior.given(settings.prior or {})
+        engine, screening = replace(self.engine, prior=prior), replace(self.screening, prior=prior)
+        return replace(self, engine=engine, screening=screening)
 
     @property
     def quick(self) -> bool:

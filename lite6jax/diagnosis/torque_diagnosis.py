@@ -299,6 +299,7 @@ def _diagnose_alone(
     progress: Callable[[Stage], object] | None,
 ) -> TorqueDiagnosis:
     """Without a reference; arguments as of `diagnose_torques`."""
+    options = options.of(recording.settings)
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 1 + options.folds):

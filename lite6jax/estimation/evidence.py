@@ -370,7 +370,7 @@ def log_orders(
         turns: spread of the angles over that of an even full turn, at least 1.
     """
     order, highest = np.asarray(order, float), highest or options.highest_order
-    share, at = options.whole_share if whole else 0.0, np.maximum(order, options.lowest_order)
+    share, at = options.prior.whole_order if whole else 0.0, np.maximum(order, options.lowest_order)
     between = np.log(options.resolved_orders * turns * at * np.log(highest) / (1 - share))
     if not share:
         return between

@@ -1,43 +1,22 @@
 """Every threshold of the engine: its value, what it means, and why it has that value."""
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple, final
+from dataclasses import dataclass, replace
+from typing import final
 
-
-def option(value: Any, meaning: str, why: str) -> Any:
-    """A field of an options object, with its documentation."""
-    return field(default=value, metadata={"meaning": meaning, "why": why})
-
-
-class Documented(NamedTuple):
-    """An option as it is documented.
-
-    Attributes:
-        name: of the field.
-        value: its default.
-        meaning: what it is, with its unit.
-        why: the reason for the value.
-    """
-
-    name: str
-    value: Any
-    meaning: str
-    why: str
-
-
-def documented(options: Any) -> list[Documented]:
-    """The options of an object or class, in the order in which they are declared; groups of options are left out."""
-    return [
-        Documented(f.name, getattr(options, f.name, f.default), f.metadata["meaning"], f.metadata["why"])
-        for f in fields(options)
-        if "meaning" in f.metadata
-    ]
+from lite6jax.estimation.documented import option
+from lite6jax.estimation.prior import PRIOR, Prior
 
 
 @final
 @dataclass(frozen=True)
 class EngineOptions:
-    """Thresholds of estimation and search. Lengths of time are counted in samples, evidence in log-likelihood."""
+    """Thresholds of estimation and search. Lengths of time are counted in samples, evidence in log-likelihood.
+
+    Attributes:
+        prior: the probabilities of explanations before any data.
+    """
+
+    prior: Prior = PRIOR
 
     # evidence
     level: float = option(0.003, "family-wise false-alarm level of a finding", "one in 300 recordings")
@@ -145,12 +124,8 @@ class EngineOptions:
     exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
     other_orders: int = option(3, "other orders that are reported beside one that explains no more", "fits on a screen")
     kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")
-    whole_share: float = option(
-        2 / 3, "prior probability that an order is whole", "most gears have whole orders; 1.9 in log-likelihood"
-    )
     # final estimates
     whole_within: float = option(2.0, "standard deviations within which an order is taken as whole", "95 %")
-    wrong_input: float = option(0.1, "probability that an input such as a load is declared wrong", "one case in ten")
 
     @property
     def rough(self) -> "EngineOptions":

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
 from lite6jax.effects.drivers import Driver
+from lite6jax.estimation.documented import option
 from lite6jax.estimation.evidence import log_orders
-from lite6jax.estimation.options import EngineOptions, option
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Problem, Quantity
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
+from lite6jax.search.scan import PAIRS, SINGLE, Scan
 
 Array = NDArray[np.floating]
 
@@ -234,7 +235,7 @@ class Tried:
 
     def cost_of_waves(self, orders: Array) -> Array:
         """Of a wave of each order `(order,)` of one family."""
-        return KINDS + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
+        return self._options.prior.cost("wave") + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
     def _process(self, place: Place, kernel: str, *which: int) -> Process:
         own = [self.quantities[k] for k in which]

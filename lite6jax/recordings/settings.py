@@ -56,6 +56,7 @@ Size = Annotated[float, Meta(ge=0.0)]
 Gravity = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
 TorqueSigma = Annotated[float, Meta(ge=1e-9, le=1e4)]
 Constant = Annotated[float, Meta(ge=-1e5, le=1e5)]
+Probability = Annotated[float, Meta(ge=0.0, lt=1.0)]
 Corners = Annotated[int, Meta(ge=1, le=10_000)]
 Places = Mapping[str, Point]  # one of a least length within a union ends the process (msgspec 0.22)
 
@@ -251,6 +252,10 @@ class RecordingSettings:
     ] = None
     board: Annotated[BoardSettings | None, "{columns: 7, rows: 5, square_m: 0.02, noise_m: 2.0e-5}"] = None
     points_m: Annotated[tuple[Point, ...] | None, "a list of the corners' [x, y, z] in m"] = None
+    prior: Annotated[
+        Mapping[str, Probability] | None,
+        "probabilities of explanations by name, {calibration_off: 0.05}; `lite6jax effects --prior` lists them",
+    ] = None
     date: Annotated[str | None, "a day as YYYY-MM-DD, such as 2026-11-21"] = None
     instrument: Annotated[Annotated[Line, Meta(max_length=120)] | None, "one line of at most 120 characters"] = None
 

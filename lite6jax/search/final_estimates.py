@@ -67,9 +67,8 @@ def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.
         other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
         difference = other.values[own] - fitted.values
         gain = other.gain_over(fitted) / test.time - 0.5 * term.size * np.log(fitted.freedom)
-        probability = options.wrong_input / (
-            options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
-        )
+        before = options.prior.wrong_input
+        probability = before / (before + (1 - before) * np.exp(-np.clip(gain, -700, 700)))
         gained += probability * (other.covariance[own, own] - fitted.covariance + np.outer(difference, difference))
     return gained
 

@@ -5,14 +5,14 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders or jumps | ln 4 |
-| a name | ln of their number, and ln 17 where a number of it is tried; ln 2 in all if nearly every problem has it |
+| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders or jumps | −ln p |
+| a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a read-out that wanders | ln of these, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
-A site's own quantities have 0.6 of the probability together, all of them 0.4.
+The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -34,8 +34,6 @@ from lite6jax.search.spectrum import lines
 
 Array = NDArray[np.floating]
 
-_OWN = 0.6
-"""Prior probability that a driver is one of a site's own."""
 SINGLE = (*kernels.SCALED, "wave", "play")
 PAIRS = (
     *("line*line", "cubic*cubic", "smooth*smooth", "rough*rough", "wave*wave"),
@@ -48,7 +46,6 @@ _ROLLOFFS = {
 }
 """Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
 13th, a 31st and a 75th of it."""
-KINDS = np.log(4.0)
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -158,12 +155,14 @@ class Scan:
         quantities: what processes may depend on, and at last the order of recording, in which read-outs may wander.
         drivers: how many they are without that order.
         among: the processes to choose from; None where that is all.
+        prior: the probabilities of kinds.
         considered: the processes that were among the likeliest of a scan, each as its likeliest kernel.
     """
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         """Tries all processes, or those `among` which it is to choose."""
         self.problem, self.options, self.among = problem, options, among
+        self.prior = options.prior
         self.considered = set[_Considered]()
         drivers = [one for one in problem.quantities if not one.driver.is_order]
         orders = [one for one in problem.quantities if one.driver.is_order]
@@ -185,17 +184,18 @@ class Scan:
     def cost_of_name(self, term: Term) -> float:
         """Of a name at one site, and of a number that is chosen for it; even odds of what nearly every problem has."""
         if term.usual:
-            return float(np.log(2.0))
+            return self.prior.cost("usual")
         number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
-        return float(KINDS + np.log(max(len(self.names), 1)) + number)
+        return float(self.prior.cost("named") + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
         """Of a process of one quantity or of two, any kernel, any component."""
         if which == (self.drivers,):
-            return float(KINDS + np.log(len(self.wandering)) + np.log(len(_ROLLOFFS["wander"])))
+            return float(self.prior.cost("wandering") + np.log(len(self.wandering)) + np.log(len(_ROLLOFFS["wander"])))
         if (site, which) in self._costs:
             return self._costs[site, which]
-        cost = KINDS + np.log(max(len(self.problem.components), 1))
+        cost = self.prior.cost("process" if len(which) == 1 else "product")
+        cost += np.log(max(len(self.problem.components), 1))
         cost += sum(self._cost_of_quantity(site, k) for k in which)
         cost += np.log(1 + len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)  # the spectrum is one more
         return self._costs.setdefault((site, which), float(cost))
@@ -203,7 +203,7 @@ class Scan:
     @cached_property
     def cost_of_step(self) -> float:
         """Of a read-out that jumps, any of them, at any sample."""
-        return float(KINDS + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples))
+        return float(self.prior.cost("jump") + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples))
 
     @cached_property
     def time(self) -> int | None:
@@ -212,7 +212,8 @@ class Scan:
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
         own = self.own[site]
-        return -np.log((_OWN / len(own) if k in own else 0.0) + (1 - _OWN) / self.drivers)
+        share = self.prior.own_driver
+        return -np.log((share / len(own) if k in own else 0.0) + (1 - share) / self.drivers)
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
@@ -492,8 +493,10 @@ class Weighed:
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
             named = line.term in self._scan.names  # the lowest orders are candidates of their own
-            own = self._scan.cost_of_name(line.term) if named else KINDS + np.log(families) + line.searched
-            found.append(_of_term(evidence, float(own), line.term, f"{line.term.label} {line.order:.3g}"))
+            cost = self._scan.prior.cost("wave") + np.log(families) + line.searched
+            if named:
+                cost = self._scan.cost_of_name(line.term)
+            found.append(_of_term(evidence, float(cost), line.term, f"{line.term.label} {line.order:.3g}"))
         return [one for one in found if one.gain > 0]
 
     def singles(self, least: float) -> list[Ranked]:

@@ -15,14 +15,14 @@ from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
 
 def test_the_probabilities_of_whole_and_other_orders_add_up_to_one():
     whole = np.exp(-log_orders(np.arange(1.0, DEFAULTS.highest_order + 1), DEFAULTS)).sum()
-    assert whole == pytest.approx(DEFAULTS.whole_share, rel=1e-12)
+    assert whole == pytest.approx(DEFAULTS.prior.whole_order, rel=1e-12)
 
     def density(log_order: float) -> float:  # of log n, by which it is constant; 1e-6 beside a whole order
         order = np.exp(log_order) + 1e-6
         return DEFAULTS.resolved_orders * float(np.exp(-log_orders(order, DEFAULTS))) * order
 
     between = quad(density, 0, np.log(DEFAULTS.highest_order))[0]
-    assert between == pytest.approx(1 - DEFAULTS.whole_share, rel=1e-5)
+    assert between == pytest.approx(1 - DEFAULTS.prior.whole_order, rel=1e-5)
 
 
 def test_low_and_whole_orders_are_the_likelier_ones():

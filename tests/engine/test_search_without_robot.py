@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from engine.linear_problem import Column, Decay, LinearProblem, Number, Process, Wave, linear_problem
 
+from lite6jax.estimation.documented import documented
 from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
-from lite6jax.estimation.options import EngineOptions, documented
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import prior_precision
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms

@@ -42,7 +42,7 @@ def searched(problem):
 
 def stated(selection, wrong_input=0.0):
     """With final estimates, by the probability that the payload is declared wrong."""
-    options = replace(OPTIONS, wrong_input=wrong_input)
+    options = replace(OPTIONS, prior=replace(OPTIONS.prior, wrong_input=wrong_input))
     return replace(selection, state=final_estimates(selection.problem, selection.state, options))
 
 

@@ -27,6 +27,7 @@ from lite6jax.effects.kinematic import FrameOffset, ToolOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.prior import Prior
 from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording, read_recording, write_recording
 from lite6jax.report.compensations import NO_BARS
@@ -155,7 +156,8 @@ def test_the_covariance_is_that_of_the_fit(arm, found, model):
     prediction by least squares in closed form.
     """
     known, k = model.uncertainty, len(model.uncertainty.sites)
-    sure = diagnose_poses(arm.recording(narrow(1)), options=Options(folds=2, engine=EngineOptions(wrong_input=0.0)))
+    certain = EngineOptions(prior=Prior(wrong_input=0.0))
+    sure = diagnose_poses(arm.recording(narrow(1)), options=Options(folds=2, engine=certain))
     np.testing.assert_allclose(known.covariance[k:, k:], sure.fit.covariance, rtol=1e-3)
     assert np.all(found.fit.covariance > sure.fit.covariance)
     change = Derivatives(model, found.problem.motion, known.sites)

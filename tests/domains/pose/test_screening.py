@@ -17,8 +17,9 @@ from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, estimated, physics_columns
 from lite6jax.domains.pose.screening.screen import SCREENS, screen
 from lite6jax.domains.pose.screening.screened import Corrections
+from lite6jax.estimation.documented import documented
 from lite6jax.estimation.least_squares import fit
-from lite6jax.estimation.options import DEFAULTS, documented
+from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
 from tests.oracles.arms import perturbed

@@ -93,7 +93,7 @@ def correct_mismatch(state: Screened) -> Screened:
     chosen, corrected = equal[0]
     scale = min(corrected.scale, recorded.scale)
     gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
-    if gain < options.trusted_log_likelihood:
+    if gain < options.prior.cost("data_fault"):
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     distinct, rivals = [chosen], []
     for hypothesis, fit in equal[1:]:
@@ -102,7 +102,7 @@ def correct_mismatch(state: Screened) -> Screened:
         distinct.append(hypothesis)
         alike = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
         alike &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
-        if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.trusted_log_likelihood:
+        if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.prior.cost("data_fault"):
             rivals.append(hypothesis)
     others = [chosen, *rivals] if rivals else distinct[1:]
     numbers = {"median_error_m": error, "corrected_error_m": least, "alternatives": listed(others)}
@@ -344,11 +344,11 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change,
     none = deviation.weighed(())
     weighed = {change: deviation.weighed((change,)) for change in changes}
     best = max(weighed, key=lambda change: weighed[change].evidence)
-    required = options.trusted_log_likelihood + float(np.log(len(changes)))
+    required = options.prior.cost("data_fault") + float(np.log(len(changes)))
     if weighed[best].evidence - none.evidence < required:
         return None
     fits = {change: deviation.weighed((change,), [weighed[best].factor]).fit for change in changes}
-    alike = [change for change in changes if fits[best] - fits[change] < options.trusted_log_likelihood]
+    alike = [change for change in changes if fits[best] - fits[change] < options.prior.cost("data_fault")]
     alike.sort(key=lambda change: simplicity((change,)))
     valued = [deviation.valued(change, weighed[change]) for change in alike]
     if not _is_gross(valued[0], deviation.share(alike[0], weighed[alike[0]]), options):
@@ -413,7 +413,7 @@ def use_other_table(state: Screened) -> Screened:
         ours = _with_table(arm, arm.arm).fitted(options.most_fitted)
         more = len(arm.unknown) - len(theirs.unknown)
         fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
-        required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)
+        required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("data_fault"))
         decided, likelier = bool(theirs.log_likelihood(arm.scale) > required), False
         ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}
         numbers |= {"decided": decided} | ratios

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import final
 
-from lite6jax.estimation.options import option
+from lite6jax.estimation.documented import option
+from lite6jax.estimation.prior import PRIOR, Prior
 
 
 @final
@@ -12,7 +13,12 @@ class ScreeningOptions:
     """Thresholds of the screening of pose recordings. Probabilities are those of a whole recording.
 
     Reasons that begin with "set on" refer to simulated recordings of arms with and without each fault.
+
+    Attributes:
+        prior: the probabilities of explanations before any data: what a correction must gain is its cost.
     """
+
+    prior: Prior = PRIOR
 
     # rows
     cluster_distances: float = option(
@@ -49,9 +55,6 @@ class ScreeningOptions:
     clearly_nearer: float = option(20.0, "ratio of errors by which another arm agrees better", "arms differ by some cm")
     most_changes: int = option(3, "faults that a hypothesis joins, a set of signs counted as one", "bounds the time")
     worth_another: float = option(0.7, "ratio by which another change reduces the error", "a right change halves it")
-    trusted_log_likelihood: float = option(
-        5.703782474656201, "log-likelihood that a correction must gain", "log 300: one file in some hundred is wrong"
-    )
     beyond_granted: float = option(
         8.0, "times what factories grant, from which a fitted arm is not the declared one", "real arms are below five"
     )

@@ -32,7 +32,7 @@ def free_constant(state: Screened) -> Screened:
         plain = state.rigid_arm.fitted(options.most_fitted)
         scale = min(fitted.scale, plain.scale)
         gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)
-        price = 0.5 * np.log(recording.samples) + options.trusted_log_likelihood
+        price = 0.5 * np.log(recording.samples) + options.prior.cost("distance_constant")
         declared = settings.distance_noise_m
         noisy = fitted.scale * fitted.noise[0] > options.as_noise_ratio * declared if declared else False
         if gain < price or noisy:

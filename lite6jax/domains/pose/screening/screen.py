@@ -287,6 +287,7 @@ def screen(
     """
     require_samples(recording, 1)
     options = options or ScreeningOptions()
+    options = replace(options, prior=options.prior.given(recording.settings.prior or {}))
     state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
     fitted = False
     for entry in SCREENS:

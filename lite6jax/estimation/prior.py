@@ -1,0 +1,74 @@
+"""The prior probabilities of explanations: physics, faults of the data, and errors of what was declared.
+
+An explanation of probability p costs −ln p nats of evidence. Where p is shared by several, as a kind by its names, each
+has its part of it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import final
+
+from lite6jax.errors import InputError
+from lite6jax.estimation.documented import option
+
+
+@final
+@dataclass(frozen=True)
+class Prior:
+    """Prior probabilities, each from 0 to below 1.
+
+    For example, `Prior(calibration_off=0.02)` is that of a laboratory in which one calibration file in fifty is stale.
+
+    Raises:
+        InputError: one is not in this range.
+    """
+
+    # physics, of a term that a model lacks
+    named: float = option(0.25, "a term is an effect with a name, any of them", "four kinds, equally probable")
+    wave: float = option(0.25, "it is a wave of a joint's turn, of any order", "as above")
+    process: float = option(0.25, "it is a function of one driver, at any component", "as above")
+    product: float = option(0.25, "it is a function of two drivers, at any component", "as above")
+    usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
+    own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
+    whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")
+    # read-outs, besides the four kinds
+    wandering: float = option(0.25, "a read-out wanders by itself, any of them", "as each kind of physics")
+    jump: float = option(0.25, "a read-out jumps once, any of them, at any sample", "as each kind of physics")
+    # what was declared
+    wrong_input: float = option(0.1, "a declared input such as a load is wrong", "one case in ten")
+    calibration_off: float = option(0.1, "all numbers of the calibration file are off a little", "one file in ten")
+    nominal_table: float = option(1 / 300, "the arm has another nominal table than its file's", "one file in 300")
+    # faults of the data
+    data_fault: float = option(1 / 300, "columns, units, zeros, a frame or a tool are wrong", "one file in 300")
+    distance_constant: float = option(1 / 300, "a gauge of distances has a zero of its own", "as another fault")
+
+    def __post_init__(self) -> None:
+        for name, probability in self.probabilities.items():
+            if not 0 <= probability < 1:
+                raise InputError(f"prior: {name} is {probability}; give a probability from 0 to below 1")
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Each by its name."""
+        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+
+    def cost(self, name: str) -> float:
+        """−ln of a probability, nats."""
+        probability = float(getattr(self, name))
+        return -math.log(probability) if probability else math.inf
+
+    def given(self, probabilities: Mapping[str, float]) -> "Prior":
+        """With other probabilities, as the key `prior` of a sidecar gives them.
+
+        Raises:
+            InputError: a name that is none, or a number that is no probability.
+        """
+        unknown = sorted(set(probabilities) - set(self.probabilities))
+        if unknown:
+            raise InputError(f"prior: {unknown[0]!r} is no explanation; the names are {', '.join(self.probabilities)}")
+        return replace(self, **probabilities)
+
+
+PRIOR = Prior()
+"""The prior of a recording of which nothing else is known."""
