@@ -44,7 +44,7 @@ def test_what_is_no_probability_is_refused(probabilities, message):
 
 
 def test_a_probability_of_one_costs_nothing_and_is_refused():
-    with pytest.raises(InputError, match="prior: named is 1.0; give a probability from 0 to below 1"):
+    with pytest.raises(InputError, match=r"prior: named is 1\.0; give a probability from 0 to below 1"):
         Prior(named=1.0)
 
 

@@ -104,6 +104,16 @@ RULED_OUT = [
               declared_ratio=1.0, table_ratio=3.0),
         "The chain is fitted, so that the table matters little.",
     ),
+    (
+        fault("calibration_off", reason="physics", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=1.5,
+              rival_terms=["frame_offset:link3"]),
+        "The calibration file may be off everywhere instead, by 0.010 mm and mrad (log evidence -1.5 beside the findings)",
+    ),
+    (
+        fault("calibration_off", reason="unlikely", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=40.0,
+              rival_terms=["frame_offset:link3"]),
+        "The calibration file is not off everywhere",
+    ),
     (fault("commanded_joints", reason="declared"), "declares commanded joint positions"),
 ]  # fmt: skip
 
