@@ -107,7 +107,7 @@ RULED_OUT = [
     (
         fault("calibration_off", reason="physics", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=1.5,
               rival_terms=["frame_offset:link3"]),
-        "The calibration file may be off everywhere instead, by 0.010 mm and mrad (log evidence -1.5 beside the findings)",
+        "The calibration file may be off everywhere instead, by 0.01 mm and mrad (log evidence -1.5",
     ),
     (
         fault("calibration_off", reason="unlikely", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=40.0,
