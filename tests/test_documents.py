@@ -76,6 +76,14 @@ def test_the_screens_are_documented_in_their_order():
     assert documented == list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
 
 
+def test_the_faults_of_commands_and_joints_are_documented():
+    from lite6jax.report.faults import TRACKING_FAULTS
+
+    text = (ROOT / "docs/reference/tracking.md").read_text()
+    section = text.partition("\n## Data faults\n")[2].partition("\n## ")[0]
+    assert [row[0] for row in table_rows(section)[2:]] == list(TRACKING_FAULTS)
+
+
 def test_the_effects_and_faults_of_torques_are_documented():
     from lite6jax.effects.catalogue import TORQUE_EFFECTS
     from lite6jax.report.faults import TORQUE_FAULTS

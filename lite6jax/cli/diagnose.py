@@ -51,7 +51,7 @@ with import_lazily():
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    Found = diagnose.Diagnosis | diagnose.TorqueDiagnosis
+    Found = diagnose.Diagnosis | diagnose.TorqueDiagnosis | diagnose.TrackingDiagnosis
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ class Diagnose:
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
-    """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
-    rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
-    recordings, or a URL that fsspec reads: each recording is diagnosed."""
+    """A recording of measured poses, of motor torques or currents, or of commands beside measured joints (.csv,
+    .parquet, .mcap, .bag, or the folder of a rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it;
+    `lite6jax init` writes one. Or a folder of recordings, or a URL that fsspec reads: each recording is diagnosed."""
     more: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")] = ()
     """Further recordings of the same arm with the same tool, touched at other places or measured from other ones:
     geometry and effects are shared, and each file has points, planes, anchors or a sensor's frame of its own."""
@@ -94,6 +94,8 @@ class Diagnose:
     """Of a recording that has poses and torques, diagnose the torques only."""
     poses: bool = False
     """Of such a recording, diagnose the poses only."""
+    tracking: bool = False
+    """Of a recording that has commands beside poses or torques, diagnose how the joints follow their commands."""
     quick: bool = False
     """Hold out two blocks instead of five, and design no separating poses: in about 60 % of the time. The search of all
     rows is the same; the errors after are rather too large."""
@@ -118,8 +120,9 @@ class Diagnose:
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
-        if self.poses and self.torques:
-            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
+        asked = [f"--{name}" for name in ("poses", "torques", "tracking") if getattr(self, name)]
+        if len(asked) > 1:
+            raise InputError(f"{' and '.join(asked)}: give one of them, or none to diagnose both poses and torques")
         if _is_folder(self.source):
             if self.more:
                 raise InputError(f"{self.source}: is a folder; name a folder, or files of one arm")
@@ -153,6 +156,8 @@ class Diagnose:
         """What is diagnosed of a recording, None for all: of a fleet poses, or of what has none the torques."""
         if self.torques:
             return "torques"
+        if self.tracking:
+            return "tracking"
         return "poses" if self.poses or (self.fleet and recording.numbers_per_sample) else None
 
     def _prepare(self) -> "tuple[recordings.Recording, Callable[..., Found]]":
@@ -166,7 +171,7 @@ class Diagnose:
             further = [source.load_recording(file, arm, **assumed) for file in self.more]
             recording = recordings.join_recordings([recording, *further])
         effects = command.load_own_effects(self.effects)
-        if recording.numbers_per_sample and not self.torques:
+        if recording.numbers_per_sample and not (self.torques or self.tracking):
             arm = arm or source.arm_of(recording)
         given: dict[str, Any] = {
             "domain": self._domain(recording),
@@ -257,6 +262,8 @@ class Diagnose:
         text = diagnosis_file.document_text(self.document(found))
         if not self.fleet:
             return text, None
+        if isinstance(found, diagnose.TrackingDiagnosis):
+            raise InputError(f"{self.source}: has commands and neither poses nor torques, which --fleet pools")
         return text, reduction.reduced(found).to_bytes()
 
 
@@ -395,8 +402,10 @@ class View:
 class Predict:
     """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
-    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors, and tau1_std_Nm …, which contain the
-    sensor's noise as well. Of one of poses and torques both are written, if the motion is a trajectory.
+    Of a diagnosis of commands these are q1_rad …, the joints that follow the commands of a motion (time_s, cmd1_rad …),
+    rolled out from rest at its first command. Of one of torques these are tau1_Nm …, the torques of the motors, and
+    tau1_std_Nm …, which contain the sensor's noise as well. Of one of poses and torques both are written, if the motion
+    is a trajectory.
 
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
@@ -410,9 +419,9 @@ class Predict:
 
     diagnosis: DiagnosisFile
     motion: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Joint positions, and the other quantities on which the model's effects depend (.csv, .parquet)."""
+    """Joint positions, and the other quantities on which the model's effects depend (.csv, .parquet); or commands."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """Write the poses here (.csv), one row per sample."""
+    """Write the poses, torques or joints here (.csv), one row per sample."""
     register: bool = False
     """First fit sensor frame and tool to the poses in the file, for another set-up of the same arm."""
     effects: command.OwnEffects = None
@@ -426,12 +435,15 @@ class Predict:
 
         document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-        recording = recordings.read_motion(self.motion, model)
+        of_commands = diagnosis_file.is_of_tracking(document)
+        read = recording_files.read_commands if of_commands else recordings.read_motion
+        recording = read(self.motion, model)
         said: list[str] = []
         registered, of_poses = None, isinstance(model, pose_predict.DiagnosedArm)
         if self.register:
             if not isinstance(model, pose_predict.DiagnosedArm):
-                raise InputError("--register: a diagnosis of torques has no sensor frame")
+                domain = diagnosis_file.domain_of(document)
+                raise InputError(f"--register: a diagnosis of {domain} has no sensor frame")
             model, registered = registration.register_model(model, recording)
         found = predict.predicted(model, recording)
         columns = found.columns()

@@ -36,6 +36,7 @@ from lite6jax.diagnosis.heldout import (
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, SeparatingPoses
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
+from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis, diagnose_tracking
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm
@@ -465,10 +466,21 @@ def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bo
 def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Domain, ...]:
     """The domains of a recording that are diagnosed, of all or of the one that is asked for.
 
+    Commands are diagnosed where nothing else was measured beside the joints, or where they are asked for.
+
     Raises:
-        InputError: no such domain, or poses are asked for where there are torques alone.
+        InputError: no such domain, poses are asked for where there are torques or commands alone, or commands where
+            there are none.
     """
     require_domain(domain)
+    if domain == "tracking" and recording.commanded_position is None:
+        raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
+    alone = not recording.numbers_per_sample and not recording.has_torques
+    if domain == "tracking" or (alone and recording.commanded_position is not None and domain is None):
+        return ("tracking",)
+    if alone and recording.commanded_position is not None:
+        asked = "--poses or domain='poses'" if domain == "poses" else "--torques or domain='torques'"
+        raise InputError(f"{recording.source}: has commands and no {domain}; leave {asked} out")
     if not recording.numbers_per_sample and recording.has_torques:
         if domain == "poses":
             raise InputError(f"{recording.source}: has torques and no poses; leave --poses or domain='poses' out")
@@ -499,8 +511,12 @@ def diagnose(
 ) -> TorqueDiagnosis: ...
 @overload
 def diagnose(
+    recording: Source, arm: Nominal = None, *, domain: Literal["tracking"], **given: Unpack[_Given]
+) -> TrackingDiagnosis: ...
+@overload
+def diagnose(
     recording: Source, arm: Nominal = None, *, domain: Domain | None = None, **given: Unpack[_Given]
-) -> Diagnosis | TorqueDiagnosis: ...
+) -> Diagnosis | TorqueDiagnosis | TrackingDiagnosis: ...
 def diagnose(
     recording: Source,
     arm: Nominal = None,
@@ -512,20 +528,22 @@ def diagnose(
     factory: FactoryCalibration | None = None,
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
-) -> Diagnosis | TorqueDiagnosis:
+) -> Diagnosis | TorqueDiagnosis | TrackingDiagnosis:
     """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
     A recording of poses and torques is diagnosed by both, and what they say of quantities on which both depend is
     compared: the result is that of the poses, with that of the torques as `torques`. Torques that cannot be diagnosed
-    beside poses (of an arm at rest, or without inertia) are left out with the reason.
+    beside poses (of an arm at rest, or without inertia) are left out with the reason. A log of commands and measured
+    joints, without poses and torques, is diagnosed by rollouts from its commands alone.
 
     Args:
         recording: measured poses, or torques or currents with times, in SI units, or both; or the path of its file. Of
             torques of static postures gravity alone is compared: offsets, scales, masses, centres of mass, payload and
-            tilt.
+            tilt. Or commands beside measured joints, with times.
         arm: the nominal arm, a bundled name or a file; from the sidecar, or of poses recognised, where not given. Of
             torques its chain is that of the factory calibration, where the sidecar declares one.
-        domain: what of the recording is diagnosed: "poses" or "torques"; all that it has where not given.
+        domain: what of the recording is diagnosed: "poses", "torques" or "tracking"; poses and torques, or commands
+            where there are neither, where not given.
         reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
             another what either shows is compared. `against` of the result, and of its `torques`, is the comparison.
@@ -553,6 +571,12 @@ def diagnose(
     domains = domains_of(recording, domain)
     kinematic, dynamic = by_domain(effects)
     given: dict[str, Any] = {"options": options, "progress": progress}
+    if domains == ("tracking",):
+        unused = {"geometry": geometry != "declared", "factory": factory is not None}
+        unused |= {"reference": reference is not None, "effects": bool(effects)}
+        for name in (name for name, there in unused.items() if there):
+            raise InputError(f"{name}: is not of commands, by which {recording.source} is diagnosed; leave it out")
+        return diagnose_tracking(recording, arm, **given)
     if domains == ("torques",):
         if geometry != "declared" or factory is not None:
             named = "geometry" if geometry != "declared" else "factory"

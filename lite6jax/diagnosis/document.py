@@ -24,11 +24,13 @@ from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
+from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
 from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
-from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, kinds_of
+from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, TRACKING_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
+from lite6jax.effects.servo import Servo
 from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError, command_line, require_type
 from lite6jax.estimation.terms import Terms, join
@@ -44,7 +46,7 @@ _FARTHEST = 1e4
 _LARGEST_MISFIT = 10.0
 """Multiples of the range of a number of an effect, beyond which it is damaged; estimates scatter about the range."""
 
-Domain = Literal["poses", "torques"]
+Domain = Literal["poses", "torques", "tracking"]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"]
 
 _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
@@ -152,6 +154,31 @@ class TorqueModel(Model, kw_only=True):
     drives: dict[str, list[float]] = msgspec.field(default_factory=dict)
 
 
+class TrackingModelEntry(Model, kw_only=True):
+    """What predictions of joints from commands need; `servo` has the numbers of each joint, without the effects."""
+
+    T_joint_flange: _Transform
+    links: list[_Link]
+    payload_center: _Point
+    payload_kg: _Mass
+    gravity: _Gravity
+    compensated: bool
+    servo: dict[str, list[float]]
+    step_s: Annotated[float, Meta(gt=0.0, le=1.0)]
+    interpolated: bool
+    velocity_range_rad_per_s: _Ranges
+    weight_range_Nm: _Ranges  # noqa: N815 (the key)
+
+    def __post_init__(self) -> None:
+        """Checks that every servo has all numbers of each joint."""
+        joints = len(self.kinematics)
+        if set(self.servo) != set(Servo._fields) or any(len(numbers) != joints for numbers in self.servo.values()):
+            raise ValueError("servo does not have a number of each kind for each joint")
+        lists = (self.links, self.velocity_range_rad_per_s, self.weight_range_Nm)
+        if any(len(part) != joints for part in lists):
+            raise ValueError(f"it has {joints} joints, but other numbers of links or ranges")
+
+
 class Reference(msgspec.Struct):
     """The reference that a diagnosis is relative to, and what its model contains: see `ReferenceOrigin`."""
 
@@ -175,6 +202,26 @@ class TorqueDocument(msgspec.Struct, kw_only=True):
     against: Reference | None = None
 
 
+class TrackingDocument(msgspec.Struct, kw_only=True):
+    """What is read of a diagnosis of commands and joints beside its report."""
+
+    model: TrackingModelEntry
+    against: Reference | None = None
+
+
+AnyDocument = PoseDocument | TorqueDocument | TrackingDocument
+AnyModel = DiagnosedArm | DiagnosedMotors | DiagnosedServos
+_DOCUMENTS: Mapping[Domain, type[AnyDocument]] = {
+    "poses": PoseDocument,
+    "torques": TorqueDocument,
+    "tracking": TrackingDocument,
+}
+_CATALOGUES: Mapping[type[AnyDocument], Mapping[str, type[Effect]]] = {
+    PoseDocument: POSE_EFFECTS,
+    TorqueDocument: TORQUE_EFFECTS,
+    TrackingDocument: TRACKING_EFFECTS,
+}
+"""The effects that a model of a domain may have, by name."""
 _FAMILY = "lite6jax/diagnosis/"
 SCHEMA = f"{_FAMILY}3"
 DAMAGED = "run `lite6jax diagnose` again"
@@ -194,7 +241,7 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
 # ------------------------------------------------------------------ models as values of JSON
 
 
-def model_entry(model: DiagnosedArm | DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
+def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     parts: Sequence[tuple[Effect, slice]]
     if isinstance(model, DiagnosedMotors):
@@ -209,6 +256,24 @@ def model_entry(model: DiagnosedArm | DiagnosedMotors, covariances: Sequence[Arr
             "payload_center": model.payload_center.tolist(),
             "gravity": model.gravity.tolist(),
             "joint_limits": arm.joint_limits.tolist(),
+        }
+    elif isinstance(model, DiagnosedServos):
+        parts = list(zip(model.terms.terms, model.terms.slices, strict=True))  # type: ignore[arg-type]
+        own = {
+            "arm": model.arm.name,
+            "kinematics": np.asarray(model.arm.kinematics).tolist(),
+            "T_joint_flange": model.arm.T_joint_flange.tolist(),
+            "links": model.links.tolist(),
+            "payload_center": model.payload_center.tolist(),
+            "payload_kg": model.payload,
+            "gravity": model.gravity.tolist(),
+            "compensated": model.compensated,
+            "servo": {name: np.asarray(numbers).tolist() for name, numbers in model.servo._asdict().items()},
+            "step_s": model.step,
+            "interpolated": model.interpolated,
+            "velocity_range_rad_per_s": model.ranges.velocity.tolist(),
+            "weight_range_Nm": model.ranges.weight.tolist(),
+            "joint_limits": model.arm.joint_limits.tolist(),
         }
     else:
         limits, masses = model.joint_limits, model.inertia
@@ -257,7 +322,7 @@ def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
 
 def model_from_document(
     document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis", domain: Domain | None = None
-) -> DiagnosedArm | DiagnosedMotors:
+) -> AnyModel:
     """The model in a diagnosis, as JSON holds it.
 
     Args:
@@ -270,16 +335,16 @@ def model_from_document(
         InputError: not a diagnosis of the domain, effects of a user's own that are not given, or something in it is
             missing or not possible.
     """
-    read = _read(document, domain or ("torques" if is_of_torques(document) else "poses"), source)
+    read = _read(document, domain or domain_of(document), source)
     _require_known(read, effects, source)
     with _refuse_damage(source):
         return _model(read, effects)
 
 
-def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> DiagnosedArm | DiagnosedMotors:
+def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
     model, against, torques = read.model, read.against, isinstance(read, TorqueDocument)
     joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
-    kinds = kinds_of(effects, TORQUE_EFFECTS if torques else POSE_EFFECTS)
+    kinds = kinds_of(effects, _CATALOGUES[type(read)])
     kinematics, arm = np.asarray(model.kinematics, float), None
     if isinstance(model, TorqueModel):
         own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
@@ -288,6 +353,30 @@ def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> Di
         if len(model.links) != joints:
             raise ValueError(f"it has {joints} joints, but links of the shape {np.shape(model.links)}")
     found, numbers = _effects(model.effects, kinds, joints, sliding)
+    if isinstance(model, TrackingModelEntry):
+        return DiagnosedServos(
+            arm=Arm(
+                model.arm,
+                kinematics,
+                sliding=sliding,
+                T_joint_flange=np.asarray(model.T_joint_flange, float),
+                joint_limits=np.asarray(model.joint_limits, float),
+            ),
+            servo=Servo(**{name: np.asarray(numbers_of, float) for name, numbers_of in model.servo.items()}),
+            links=np.asarray(model.links, float),
+            payload_center=np.asarray(model.payload_center, float),
+            payload=model.payload_kg,
+            gravity=np.asarray(model.gravity, float),
+            compensated=model.compensated,
+            terms=Terms(found),
+            values=join(numbers),
+            step=model.step_s,
+            interpolated=model.interpolated,
+            ranges=FittedRange(
+                np.asarray(model.velocity_range_rad_per_s, float), np.asarray(model.weight_range_Nm, float)
+            ),
+            reference_temperature=model.reference_temperature_degC,
+        )
     shared: dict[str, Any] = {
         "values": join(numbers),
         "reference_temperature": model.reference_temperature_degC,
@@ -330,13 +419,13 @@ def _model(read: PoseDocument | TorqueDocument, effects: Sequence[Effect]) -> Di
     )
 
 
-def _require_known(read: PoseDocument | TorqueDocument, effects: Sequence[Effect], source: str) -> None:
+def _require_known(read: AnyDocument, effects: Sequence[Effect], source: str) -> None:
     """Refuses a model with effects that are neither in the catalogue nor given.
 
     Raises:
         InputError: as said; the file of these effects is the remedy.
     """
-    kinds = kinds_of(effects, TORQUE_EFFECTS if isinstance(read, TorqueDocument) else POSE_EFFECTS)
+    kinds = kinds_of(effects, _CATALOGUES[type(read)])
     entries = (entry for entry in read.model.effects if isinstance(entry, Mapping))
     names = [name for entry in entries if isinstance(name := entry.get("effect"), str) and name not in kinds]
     if not names:
@@ -449,22 +538,20 @@ def document_text(document: Any, line: str = "\n") -> str:
 
 
 @overload
-def read_model(
-    path: str | Path, effects: Sequence[Effect] = (), *, domain: None = None
-) -> DiagnosedArm | DiagnosedMotors: ...
+def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: None = None) -> AnyModel: ...
 @overload
 def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["poses"]) -> DiagnosedArm: ...
 @overload
 def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["torques"]) -> DiagnosedMotors: ...
-def read_model(
-    path: str | Path, effects: Sequence[Effect] = (), *, domain: Domain | None = None
-) -> DiagnosedArm | DiagnosedMotors:
-    """The model in a diagnosis file: of the poses where they were diagnosed, else of the torques.
+@overload
+def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Literal["tracking"]) -> DiagnosedServos: ...
+def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Domain | None = None) -> AnyModel:
+    """The model in a diagnosis file: of the poses where they were diagnosed, else of the torques, or of the servos.
 
     Args:
         path: what `diagnose` wrote.
         effects: a user's own, where the model has them.
-        domain: "poses" or "torques", to have the model of that one of a diagnosis of both.
+        domain: "poses" or "torques", to have the model of that one of a diagnosis of both; or "tracking".
 
     Raises:
         InputError: no such domain or file, not a diagnosis of the domain, or something in it is missing or not
@@ -481,8 +568,8 @@ def require_domain(domain: object) -> None:
     Raises:
         InputError: as said.
     """
-    if domain not in (None, "poses", "torques"):
-        raise InputError(f'domain={domain!r}: is none; give "poses" or "torques", or leave it out')
+    if domain not in (None, "poses", "torques", "tracking"):
+        raise InputError(f'domain={domain!r}: is none; give "poses", "torques" or "tracking", or leave it out')
 
 
 def parse_document(path: str | Path) -> Any:
@@ -515,7 +602,7 @@ def check_document(document: Any, path: str | Path) -> None:
         InputError: as `model_from_document`.
     """
     if not is_of_torques(document):
-        _read(document, "poses", str(path))
+        _read(document, domain_of(document), str(path))
     if is_of_torques(document) or "torques" in document:
         _read(document, "torques", str(path))
 
@@ -523,6 +610,18 @@ def check_document(document: Any, path: str | Path) -> None:
 def is_of_torques(document: Any) -> bool:
     """Whether a document is a diagnosis of torques alone."""
     return isinstance(document, dict) and document.get("domain") == "torques"
+
+
+def is_of_tracking(document: Any) -> bool:
+    """Whether a document is a diagnosis of commands and measured joints."""
+    return isinstance(document, dict) and document.get("domain") == "tracking"
+
+
+def domain_of(document: Any) -> Domain:
+    """The domain of a document, or of the poses in it."""
+    if is_of_tracking(document):
+        return "tracking"
+    return "torques" if is_of_torques(document) else "poses"
 
 
 def find_torques(document: Any) -> dict[str, Any] | None:
@@ -533,14 +632,14 @@ def find_torques(document: Any) -> dict[str, Any] | None:
     return inside if is_of_torques(inside) else None
 
 
-def _read(document: Any, domain: Domain, source: str) -> PoseDocument | TorqueDocument:
+def _read(document: Any, domain: Domain, source: str) -> AnyDocument:
     """A document of a domain by its schema; of torques also that in one of poses."""
     torques = domain == "torques"
     part = find_torques(document) if torques else document
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
-        what, wrote = ("of torques", " of one") if torques else (f"({SCHEMA} with a model)", "")
+        what, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
         raise InputError(f"{source}: is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
-    if is_of_torques(part) is not torques:
-        raise InputError(f"{source}: is a diagnosis of torques; give one of poses")
+    if domain_of(part) != domain:
+        raise InputError(f"{source}: is a diagnosis of {domain_of(part)}; give one of {domain}")
     with _refuse_damage(source):
-        return check(part, TorqueDocument if torques else PoseDocument)
+        return check(part, _DOCUMENTS[domain])

@@ -24,6 +24,7 @@ from lite6jax.diagnosis.result import Finding, HeldOut, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.tracking.problem import TrackingProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
@@ -101,7 +102,7 @@ def errors_of_selection(selection: Selection, held: Mask) -> HeldOut:
 def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     """`(group, sample)` each: in SI units, and over their noise; zero of an orientation that was not measured."""
     rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    if isinstance(problem, TorqueProblem):
+    if isinstance(problem, TorqueProblem | TrackingProblem):
         return rows * problem.sigma, rows
     assert isinstance(problem, PoseProblem)
     each = (unwhitened(rows, problem.measured.whitener), rows)
@@ -171,10 +172,11 @@ def verify(
 def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> Judgement:
     """Of poses by whether effects raise the errors of rows that were not used, or describe none but those that were.
 
-    Of torques by the geometric mean over folds of the errors with effects over those without. The variance of errors is
-    unknown and differs between folds, so each ratio is one of likelihoods, and no fold decides alone.
+    Of torques and of rollouts by the geometric mean over folds of the errors with effects over those without. The
+    variance of errors is unknown and differs between folds, so each ratio is one of likelihoods, and no fold decides
+    alone.
     """
-    if isinstance(selection.problem, TorqueProblem):
+    if isinstance(selection.problem, TorqueProblem | TrackingProblem):
         pairs = [
             (errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)
         ]

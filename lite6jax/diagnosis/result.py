@@ -14,6 +14,7 @@ from lite6jax.diagnosis.document import SCHEMA, Domain, Verdict, effect_entry
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.tracking.problem import TrackingProblem
 from lite6jax.domains.uncertainty import ReferenceOrigin
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
@@ -27,7 +28,7 @@ from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
 Array = NDArray[np.floating]
-P = TypeVar("P", PoseProblem, TorqueProblem)
+P = TypeVar("P", PoseProblem, TorqueProblem, TrackingProblem)
 
 STATISTICS: Mapping[str, Callable[[Array], Any]] = {
     "mean": np.mean,
@@ -36,6 +37,10 @@ STATISTICS: Mapping[str, Callable[[Array], Any]] = {
     "max": np.max,
 }
 """Of errors, none of which is missing."""
+
+
+_SOURCES: Mapping[Domain, str] = {"poses": "pose_source", "torques": "torque_source", "tracking": "joint_source"}
+"""The key of the sidecar that says from where the numbers of a domain are."""
 
 
 @final
@@ -350,7 +355,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "quick": self.options.quick,
             "date": settings.date,
             "instrument": settings.instrument,
-            "source": settings.pose_source if self.domain == "poses" else settings.torque_source,
+            "source": getattr(settings, _SOURCES[self.domain]),
             "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
             "before": self._statistics(self.errors.before, kept),

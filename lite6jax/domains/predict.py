@@ -11,21 +11,26 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.pose.predict import DiagnosedArm, Prediction, predicted_poses
 from lite6jax.domains.torque.predict import DiagnosedMotors, TorquePrediction, predicted_torques
+from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion, predicted_joints
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.recordings import Recording, assemble_motion, read_motion
+from lite6jax.recordings.files import read_commands
 
 Motion = Recording | str | Path | ArrayLike
+_MODELS = (DiagnosedArm, DiagnosedMotors, DiagnosedServos)
 
 
-def predict(model: DiagnosedArm | DiagnosedMotors, motion: Motion, **circumstances: ArrayLike) -> NDArray[np.floating]:
-    """The poses `T_sensor_tool` `(sample, 4, 4)`, or the torques `(sample, joint)` Nm, that the sensors of a diagnosed
-    recording would show in a motion.
+def predict(
+    model: DiagnosedArm | DiagnosedMotors | DiagnosedServos, motion: Motion, **circumstances: ArrayLike
+) -> NDArray[np.floating]:
+    """The poses `T_sensor_tool` `(sample, 4, 4)`, the torques `(sample, joint)` Nm, or the joints `(sample, joint)` rad
+    that follow commands, that the sensors of a diagnosed recording would show in a motion.
 
     Rows are NaN where a clock's offset reaches beyond the ends of a run. Torques are also NaN in long gaps between
     uneven times.
 
     Args:
-        model: of poses or of torques, from a diagnosis.
+        model: of poses, of torques or of servos, from a diagnosis.
         motion: a recording, the path of its file, or joint positions `(sample, joint)` in rad. A recording's settings
             say at which temperature the geometry holds, and whether the arm stands still at each row. For joint
             positions the settings of the diagnosed recording are taken. Torques of joint positions are those of a
@@ -37,8 +42,10 @@ def predict(model: DiagnosedArm | DiagnosedMotors, motion: Motion, **circumstanc
         InputError: another number of joints, degrees, no times, more gaps than motion, or the motion lacks what an
             effect needs, by name.
     """
-    bare = replace(model, uncertainty=None) if isinstance(model, DiagnosedArm | DiagnosedMotors) else model
+    bare = replace(model, uncertainty=None) if isinstance(model, _MODELS) else model
     found = predicted(bare, motion, **circumstances)
+    if isinstance(found, TrackedMotion):
+        return found.position
     return found.poses if isinstance(found, Prediction) else found.torque
 
 
@@ -46,9 +53,11 @@ def predict(model: DiagnosedArm | DiagnosedMotors, motion: Motion, **circumstanc
 def predicted(model: DiagnosedArm, motion: Motion, **circumstances: ArrayLike) -> Prediction: ...
 @overload
 def predicted(model: DiagnosedMotors, motion: Motion, **circumstances: ArrayLike) -> TorquePrediction: ...
+@overload
+def predicted(model: DiagnosedServos, motion: Motion, **circumstances: ArrayLike) -> TrackedMotion: ...
 def predicted(
-    model: DiagnosedArm | DiagnosedMotors, motion: Motion, **circumstances: ArrayLike
-) -> Prediction | TorquePrediction:
+    model: DiagnosedArm | DiagnosedMotors | DiagnosedServos, motion: Motion, **circumstances: ArrayLike
+) -> Prediction | TorquePrediction | TrackedMotion:
     """The poses or the torques that the sensors show in a motion, with their standard deviations.
 
     Standard deviations of poses are those of the true pose. Those of torques contain the sensor's noise.
@@ -65,10 +74,10 @@ def predicted(
     Raises:
         InputError: as `predict`.
     """
-    if not isinstance(model, DiagnosedArm | DiagnosedMotors):
+    if not isinstance(model, _MODELS):
         raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a diagnosis")
     if isinstance(motion, str | Path):
-        motion = read_motion(motion, model)
+        motion = read_commands(motion, model) if isinstance(model, DiagnosedServos) else read_motion(motion, model)
     if isinstance(motion, Recording):
         if circumstances:
             given = ", ".join(circumstances)
@@ -78,6 +87,8 @@ def predicted(
         if not (isinstance(motion, Sequence) or hasattr(motion, "__array__")):
             raise wrong_type("motion", motion, "a Recording, the path of its file, or an array of joint positions")
         motion, remedy = assemble_motion(model, motion, **circumstances), "give time=…"
+    if isinstance(model, DiagnosedServos):
+        return predicted_joints(model, motion)
     if isinstance(model, DiagnosedArm):
         return predicted_poses(model, motion)
     if motion.time is None and motion.motion != "static":

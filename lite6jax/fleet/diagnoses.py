@@ -113,11 +113,12 @@ def make_row(
 ) -> pa.Table:
     """The row of a recording of this name in its folder: of its `document`, the `text` of that file, of a fleet the
     file of the `reduced` recording, and what was remarked on the way."""
-    poses = None if diagnosis_file.is_of_torques(document) else document
+    poses = document if diagnosis_file.domain_of(document) == "poses" else None
+    tracking = document if diagnosis_file.is_of_tracking(document) else None
     torques = diagnosis_file.find_torques(document)
     row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
     faults, findings = [], []
-    for domain, part in (("poses", poses), ("torques", torques)):
+    for domain, part in (("poses", poses), ("torques", torques), ("tracking", tracking)):
         if part is None:
             continue
         faults += [fault["fault"] for fault in part["data_faults"]]
@@ -128,6 +129,8 @@ def make_row(
     if poses is not None:
         row |= {"verdict": poses["verdict"], "quality": poses["quality"]["verdict"]}
         row |= {f"{when}_position_rms_m": poses[when].get("heldout_position_rms_m") for when in ("before", "after")}
+    if tracking is not None:
+        row["verdict"] = tracking["verdict"]
     if torques is not None:
         row["torque_verdict"] = torques["verdict"]
         row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}

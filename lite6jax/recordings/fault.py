@@ -79,6 +79,12 @@ class DataFault:
         held_by_friction        joints, std_Nm, prismatic_joints
         contact                 joints, from_s, to_s, largest_Nm or largest_N
 
+    of commands and measured joints:
+
+        joints_swapped          joints, side ("measured" or "commanded": the columns that were exchanged)
+        joint_sign              joints, side
+        stale_rows              count
+
     Numbers of a fault that was ruled out:
 
         time_order              samples, timed

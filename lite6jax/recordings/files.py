@@ -245,6 +245,38 @@ def read_motion(path: str | Path, model: Any) -> Recording:
     return declare_anew(recording, settings)
 
 
+def read_commands(path: str | Path, model: Any) -> Recording:
+    """Commands whose joints are to be predicted: `time_s` and `cmd1_rad` …; measured joints need not be there.
+
+    Args:
+        path: a table, as in `read_recording`; of a log a recording with commands.
+        model: of servos: its `dof` and `sliding`.
+
+    Raises:
+        InputError: as `read_recording`; or there are no commands.
+    """
+    known = find_format(Path(path))
+    if known is None or not known.is_table:
+        return read_recording(path, arm=ArmJoints(model.dof, model.sliding))
+    file = require_table(path, "commands")
+    notes: list[str] = []
+    sidecar = read_sidecar(sidecar_path(file))
+    file, raw = open_table(file, (), ArmJoints(model.dof), notes)
+    table = tabulate(
+        raw, str(file), notes, dof=model.dof, renamed=raw.renamed(str(file), sidecar.columns), joints_optional=True
+    )
+    commands = [f"cmd{joint}_rad" for joint in range(1, model.dof + 1)]
+    missing = [name for name in commands if name not in table.columns]
+    if missing:
+        raise InputError(f"{file}: has no column {missing[0]}; give time_s and {commands[0]} … of every joint")
+    if "q1_rad" not in table.columns:
+        table.values.update({f"q{joint}_rad": table.values[f"cmd{joint}_rad"] for joint in range(1, model.dof + 1)})
+    settings = replace(sidecar.settings, motion="trajectory")
+    recording = drop_missing(Recording.from_table(table, settings, str(file), notes), table.spelling)
+    require_radians(np.asarray(recording.commanded_position), model.joint_limits, f"{file}: {commands[0]} …")
+    return recording
+
+
 def assemble_motion(model: Any, joint_position: ArrayLike, **arrays: Any) -> Recording:
     """A motion to predict, of arrays as of `Recording.assembled`; settings are taken from the diagnosed recording.
 

@@ -17,6 +17,7 @@ from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
+from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking
@@ -63,7 +64,7 @@ _LOWEST = 1e-4
 
 def figure_names(domains: Sequence[Domain]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
-    first, *others = ([*_DRAWN[domain], "findings"] for domain in domains)
+    first, *others = ([*_DRAWN[domain], *([] if domain == "tracking" else ["findings"])] for domain in domains)
     return [*first, *(PREFIX + name for names in others for name in names)]
 
 
@@ -77,7 +78,7 @@ def drawings(
     for name, draw in _DRAWN[found.domain].items():
         if name != "spectra" or found.recording.motion != "static":
             yield name, draw(found, title)
-    if found.findings:
+    if found.findings and found.domain != "tracking":
         yield "findings", finding_figure(found, title, order=None if document is None else ranking.order(document))
     for torques in found.parts[1:]:
         own = None if document is None else document["torques"]
@@ -414,6 +415,28 @@ def _at_motor(curve: FindingCurve) -> str:
     return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
 
 
+# ------------------------------------------------------------------ of commands and joints
+
+
+_SHOWN = 0.2
+"""Of a recording: the stretch that is drawn."""
+
+
+@rc_context(STYLE)
+def tracking_over_time(found: TrackingDiagnosis, title: str) -> Figure:
+    """Errors of held-out rollouts of each joint in a part of the recording, before and after."""
+    problem = found.problem
+    time = np.asarray(found.recording.time)
+    rows = np.arange(max(int(_SHOWN * len(time)), 2))
+    figure, axes = panels_in_rows(problem.rows)
+    for j, axis in enumerate(axes):
+        for name, color in _STAGES:
+            axis.plot(time[rows], 1e3 * getattr(found, name)[j, rows], color=color, lw=1, label=name if not j else None)
+        axis.set(xlabel="time (s)", ylabel=f"joint {j + 1} (mrad)")
+    figure.legend(loc="outside lower center", frameon=False, ncols=2)
+    return titled(figure, f"{title}: errors of held-out rollouts")
+
+
 _DRAWN: Mapping[Domain, Mapping[str, Callable[[Any, str], Figure]]] = {
     "poses": {"error_by_joint": error_by_joint, "where": explained_map, "orders": order_spectrum},
     "torques": {
@@ -422,5 +445,6 @@ _DRAWN: Mapping[Domain, Mapping[str, Callable[[Any, str], Figure]]] = {
         "friction": friction,
         "spectra": spectra,
     },
+    "tracking": {"over_time": tracking_over_time},
 }
 """By the name of a figure, how it is drawn, beside that of the findings; a recording at rest has no spectra."""

@@ -26,7 +26,8 @@ TORQUE_FAULTS: Mapping[str, Mapping[str, str]] = {
     code: texts for code, texts in _TEXTS["torques"].items() if "name" in texts
 }
 """The texts of faults by code."""
-_FAULTS: Mapping[str, Mapping[str, str]] = POSE_FAULTS | _TEXTS["torques"]
+TRACKING_FAULTS: Mapping[str, Mapping[str, str]] = _TEXTS["tracking"]
+_FAULTS: Mapping[str, Mapping[str, str]] = POSE_FAULTS | _TEXTS["torques"] | TRACKING_FAULTS
 _MISMATCHES = frozenset(code for code, texts in POSE_FAULTS.items() if "clause" in texts and "ruled_out" not in texts)
 """Those that make poses miss the arm grossly; the same numbers rule out all of them."""
 

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
 from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.errors import InputError
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
@@ -70,6 +71,8 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
     torques, order = is_of_torques(document), ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
+    if is_of_tracking(document):
+        return drawn
     for finding in statements.findings_of(document):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
         if torques:
@@ -129,7 +132,13 @@ def write_certificate(document: Document, path: str | Path, overwrite: bool = Fa
 
 
 def certificate(document: Document) -> Figure:
-    """The page of a diagnosis of poses or of torques, as in its JSON file; what does not fit is left out."""
+    """The page of a diagnosis of poses or of torques, as in its JSON file; what does not fit is left out.
+
+    Raises:
+        InputError: a diagnosis of commands and joints, of which there is no certificate.
+    """
+    if is_of_tracking(document):
+        raise InputError("certificate: is of poses or torques, and this diagnosis is of commands; leave it out")
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     sections = [
         Section("Certificate of accuracy", [("text", ranking.headline(document)), ("pairs", _subject(document))]),

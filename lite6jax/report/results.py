@@ -26,14 +26,16 @@ from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
+from lite6jax.domains.tracking.predict import TrackedMotion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
-from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study
+from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study, tracking
 from lite6jax.report.compensations import compensation_columns, outside_sentence, registration_report
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
@@ -90,7 +92,7 @@ def _errors(errors: Errors) -> str:
     return f"{number(1e3 * errors.position_rms)} mm RMS{shown}"
 
 
-def _outside(found: Prediction | TorquePrediction | Compensation) -> str:
+def _outside(found: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
     outside = found.outside
     return _TEXTS["unsaid"] if outside is None else outside_sentence(int(outside.sum()), len(outside), "row")
 
@@ -184,6 +186,13 @@ def _torque_prediction(found: TorquePrediction) -> Description:
 
 
 @describe.register
+def _tracked_motion(found: TrackedMotion) -> Description:
+    rows, joints = found.position.shape
+    said = f"Joints {', '.join(map(str, range(1, joints + 1)))} in {counted(rows, 'row')}, rolled out from commands."
+    return Description("Predicted joints", (said, _outside(found)))
+
+
+@describe.register
 def _compensation(found: Compensation) -> Description:
     hit, largest = int(found.reached.sum()), ""
     most = float(np.nanmax(found.position_error[found.reached])) if hit else 0.0
@@ -191,6 +200,15 @@ def _compensation(found: Compensation) -> Description:
         scales, units = joint_units(found.recording.sliding, found.correction.shape[1])
         largest = each_with_unit((scales * np.nanmax(np.abs(found.correction), 0)).tolist(), units)
     return _fill("compensation", found, found.notes, hit=hit, most=most, largest=largest, outside=_outside(found))
+
+
+@describe.register
+def _tracking_diagnosis(found: TrackingDiagnosis) -> Description:
+    document = found.to_dict()
+    said = [tracking.headline(document), tracking.verdict_statement(document), *tracking.cautions(document)]
+    said += [tracking.finding_statement(finding) for finding in tracking.ranked(document)[:_MOST_FINDINGS]]
+    title = f"Diagnosis of how a {document['model']['arm']} follows its commands"
+    return Description(title, tuple(said), tuple(tracking.what_to_record(document)))
 
 
 @describe.register
@@ -266,6 +284,7 @@ _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure | None]]] = {
         "std": _over_rows(r"[xyz]_std_m", "standard deviation of a position"),
     },
     TorquePrediction: {"torques": _over_rows(r"tau\d+_Nm?", "predicted torques")},
+    TrackedMotion: {"joints": _over_rows(r"q\d+_rad", "predicted joints")},
     Compensation: {"error": _over_rows(r"position_error_mm", "distance from the target"), "joints": _JOINTS},
     Registration: {"error": _over_rows(r"distance_m", "distance from the model")},
     Solution: {"error_by_joint": figures.error_by_joint},
@@ -308,7 +327,7 @@ def _draw_diagnosis(found: DomainDiagnosis, title: str) -> Figures:
 
 
 tabulate.register(Compensation, compensation_columns)
-for kind in (Recording, Prediction, TorquePrediction):
+for kind in (Recording, Prediction, TorquePrediction, TrackedMotion):
     tabulate.register(kind, lambda found: found.columns())
 
 

@@ -14,9 +14,9 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import ranking, statements
+from lite6jax.report import ranking, statements, tracking
 from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import by_site
@@ -66,6 +66,9 @@ def sections_of(
         anchor: begins the names of places on a page, which is of both domains.
     """
     pictures = pictures or {}
+    if is_of_tracking(document):
+        made = [Section(title, blocks) for title, blocks in tracking.parts_of(document, files, details, pictures)]
+        return [section for section in made if any(shown for _, shown in section.blocks)]
     drawn = lambda *names: [("picture", pictures[name]) for name in names if name in pictures]  # noqa: E731
     ranked, actions = statements.findings_of(document), ranking.actions(document)
     unit = ranking.unit_of(document)

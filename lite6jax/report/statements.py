@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import ranking
+from lite6jax.report import ranking, tracking
 from lite6jax.report.faults import fault_statement, quality_statement, ruled_out_statements
 from lite6jax.report.ranking import fill_about, units
 from lite6jax.report.remedies import (
@@ -71,6 +71,8 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects get a `reason`. Torques beside poses get all of this too.
     """
+    if is_of_tracking(document):
+        return tracking.with_statements(document)
     stated, detailed = dict(document), ranking.detailed(document)
     for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
         faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]

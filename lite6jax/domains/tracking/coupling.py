@@ -23,6 +23,8 @@ _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
 _SETTLED = 1e-7
 """rad, by which read-outs of two sweeps differ at most at the end."""
+_APART = 10.0
+"""rad, from which two sweeps are of an arm that its servos do not hold: further ones do not settle."""
 
 
 @final
@@ -146,6 +148,8 @@ def roll_coupled(
         torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
         loads = Loads(torques - loads.mass * rolled.acceleration, loads.mass)
         rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
-        if float(np.max(np.abs(rolled.readout - before))) < _SETTLED:
+        with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
+            change = float(np.max(np.abs(rolled.readout - before)))
+        if change < _SETTLED or not change < _APART:
             break
     return rolled, loads

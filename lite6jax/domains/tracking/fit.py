@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm_of
-from lite6jax.domains.tracking.coupling import loads_along
-from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.problem import TrackingProblem, tracking_problem
-from lite6jax.domains.tracking.rollout import hold_commands
+from lite6jax.domains.tracking.model import TrackingModel, compose
+from lite6jax.domains.tracking.peers import best_delay
+from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion, run_ends
+from lite6jax.domains.tracking.problem import TrackingProblem, diagnosed_servos, tracking_problem
 from lite6jax.domains.tracking.rows import TrackingRows, tracking_rows
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
 from lite6jax.effects.dynamic import CoulombFriction, RotorInertia
@@ -33,12 +33,6 @@ _USUAL = (ServoStiffness, ServoDamping, CommandDelay, CoulombFriction, RotorIner
 """What is fitted of each joint where nothing else is asked for."""
 _BLOCKS = 5
 """Of each run; every other one is held out of the fit that is judged."""
-_SETTLING = 2.0
-"""s for which the first command is held before a predicted run begins."""
-_DELAYS = np.arange(0.0, 0.4, 0.004)
-"""s, of which the best constant delay of a joint is chosen."""
-_BEYOND = 0.02
-"""Of a fitted range: a row within this of its ends is not outside."""
 _STARTS = 8
 """Linearisations from the grid to the numbers of unknown servos."""
 
@@ -59,20 +53,6 @@ class HeldOutTracking:
     after: Array
     commanded: Array
     best_delay: Array
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class TrackedMotion:
-    """Joints that follow commands.
-
-    Attributes:
-        position: `(sample, joint)` rad, what encoders show.
-        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
-    """
-
-    position: Array
-    outside: Mask
 
 
 @final
@@ -124,91 +104,15 @@ class ServoFit:
         servo = self.model.servo
         return (np.asarray(servo.damping) + np.asarray(servo.viscous)) / self.stiffness
 
-    def predict(self, time: ArrayLike, command: ArrayLike, run: ArrayLike | None = None) -> TrackedMotion:
-        """Where the joints are in a motion, rolled out from rest at its first command.
-
-        Args:
-            time: `(sample,)` s.
-            command: `(sample, joint)` rad.
-            run: `(sample,)`, which changes where a run begins; one run where not given.
-
-        Raises:
-            InputError: arrays of other shapes, numbers that are not finite, times that do not increase in a run, or a
-                motion along which the rollout is not finite.
-        """
-        t, u, runs = _checked(time, command, run, self.data.arm.dof)
-        position = np.empty(u.shape)
-        outside = np.empty(len(t), bool)
-        for first, last in zip(*_ends(runs), strict=True):
-            rows = slice(first, last)
-            position[rows], outside[rows] = self._predict_run(t[rows], u[rows])
-        return TrackedMotion(position, outside)
-
-    def _predict_run(self, time: Array, command: Array) -> tuple[Array, Mask]:
-        """`(sample, joint)` rad, and `(sample,)`, of one run."""
-        data = self.data
-        period = data.commands.period
-        before = int(np.ceil(_SETTLING / period))
-        samples = int(np.ceil((time[-1] - time[0]) / period)) + 1
-        grid = time[0] + period * np.arange(-before, samples)
-        held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
-        u = command[held]
-        commands = hold_commands(u, np.zeros(len(u), int), period, u, longest=data.commands.step)
-        still = np.zeros_like(u.T)
-        loads = loads_along(self.model.bodies, commands, u.T, still, still)
-        readout, _ = roll_out(self.model, commands, loads, None, data.has_masses)
-        if not np.isfinite(readout).all():
-            raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
-        outside = self._outside(readout)
-        later = slice(before, None)
-        position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)
-        rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
-        return position, outside[rows]
-
     @cached_property
-    def _ranges(self) -> list[tuple[Array, Array]]:
-        """The least and the greatest velocity and weight of each joint that were fitted, `(joint,)` each."""
-        quantities = self._quantities(self.problem.readouts(np.zeros(0), self.fit.terms, self.fit.values))
-        return [(each.min(1), each.max(1)) for each in quantities]
+    def diagnosed(self) -> DiagnosedServos:
+        """The same as a model that predicts joints from commands."""
+        readout = self.problem.readouts(np.zeros(0), self.fit.terms, self.fit.values)
+        return diagnosed_servos(self.problem, self.problem.servo, self.fit.terms, self.fit.values, readout)
 
-    def _outside(self, readout: Array) -> Mask:
-        beyond = np.zeros(readout.shape[1], bool)
-        for values, (lower, upper) in zip(self._quantities(readout), self._ranges, strict=True):
-            margin = _BEYOND * np.maximum(upper - lower, 1e-3)
-            beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
-        return beyond
-
-    def _quantities(self, readout: Array) -> tuple[Array, Array]:
-        """`(joint, sample)` rad/s and Nm at rest, on which servos and friction depend."""
-        still = np.zeros_like(readout)
-        weight = self.data.bodies.torques(readout, still, still)
-        return np.gradient(readout, self.data.commands.period, axis=1), weight
-
-
-def _checked(
-    time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int
-) -> tuple[Array, Array, NDArray[np.integer]]:
-    """The arguments of `ServoFit.predict` as arrays."""
-    t = np.asarray(time, float)
-    u = np.asarray(command, float)
-    runs = np.zeros(len(t), int) if run is None else np.asarray(run)
-    if t.ndim != 1 or u.shape != (len(t), joints) or runs.shape != t.shape or len(t) < 2:
-        raise InputError(
-            f"commands: time, command and run have the shapes {t.shape}, {u.shape} and {runs.shape}; give (sample,), "
-            f"(sample, {joints}) and (sample,), of two samples or more"
-        )
-    if not (np.isfinite(t).all() and np.isfinite(u).all()):
-        raise InputError("commands: hold numbers that are not finite; leave out such rows")
-    if np.any((np.diff(t) <= 0) & (np.diff(runs) == 0)):
-        row = int(np.flatnonzero((np.diff(t) <= 0) & (np.diff(runs) == 0))[0]) + 2
-        raise InputError(f"commands: the time does not increase in row {row}; sort the rows, or begin a run there")
-    return t, u, runs
-
-
-def _ends(runs: NDArray[np.integer]) -> tuple[list[int], list[int]]:
-    """Where each run begins, and where it has ended."""
-    begins = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
-    return begins.tolist(), [*begins[1:].tolist(), len(runs)]
+    def predict(self, time: ArrayLike, command: ArrayLike, run: ArrayLike | None = None) -> TrackedMotion:
+        """Where the joints are in a motion, as `DiagnosedServos.predict`."""
+        return self.diagnosed.predict(time, command, run)
 
 
 def fit_servos(
@@ -244,7 +148,7 @@ def fit_servos(
     data = tracking_rows(recording, arm)
     whole = tracking_problem(data)
     training = np.zeros(whole.samples, bool)
-    for first, last in zip(*_ends(whole.run), strict=True):
+    for first, last in zip(*run_ends(whole.run), strict=True):
         edges = np.linspace(first, last, _BLOCKS + 1).astype(int)
         for block in range(0, _BLOCKS, 2):
             training[edges[block] : edges[block + 1]] = True
@@ -285,25 +189,9 @@ def _heldout(whole: TrackingProblem, problem: TrackingProblem, fitted: Fit, trai
     commanded = np.asarray(data.recording.commanded_position).T
     after = problem.readouts(np.zeros(0), fitted.terms, fitted.values)
     before = whole.readouts(np.zeros(len(whole.unknowns)), Terms(), np.zeros(0)) if data.declared else commanded
-    late = _best_delay(commanded, data.measured, data.recording.run, data.commands.period, training)
+    late = best_delay(commanded, data.measured, data.recording.run, data.commands.period, training)
 
     def rms(readouts: Array) -> Array:
         return np.sqrt(np.mean((readouts - data.measured)[:, ~training] ** 2, 1))
 
     return HeldOutTracking(rms(before), rms(after), rms(commanded), rms(late))
-
-
-def _best_delay(command: Array, measured: Array, runs: NDArray[np.integer], period: float, training: Mask) -> Array:
-    """The commands `(joint, sample)` after the delay of each joint that fits the training samples best."""
-    best = command.copy()
-    least = np.full(len(command), np.inf)
-    for delay in _DELAYS:
-        late = np.empty_like(command)
-        for first, last in zip(*_ends(runs), strict=True):
-            t = period * np.arange(last - first)
-            late[:, first:last] = [np.interp(t - delay, t, row[first:last]) for row in command]
-        errors = np.mean((late - measured)[:, training] ** 2, 1)
-        better = errors < least
-        best[better] = late[better]
-        least = np.minimum(least, errors)
-    return best

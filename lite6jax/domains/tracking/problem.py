@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import joints_of, read_driver, unit_torques
 from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
+from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
 from lite6jax.domains.tracking.rollout import roll
 from lite6jax.domains.tracking.rows import TrackingRows
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
@@ -32,6 +34,7 @@ from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import RateLimit, Servo, ServoDamping, ServoStiffness, TorqueLimit, TorqueSpeedLimit
 from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.recordings.settings import ServoSettings
 
 Array = NDArray[np.floating]
 
@@ -45,10 +48,12 @@ _REACHED = 0.7
 _PRIOR = 1.5
 """Standard deviation of the prior of the logarithm of a servo's unknown number."""
 NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
-_QUANTITIES = ("position", "velocity", "speed", "direction of motion", "gravity torque")
-"""Of each joint."""
+_QUANTITIES = ("position", "velocity", "direction of motion", "gravity torque")
+"""Of each joint; a function of the speed is one of the velocity and the direction of motion."""
 _LEAST_VARIED = 1e-3
 """Range of a driver below which it did not vary."""
+_FAR = 1e3
+"""rad, where an arm counts as being that its servos do not hold."""
 _KEPT = 4096
 """Columns that are kept."""
 _AT_ONCE = 2e7
@@ -237,8 +242,12 @@ class TrackingProblem:
                 self.known.rollouts.clear()
             start = self.known.loads or self.loads
             readouts, loads = roll_out(model, self.data.commands, start, extra, self.data.coupled)
-            self.known.rollouts[key] = readouts
-            self.known.loads = loads
+            if not np.isfinite(readouts).all():  # along the loads of an arm that is quite another
+                readouts, loads = roll_out(model, self.data.commands, self.loads, extra, self.data.coupled)
+            if np.isfinite(readouts).all():
+                self.known.loads = loads
+            far = np.nan_to_num(readouts, nan=_FAR, posinf=_FAR, neginf=-_FAR)
+            self.known.rollouts[key] = np.clip(far, -_FAR, _FAR)
         return self.known.rollouts[key]
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
@@ -300,11 +309,19 @@ class TrackingProblem:
         return _State(joint, servo.take([joint]), None if extra is None else extra[joint])
 
     def _step(self, effect: Effect, k: int, at: float) -> float:
-        """By how much a number is changed for its column."""
+        """By how much a number is changed for its column: far enough that the rollout changes at all.
+
+        A limit that is not reached changes nothing, nor does friction below none.
+        """
         coordinate = effect.coordinates[k]
-        if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0 and not at:
-            return 1 / (_REACHED * self._largest(effect))
+        if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0:
+            largest = self._largest(effect)
+            if at * largest < 1:
+                return 1 / (_REACHED * largest) - at
         step = max(_SHARE * abs(at), _SHARE * coordinate.typical) if at else coordinate.typical
+        lower = self.limits(effect)[k][0]
+        if at < lower:
+            return lower - at + step
         return step if at + step <= coordinate.upper else -step
 
     def _largest(self, effect: OfJoint) -> float:
@@ -320,15 +337,16 @@ class TrackingProblem:
         """Columns `(every sample,)` rad by their keys."""
         known = self.known.columns
         missing = {each.key: each for each in wanted if each.key not in known}
+        columns = {each.key: known[each.key] for each in wanted if each.key in known}
         if not missing:
-            return {each.key: known[each.key] for each in wanted}
+            return columns
         states = {state.key: state for each in missing.values() for state in (each.before, each.after)}
         readouts = dict(zip(states, self._rolled(list(states.values())), strict=True))
         if len(known) + len(missing) > _KEPT:
             known.clear()
         new = {key: (readouts[each.after.key] - readouts[each.before.key]) / each.over for key, each in missing.items()}
         known.update(new)
-        return {each.key: new[each.key] if each.key in new else known[each.key] for each in wanted}
+        return columns | new
 
     def _rolled(self, states: Sequence[_State]) -> Array:
         """Read-outs `(state, every sample)` rad along the latest loads."""
@@ -466,6 +484,40 @@ def _bytes(model: TrackingModel, extra: Array | None) -> bytes:
     return b"".join(part.tobytes() for part in parts) + (b"" if extra is None else extra.tobytes())
 
 
+def diagnosed_servos(
+    problem: TrackingProblem, servo: Servo, terms: Terms, values: Array, readout: Array
+) -> DiagnosedServos:
+    """The model that predicts joints from commands.
+
+    Args:
+        problem: of the recording.
+        servo: without the effects.
+        terms: the effects.
+        values: `(terms.size,)`.
+        readout: `(joint, every sample)` rad, the rollout with them, of which the ranges are kept.
+    """
+    data = problem.data
+    settings = data.recording.settings
+    declared_servos = settings.servo if isinstance(settings.servo, ServoSettings) else None
+    arm = data.arm
+    links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    return DiagnosedServos(
+        arm=arm,
+        servo=Servo(*(np.asarray(part, float) for part in servo)),
+        links=links,
+        payload_center=data.bodies.payload_center,
+        payload=float(np.median(data.recording.payload)),
+        gravity=np.array(settings.gravity_m_per_s2),
+        compensated=declared_servos is not None and declared_servos.gravity_compensation,
+        terms=terms,
+        values=np.asarray(values, float),
+        step=data.commands.step,
+        interpolated=declared_servos is not None and declared_servos.hold == "interpolated",
+        ranges=range_of(data.bodies, readout, data.commands.period),
+        reference_temperature=settings.reference_temperature_degC,
+    )
+
+
 def unknowns_of(data: TrackingRows) -> tuple[Unknown, ...]:
     """Of servos that are not declared stiffness and damping, and what the arm's description does not say either."""
     if data.declared:
@@ -489,6 +541,70 @@ def tracking_problem(data: TrackingRows) -> TrackingProblem:
     valid = np.ones(len(chosen), bool)
     problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)
     return started(problem) if unknowns else problem
+
+
+_GRIPS = np.geomspace(0.03, 1e4, 13)
+"""Of the grip from which the search for that of a recording starts, from MuJoCo's defaults to nearly rigid."""
+_FOLLOWS = 1.7
+"""Times the noise, from which a joint does not follow as described, whatever the grip."""
+_FINER = 2
+"""Finer grids about the best one."""
+_GRID = 9
+"""Grips of each."""
+
+
+def follows_as_described(problem: TrackingProblem) -> bool:
+    """Whether any joint follows its commands as described, but for noise and the grip of its friction."""
+    residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0))[:, problem.valid]
+    return bool(np.min(np.mean(residual**2, 1)) < _FOLLOWS**2)
+
+
+def with_likely_grip(
+    problem: TrackingProblem, terms: Terms | None = None, values: Array | None = None
+) -> TrackingProblem:
+    """The problem with the grip by which friction of this recording holds joints, one factor for all.
+
+    Joints of a real arm hardly creep while friction holds them, those of a simulator do, as its solver is set. That is
+    no physics to be found, and a grip that is wrong by a fifth would be taken for some. The factor is that of the
+    largest likelihood where each joint has noise of an unknown size: joints that follow as described decide.
+
+    Args:
+        problem: of a recording whose noise is small enough for the coupled arm; any other is returned as it is.
+        terms: what is known to be there beside; nothing where not given.
+        values: `(terms.size,)`.
+    """
+    friction = np.asarray(problem.servo.coulomb)
+    if not problem.data.coupled or not friction.any():
+        return problem
+    none = np.zeros(len(problem.unknowns))
+    beside = (terms or Terms(), np.zeros(0) if values is None else values)
+    problem.readouts(none, *beside)  # the loads along the coupled arm, in which joints are rolled out
+    model = problem.model(none, *beside)
+    grip = np.asarray(problem.servo.grip)
+    factors = _GRIPS
+    best = 1.0
+    for _ in range(1 + _FINER):
+        likelihoods = _grip_likelihoods(problem, model, factors)
+        place = int(np.argmax(likelihoods))
+        best = float(factors[place])
+        lower = float(factors[max(place - 1, 0)])
+        upper = float(factors[min(place + 1, len(factors) - 1)])
+        factors = np.geomspace(lower, upper, _GRID)
+    return replace(problem, servo=problem.servo._replace(grip=best * grip))
+
+
+def _grip_likelihoods(problem: TrackingProblem, model: TrackingModel, factors: Array) -> Array:
+    """The log likelihood `(factor,)`, less a constant, where noise of each joint is of unknown size."""
+    grip = np.asarray(model.servo.grip)
+    extra = model.exerted(problem.data.dynamics)
+    states = [
+        problem._state(model.servo._replace(grip=factor * grip), extra, joint)
+        for factor in factors
+        for joint in range(problem.rows)
+    ]
+    rolled = problem._rolled(states).reshape(len(factors), problem.rows, -1)
+    errors = (rolled - problem.data.measured)[..., problem.chosen][..., problem.valid]
+    return -0.5 * errors.shape[-1] * np.sum(np.log(np.mean(errors**2, 2)), 1)
 
 
 _STIFFNESSES = np.geomspace(0.3, 1500.0, 12)

@@ -31,7 +31,10 @@ LONGEST_STEP = 0.001
 RETURN = 2 / (0.95 * 0.002)
 """1/s, B: 2 / (dmax · timeconst) of MuJoCo's `solreffriction` at its stiffest for a step of 1 ms."""
 GRIP = 0.96 / (1 - 0.96)
-"""Grip over the inertia of the links that a joint moves at its zero: d0 / (1 - d0) of MuJoCo's `solimpfriction`."""
+"""Grip over the inertia of the links that a joint moves at its zero: d0 / (1 - d0) of MuJoCo's `solimpfriction`.
+
+A diagnosis looks for the grip of its recording, beginning with this one: `problem.with_likely_grip`.
+"""
 _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9

@@ -175,7 +175,7 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
     return servo, known
 
 
-def _quantum(values: Array) -> float:
+def quantum(values: Array) -> float:
     """The step of a read-out `(sample,)`, the least difference that repeats; zero where it has none."""
     steps = np.abs(np.diff(np.unique(np.round(values, 9))))
     steps = steps[steps > 1e-9]
@@ -198,6 +198,26 @@ def _start(even: Recording, noise: Array) -> Array:
     return start
 
 
+def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
+    """How read-outs follow commands, `(read-out, command)`, each at the lag of at most `_LATEST` that suits it best.
+
+    Args:
+        command: `(sample, column)`.
+        measured: `(sample, column)`.
+        period: s between samples.
+    """
+    count = measured.shape[1]
+    lags = np.unique(np.linspace(0, min(_LATEST / period, len(command) // 2), 26).astype(int))
+    best = np.zeros((count, count))
+    if not count:
+        return best
+    for lag in lags:
+        both = np.corrcoef(measured[lag:].T, command[: len(command) - lag].T)
+        matrix = np.nan_to_num(np.atleast_2d(both)[:count, count:])
+        best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
+    return best
+
+
 def _check_commands(even: Recording) -> None:
     """Refuses read-outs that follow commands with another sign or unit, or those of another joint.
 
@@ -208,12 +228,7 @@ def _check_commands(even: Recording) -> None:
     measured = even.joint_position
     moving = np.flatnonzero((np.std(command, 0) > _MOVING) & (np.std(measured, 0) > _MOVING))
     period = float(np.median(np.diff(even.time)))
-    lags = np.unique(np.linspace(0, min(_LATEST / period, len(command) // 2), 26).astype(int))
-    best = np.zeros((len(moving), len(moving)))
-    for lag in lags:
-        both = np.corrcoef(measured[lag:, moving].T, command[: len(command) - lag, moving].T)
-        matrix = np.nan_to_num(both[: len(moving), len(moving) :])
-        best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
+    best = lagged_correlation(command[:, moving], measured[:, moving], period)
     for place, joint in enumerate(moving.tolist()):
         follows = best[place, place]
         other = int(np.argmax(best[place]))
@@ -258,7 +273,7 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     even = even_rows(recording)
     _check_commands(even)
     settings = even.settings
-    quanta = np.array([_quantum(column) for column in recording.joint_position.T])
+    quanta = np.array([quantum(column) for column in recording.joint_position.T])
     noise = np.sqrt(settings.joint_noise_rad**2 + quanta**2 / 12 + FLOOR**2)
     center = np.array(settings.payload_com_m)
     compensated = isinstance(settings.servo, ServoSettings) and settings.servo.gravity_compensation

@@ -1,0 +1,330 @@
+"""The diagnosis of how an arm follows its commands: screen, search, estimate finally, verify on blocks inside each run.
+
+Errors are those of rollouts from the commands alone, from the first position of each run and without restarts.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from lite6jax.arms.arm import Arm
+from lite6jax.calibration.source import declared_arm_of, with_calibration
+from lite6jax.diagnosis.document import Domain, model_entry
+from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, verify
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
+from lite6jax.domains.tracking.peers import fit_peers
+from lite6jax.domains.tracking.predict import DiagnosedServos, run_ends
+from lite6jax.domains.tracking.problem import (
+    TrackingProblem,
+    diagnosed_servos,
+    follows_as_described,
+    tracking_problem,
+    with_likely_grip,
+)
+from lite6jax.domains.tracking.screening import screen_tracking
+from lite6jax.effects.dynamic import UnnamedTorque
+from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Mask
+from lite6jax.progress import Stage, entered, followed, part
+from lite6jax.recordings import Recording
+from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.search import Selection, search
+from lite6jax.search.state import fitted_again, refitted
+
+Array = NDArray[np.floating]
+
+_BLOCKS = 5
+"""Of each run; every other one is held out of the fit that is judged. Each has slow and fast parts of the motion."""
+_STARTS = 8
+"""Linearisations from the grid to the numbers of unknown servos."""
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
+    """The diagnosis of how an arm follows its commands.
+
+    Attributes:
+        peers: by name `(joint, sample)` rad, errors on held-out rows of what knows no arm: that joints are where they
+            are commanded, there after a time, or a linear system of second order.
+    """
+
+    domain: ClassVar[Domain] = "tracking"
+
+    peers: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def before(self) -> Array:
+        """`(joint, sample)` rad, held-out errors of rollouts of the servos alone."""
+        return self.errors.before
+
+    @property
+    def after(self) -> Array:
+        """`(joint, sample)` rad, held-out errors of rollouts with the effects."""
+        return self.errors.after
+
+    @property
+    def recording(self) -> Recording:
+        """As it was screened, on an even grid."""
+        return self.problem.data.recording
+
+    @cached_property
+    def over_noise(self) -> dict[str, float | None]:
+        """Of held-out errors of each joint, RMS, over the noise of its encoder with that of the rollout."""
+        errors = (self.after / self.problem.sigma)[:, ~self.outliers]
+        names = [f"joint{j}" for j in range(1, self.problem.rows + 1)]
+        return dict(zip(names, np.sqrt(np.mean(errors**2, 1)).tolist(), strict=True))
+
+    @cached_property
+    def model(self) -> DiagnosedServos:
+        """The arm with its servos and the effects found, as `read_model` gives it from a file."""
+        problem = self.problem
+        fit = self.fit
+        readout = problem.readouts(fit.nuisance, fit.terms, fit.values)
+        return diagnosed_servos(problem, problem.servo_at(fit.nuisance), fit.terms, fit.values, readout)
+
+    @property
+    def _leaves_noise(self) -> bool:
+        most = self.most_over_noise
+        return most is not None and most <= self.options.as_noise
+
+    @property
+    def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        noise = self.problem.noise
+        declared = noise.tolist() if self.problem.declared else None
+        return {"joint_rad": declared}, {"joint_rad": (noise * self.fit.scale).tolist()}
+
+    def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
+        chosen = errors[:, kept]
+        sizes = np.abs(chosen) if chosen.size else np.zeros((len(errors), 1))
+        statistics: dict[str, Any] = {
+            f"heldout_rollout_{name}_rad": float(of(sizes)) for name, of in STATISTICS.items()
+        }
+        by_joint = {
+            "rms": np.sqrt(np.mean(sizes**2, 1)),
+            "p95": np.percentile(sizes, 95, axis=1),
+        }
+        return statistics | {
+            f"heldout_rollout_{name}_by_joint_rad": values.tolist() for name, values in by_joint.items()
+        }
+
+    @cached_property
+    def _added(self) -> list[Array]:
+        """`(joint, sample)` rad of each finding: rollouts with all of them less rollouts without it."""
+        problem = self.problem
+        fit = self.fit
+        whole = problem.readouts(fit.nuisance, fit.terms, fit.values)[:, problem.chosen]
+        added = []
+        for finding in self.findings:
+            kept = [term != finding.effect for term in fit.terms.terms]
+            terms, values = fit.terms.part(fit.values, kept)
+            added.append(whole - problem.readouts(fit.nuisance, terms, values)[:, problem.chosen])
+        return added
+
+    @cached_property
+    def moves(self) -> tuple[dict[str, Any], ...]:
+        """What each finding moves, RMS in rad at the joint that it moves most, and its joints, from 1."""
+        moved = []
+        for added in self._added:
+            sizes = np.sqrt(np.mean(added[:, ~self.outliers] ** 2, 1))
+            acts = sizes > 0.1 * sizes.max(initial=0.0)
+            where = acts if acts.any() else np.ones_like(acts)
+            size = float(np.sqrt(np.mean(sizes[where] ** 2)))
+            moved.append({"moves_rms_rad": size, "joints": (1 + np.flatnonzero(where)).tolist()})
+        return tuple(moved)
+
+    def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
+        finding = self.findings[k]
+        effect = finding.effect
+        assert isinstance(effect, UnnamedTorque)
+        torque = effect.torque(finding.values, self.problem.data.dynamics)
+        return {"peak_to_peak_Nm": Estimate(float(np.ptp(torque, axis=1).max()), 0.0)}
+
+    def _distinction(self, k: int, effect: Effect) -> str:
+        return "undecided"
+
+    @property
+    def _servos(self) -> list[dict[str, float]]:
+        """Of each joint its servo's numbers with the effects: stiffness, lag and sag; without masses over a factor."""
+        servo = self.model.model.servo
+        lag = (servo.damping + servo.viscous) / servo.stiffness
+        return [
+            {
+                "stiffness_Nm_per_rad": float(servo.stiffness[j]),
+                "damping_Nm_s_per_rad": float(servo.damping[j]),
+                "sag_rad_per_Nm": float(1 / servo.stiffness[j]),
+                "lag_s": float(lag[j]),
+                "delay_s": float(servo.delay[j]),
+                "coulomb_Nm": float(servo.coulomb[j]),
+                "inertia_kg_m2": float(servo.inertia[j]),
+            }
+            for j in range(self.problem.rows)
+        ]
+
+    def _own_parts(self) -> dict[str, Any]:
+        problem = self.problem
+        kept = ~self.outliers
+        return {
+            "servo": "declared" if problem.data.declared else "unknown",
+            "masses": problem.data.has_masses,
+            "servos": self._servos,
+            "peers": {name: self._statistics(errors, kept) for name, errors in self.peers.items()},
+            "nuisance": {"numbers": len(problem.unknowns)},
+            "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `lite6jax/diagnosis/3`; faults of joints name these as `joints`."""
+        document = super().to_dict()
+        for key in ("data_faults", "ruled_out"):
+            document[key] = [{**fault, "joints": fault["numbers"].get("joints", [])} for fault in document[key]]
+        return document
+
+
+# ------------------------------------------------------------------ blocks inside each run
+
+
+def interleaved_folds(run: NDArray[np.integer]) -> list[Mask]:
+    """Two sets of samples `(sample,)`: every other one of five blocks inside each run, and the blocks between them.
+
+    Whole runs would differ in their speeds and loads, so that a model of some says little of the others.
+    """
+    first = np.zeros(len(run), bool)
+    for begin, end in zip(*run_ends(run), strict=True):
+        edges = np.linspace(begin, end, _BLOCKS + 1).astype(int)
+        for block in range(1, _BLOCKS, 2):
+            first[edges[block] : edges[block + 1]] = True
+    return [first, ~first]
+
+
+def errors_without(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:
+    """The errors on the samples of a fold `(sample,)`, by the terms of a selection fitted to the others."""
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    training = problem.valid & ~held
+    again = fitted_again(problem, problem, selection.state, training, options)
+    return errors_of_selection(Selection(problem, problem, again), held)
+
+
+def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, Array]:
+    """`(joint, sample)` rad of each peer on rows that it was not fitted to."""
+    data = problem.data
+    command = np.asarray(data.recording.commanded_position).T
+    errors = {name: np.zeros_like(data.measured) for name in ("commanded", "best_delay", "second_order")}
+    for held in folds:
+        peers = fit_peers(command, data.measured, data.recording.run, data.commands.period, problem.valid & ~held)
+        for name, of_peer in errors.items():
+            of_peer[:, held] = (getattr(peers, name) - data.measured)[:, held]
+    return errors
+
+
+# ------------------------------------------------------------------ the diagnosis
+
+
+_IDLE = 0.03
+"""By which a nonparametric effect lowers the errors of its joint at least: it has no name to say what else it does."""
+_ROUGHLY = 4
+"""One in so many samples, in which names are looked for before the grip is known."""
+
+
+def _with_grip(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
+    """The problem with the grip by which friction holds its joints.
+
+    Where no joint follows as described, the grip is that beside the names that are found roughly.
+    """
+    likely = with_likely_grip(problem)
+    if likely is problem or follows_as_described(likely):
+        return likely
+    rough = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset())
+    fit = rough.state.fit
+    return with_likely_grip(problem, fit.terms, fit.values)
+
+
+def _without_idle_processes(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection without nonparametric effects that hardly change any joint beside what is left there."""
+    state = selection.state
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    fit = state.fit
+    terms = fit.terms.terms
+    whole = problem.residual(fit.nuisance, fit.terms, fit.values)
+    left = np.mean(whole[:, problem.valid] ** 2, 1)
+    kept = []
+    for tested in state.tested:
+        if tested.term.nonparametric:
+            others = fit.terms.part(fit.values, [term != tested.term for term in terms])
+            moved = whole - problem.residual(fit.nuisance, *others)
+            share = np.mean(moved[:, problem.valid] ** 2, 1) / left
+            if np.max(share) < (1 + _IDLE) ** 2 - 1:
+                continue
+        kept.append(tested)
+    if len(kept) == len(terms):
+        return selection
+    return replace(selection, state=refitted(problem, state, kept, options))
+
+
+# A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def diagnose_tracking(
+    recording: Recording,
+    arm: Arm | None = None,
+    *,
+    options: Options | None = None,
+    progress: Callable[[Stage], object] | None = None,
+) -> TrackingDiagnosis:
+    """Locates, names, models and verifies why an arm does not follow its commands as its description says.
+
+    Residuals are rollouts from the commands alone minus the measured joints. Effects are kept if rollouts with them,
+    fitted to other blocks of each run, have smaller errors. Arguments are as of `diagnose`.
+
+    Raises:
+        InputError: no arm is declared, or as `screen_tracking`.
+    """
+    options = options or Options()
+    engine = options.engine
+    with followed(progress):
+        arm = with_calibration(arm or declared_arm_of(recording), recording)
+        with part(0, 2):
+            entered("screening")
+            screened = screen_tracking(recording, arm)
+            problem = tracking_problem(screened.data)
+            problem = replace(problem, valid=problem.valid & ~screened.stale)
+            if problem.unknowns:
+                entered("linearising")
+                problem = relinearise(problem, engine, problem.valid, _STARTS)
+            selection = search(_with_grip(problem, engine), engine)
+            problem = selection.problem
+            assert isinstance(problem, TrackingProblem)
+            entered("estimating")
+            selection = _without_idle_processes(selection, engine)
+            selection = replace(selection, state=final_estimates(problem, selection.state, engine))
+        folds = interleaved_folds(problem.run)
+        errors = errors_of_folds(errors_without, (selection, engine), folds, anywhere=False)
+        kept = problem.valid
+
+        def again(spread: Sequence[Mask]) -> HeldOut:
+            return errors_of_folds(errors_without, (selection, engine), spread, anywhere=False)
+
+        verified = verify(selection, errors, folds, kept, options, again)
+        if not verified.findings:
+            verified = verified._replace(errors=verified.errors.without_effects())
+        problem = verified.selection.problem
+        assert isinstance(problem, TrackingProblem)
+        peers = _peer_errors(problem, folds)
+    return TrackingDiagnosis(
+        problem=problem,
+        faults=screened.found,
+        ruled_out=screened.ruled_out,
+        options=options,
+        outliers=~problem.valid,
+        peers=peers,
+        **verified._asdict(),
+    )

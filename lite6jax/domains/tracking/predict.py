@@ -1,0 +1,297 @@
+"""Where the joints of a diagnosed arm are in a motion, rolled out from its commands alone."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.torque.rows import RigidBodies
+from lite6jax.domains.tracking.coupling import Bodies, loads_along
+from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
+from lite6jax.domains.tracking.rollout import Commands, hold_commands
+from lite6jax.domains.uncertainty import ReferenceOrigin, Uncertainty
+from lite6jax.effects.dynamic import Dynamics, direction
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.servo import Servo
+from lite6jax.errors import InputError
+from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import Recording
+from lite6jax.results import PublicResult
+
+Array = NDArray[np.floating]
+Runs = NDArray[np.integer]
+
+_SETTLING = 2.0
+"""s for which the first command is held before a predicted run begins."""
+_BEYOND = 0.02
+"""Of a fitted range: a row within this of its ends is not outside."""
+_LEAST_RANGE = 1e-3
+"""rad/s or Nm, that a fitted range counts as at least."""
+_SWEEPS = 6
+"""Rollouts at most, each with the torques along the one before."""
+_SETTLED = 1e-6
+"""rad RMS, by which two of them differ at most at the end."""
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackedMotion(PublicResult):
+    """Joints that follow commands.
+
+    Attributes:
+        position: `(sample, joint)` rad, what encoders show.
+        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
+    """
+
+    position: Array
+    outside: Mask
+
+    @property
+    def empty(self) -> Mask:
+        """`(sample,)`, rows of which nothing is predicted: none."""
+        return np.zeros(len(self.position), bool)
+
+    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+        """Column name to values: `q1_rad` … and `outside`, 0 or 1."""
+        columns: dict[str, Array | NDArray[np.integer]] = {
+            f"q{joint}_rad": row for joint, row in enumerate(self.position.T, 1)
+        }
+        return columns | {"outside": self.outside.astype(int)}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FittedRange:
+    """What was in a recording, of each joint the least and the greatest, `(joint, 2)`.
+
+    Attributes:
+        velocity: rad/s.
+        weight: Nm, what the joint carries at rest.
+    """
+
+    velocity: Array
+    weight: Array
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosedServos:
+    """An arm with its servos and the effects that were found on how it follows commands.
+
+    Attributes:
+        arm: its chain.
+        servo: each `(joint,)`, without the effects.
+        links: `(joint, 10)` inertial numbers, of the payload none; zero of an arm without masses.
+        payload_center: `(3,)` m, in the frame after the last joint.
+        payload: kg, as recorded.
+        gravity: `(3,)` m/s² in the base frame.
+        compensated: whether the servos carry the weight of the arm.
+        terms: the effects.
+        values: `(terms.size,)`.
+        step: s, of integration at most.
+        interpolated: whether commands go on a line to the next; else each holds.
+        ranges: what was recorded.
+        reference_temperature: °C.
+        uncertainty: none; predictions of joints have no standard deviations.
+        reference: none.
+    """
+
+    arm: Arm
+    servo: Servo
+    links: Array
+    payload_center: Array
+    payload: float
+    gravity: Array
+    compensated: bool
+    terms: Terms
+    values: Array
+    step: float
+    interpolated: bool
+    ranges: FittedRange
+    reference_temperature: float = 20.0
+    uncertainty: Uncertainty | None = None
+    reference: ReferenceOrigin | None = None
+
+    def __repr__(self) -> str:
+        effects = ", ".join(term.label for term in self.terms.terms) or "no effects"
+        return f"model of the servos of a {self.arm.name} with {effects}"
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return self.arm.dof
+
+    @property
+    def sliding(self) -> tuple[int, ...]:
+        """The prismatic joints: none."""
+        return self.arm.sliding
+
+    @property
+    def joint_limits(self) -> Array:
+        """`(joint, 2)` rad."""
+        return self.arm.joint_limits
+
+    @property
+    def motion(self) -> str:
+        """Joints are of a moving arm."""
+        return "trajectory"
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """The rigid bodies, without the effects."""
+        gravity = np.zeros(3) if self.compensated else self.gravity
+        kinematics = np.asarray(self.arm.kinematics)
+        return Bodies(kinematics, self.links, self.payload_center, gravity).with_payload(self.payload)
+
+    @cached_property
+    def model(self) -> TrackingModel:
+        """With the effects."""
+        return compose(TrackingModel(self.servo, self.bodies), self.terms, self.values)
+
+    def predict(self, time: ArrayLike, command: ArrayLike, run: ArrayLike | None = None) -> TrackedMotion:
+        """Where the joints are in a motion, rolled out from rest at its first command.
+
+        Args:
+            time: `(sample,)` s.
+            command: `(sample, joint)` rad.
+            run: `(sample,)`, which changes where a run begins; one run where not given.
+
+        Raises:
+            InputError: arrays of other shapes, numbers that are not finite, times that do not increase in a run, or a
+                motion along which the rollout is not finite.
+        """
+        t, u, runs = _checked(time, command, run, self.dof)
+        position = np.empty(u.shape)
+        outside = np.empty(len(t), bool)
+        for first, last in zip(*run_ends(runs), strict=True):
+            rows = slice(first, last)
+            position[rows], outside[rows] = self._predict_run(t[rows], u[rows])
+        return TrackedMotion(position, outside)
+
+    def _predict_run(self, time: Array, command: Array) -> tuple[Array, Mask]:
+        """`(sample, joint)` rad, and `(sample,)`, of one run."""
+        if len(time) == 1:
+            time = time[0] + np.array([0.0, self.step])
+            command = np.vstack([command, command])
+            position, outside = self._predict_run(time, command)
+            return position[:1], outside[:1]
+        period = float(np.median(np.diff(time)))
+        before = int(np.ceil(_SETTLING / period))
+        samples = int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1
+        grid = time[0] + period * np.arange(-before, samples)
+        held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
+        u = command[held]
+        if self.interpolated:
+            u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
+        run = np.zeros(len(u), int)
+        commands = hold_commands(u, run, period, u, interpolated=self.interpolated, longest=self.step)
+        readout = self._rolled_out(commands, u.T)
+        if not np.isfinite(readout).all():
+            raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
+        outside = self._outside(readout, period)
+        later = slice(before, None)
+        position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)
+        rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
+        return position, outside[rows]
+
+    def _rolled_out(self, commands: Commands, command: Array) -> Array:
+        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before."""
+        still = np.zeros_like(command)
+        model = self.model
+        coupled = bool(self.links.any())
+        loads = loads_along(model.bodies, commands, command, still, still)
+        readout, loads = roll_out(model, commands, loads, None, coupled)
+        if not model.torques:
+            return readout
+        for _ in range(_SWEEPS):
+            extra = model.exerted(self._dynamics_along(readout, commands.period))
+            before = readout
+            readout, loads = roll_out(model, commands, loads, extra, coupled)
+            if not np.sqrt(np.mean((readout - before) ** 2)) > _SETTLED:
+                break
+        return readout
+
+    def _dynamics_along(self, position: Array, period: float) -> Dynamics:
+        """The arm along positions `(joint, sample)` rad."""
+        velocity = np.gradient(position, period, axis=1)
+        motion = motion_of(
+            position.T,
+            joint_velocity=velocity.T,
+            time=period * np.arange(position.shape[1]),
+            payload=np.full(position.shape[1], self.payload),
+            reference_temperature=self.reference_temperature,
+        )._replace(
+            joint_position=position,
+            joint_velocity=velocity,
+            direction=direction(velocity),
+            joint_acceleration=np.gradient(velocity, period, axis=1),
+        )
+        kinematics = np.asarray(self.arm.kinematics)
+        bodies = RigidBodies(motion, self.links, self.payload_center, self.gravity, kinematics)
+        return bodies.dynamics(self.links)
+
+    def _outside(self, readout: Array, period: float) -> Mask:
+        """`(sample,)`, where a joint is faster, or carries more, than what was recorded."""
+        quantities = slow_quantities(self.bodies, readout, period)
+        beyond = np.zeros(readout.shape[1], bool)
+        for values, limits in zip(quantities, (self.ranges.velocity, self.ranges.weight), strict=True):
+            lower, upper = limits.T
+            margin = _BEYOND * np.maximum(upper - lower, _LEAST_RANGE)
+            beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
+        return beyond
+
+
+def slow_quantities(bodies: Bodies, readout: Array, period: float) -> tuple[Array, Array]:
+    """`(joint, sample)` rad/s and Nm at rest, on which servos and friction depend."""
+    still = np.zeros_like(readout)
+    weight = bodies.torques(readout, still, still)
+    return np.gradient(readout, period, axis=1), weight
+
+
+def range_of(bodies: Bodies, readout: Array, period: float) -> FittedRange:
+    """The ranges of a rollout `(joint, sample)` rad."""
+    velocity, weight = slow_quantities(bodies, readout, period)
+    return FittedRange(*(np.stack([values.min(1), values.max(1)], 1) for values in (velocity, weight)))
+
+
+def run_ends(runs: Runs) -> tuple[list[int], list[int]]:
+    """Where each run begins, and where it has ended."""
+    begins = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
+    return begins.tolist(), [*begins[1:].tolist(), len(runs)]
+
+
+def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Runs]:
+    """The arguments of `DiagnosedServos.predict` as arrays."""
+    t = np.asarray(time, float)
+    u = np.asarray(command, float)
+    runs = np.zeros(len(t), int) if run is None else np.asarray(run)
+    if t.ndim != 1 or u.shape != (len(t), joints) or runs.shape != t.shape or len(t) < 2:
+        raise InputError(
+            f"commands: time, command and run have the shapes {t.shape}, {u.shape} and {runs.shape}; give (sample,), "
+            f"(sample, {joints}) and (sample,), of two samples or more"
+        )
+    if not (np.isfinite(t).all() and np.isfinite(u).all()):
+        raise InputError("commands: hold numbers that are not finite; leave out such rows")
+    if np.any((np.diff(t) <= 0) & (np.diff(runs) == 0)):
+        row = int(np.flatnonzero((np.diff(t) <= 0) & (np.diff(runs) == 0))[0]) + 2
+        raise InputError(f"commands: the time does not increase in row {row}; sort the rows, or begin a run there")
+    return t, u, runs
+
+
+def predicted_joints(model: DiagnosedServos, motion: Recording) -> TrackedMotion:
+    """The joints that follow the commands of a motion.
+
+    Raises:
+        InputError: another number of joints, no commands or no times, or as `DiagnosedServos.predict`.
+    """
+    if motion.dof != model.dof:
+        raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
+    if motion.commanded_position is None:
+        raise InputError(f"{motion.source}: has no commands; add cmd1_rad ...")
+    if motion.time is None:
+        raise InputError(f"{motion.source}: commands need times; add time_s")
+    return model.predict(motion.time, motion.commanded_position, motion.run)

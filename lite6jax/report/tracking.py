@@ -1,0 +1,233 @@
+"""The report of a diagnosis of commands and measured joints: sentences and sections of its JSON document.
+
+The texts are in `templates/tracking.yaml`; causes of torques are those of `templates/remedies.yaml`.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lite6jax.diagnosis.document import Domain
+from lite6jax.errors import command_line
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
+from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_title, place_of
+from lite6jax.report.words import NAMED_OF_TORQUES, capital, fill, multiple, number, quantity, read_texts, row_ranges
+
+Document = Mapping[str, Any]
+Entry = Mapping[str, Any]
+Part = tuple[str, list[tuple[str, Any]]]
+"""The heading of a section and its blocks."""
+
+DOMAIN: Domain = "tracking"
+_TEXTS = read_texts("tracking.yaml")
+_MRAD = 1e3
+_ERROR = "heldout_rollout_rms_rad"
+_BY_JOINT = "heldout_rollout_rms_by_joint_rad"
+_PEERS = {"commanded": "measured = commanded", "best_delay": "best delay", "second_order": "second order"}
+"""What knows no arm, by its key in the document, as it is called."""
+_NAMED = NAMED_OF_TORQUES | {"scale": (1e6, "ppm"), "ratio": (1.0, ""), "rate": (1e6, "ppm")}
+"""Of numbers whose names do not say how they are read."""
+_TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
+_LOAD = {"servo_stiffness", "payload_error", "base_tilt", "encoder_offset", "encoder_scale", "joint_spring"}
+_REVERSAL = {"dead_band", "coulomb_friction", "stribeck_friction", "load_friction", "backlash"}
+"""Effects that the same kind of motion tells apart."""
+
+
+# ------------------------------------------------------------------ sentences
+
+
+def with_statements(document: Document) -> dict[str, Any]:
+    """The document with a `statement` for each finding and each data fault."""
+    stated = dict(document)
+    for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
+        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
+        pairs = zip(document[key], map(statement, faults), strict=True)
+        stated[key] = [{**entry, "statement": said} for entry, said in pairs]
+    stated["findings"] = [{**finding, "statement": finding_statement(finding)} for finding in document["findings"]]
+    return stated
+
+
+def finding_statement(finding: Entry) -> str:
+    """A finding in a sentence, with its numbers and what it moves."""
+    estimates = finding.get("peak_to_peak", finding["parameters"])
+    numbers = ", ".join(str(quantity(name, estimate, _NAMED)) for name, estimate in estimates.items())
+    return fill(
+        _TEXTS["finding"],
+        finding,
+        title=capital(effect_title(finding)),
+        numbers=numbers,
+        moves=number(_MRAD * finding["moves_rms_rad"]),
+    )
+
+
+def cause_of(finding: Entry) -> str:
+    """The cause of a finding, a clause in small letters."""
+    place = place_of(finding["site"])
+    text = _TEXTS["causes"].get(finding["effect"])
+    if text is not None:
+        return text["cause"].format(place=place)
+    known = OF_TORQUES.get(finding["effect"])
+    cause = "{place} has " + finding["effect"].replace("_", " ") if known is None else known.cause
+    return cause.format(place=place, exerted="torque", source="another joint")
+
+
+def action_of(finding: Entry) -> str:
+    """What to do about a finding."""
+    if finding["effect"] in _TEXTS["causes"]:
+        return _TEXTS["causes"][finding["effect"]]["action"]
+    if finding["effect"] == "unnamed":
+        return "The model in the JSON file contains it, and `predict` uses it; no simulator has a name for it."
+    return OF_TORQUES[finding["effect"]].action.replace("{exerted}", "torque")
+
+
+def ranked(document: Document) -> list[Entry]:
+    """The findings, the largest contribution first."""
+    return sorted(document["findings"], key=lambda finding: -finding["moves_rms_rad"])
+
+
+def headline(document: Document) -> str:
+    """The cause and its worth, in one sentence; what there is instead where none is."""
+    findings = ranked(document)
+    sizes = {stage: number(_MRAD * document[stage][_ERROR]) for stage in ("before", "after")}
+    if findings:
+        return fill(_TEXTS["headline"]["found"], sizes, cause=cause_of(findings[0]), count=len(findings))
+    said = fill(_TEXTS["headline"]["nothing"], sizes, verdict=document["verdict"])
+    names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in document["data_faults"]))
+    return f"The data have a fault ({', '.join(names)}), which was corrected. {said}" if names else said
+
+
+def verdict_statement(document: Document) -> str:
+    """The verdict in a sentence or two."""
+    sizes = [ratio for ratio in document["left"]["over_noise"].values() if ratio is not None]
+    ends = dict.fromkeys(multiple(size) for size in (min(sizes), max(sizes)))
+    near = document["nearest"]
+    return fill(
+        _TEXTS["verdict"][document["verdict"]],
+        document,
+        ratios=" to ".join(ends),
+        near="" if near is None else effect_title({**near, "driver": "none"}),
+    )
+
+
+def cautions(document: Document) -> list[str]:
+    """What qualifies the verdict: effects that were not kept."""
+    withdrawn = document["withdrawn"]
+    if withdrawn is None:
+        return []
+    return [fill(_TEXTS["withdrawn"], {"names": [effect_title(entry) for entry in withdrawn["effects"]]})]
+
+
+def rivals(finding: Entry, rejected: bool = False) -> list[str]:
+    """The effects that the log does not distinguish from a finding, or the nearest that explain clearly less."""
+    entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
+    return list(dict.fromkeys(effect_title(rival) for rival in entries if rival["status"] != "found"))
+
+
+def what_to_record(document: Document) -> list[str]:
+    """For each finding that may be another effect, the motion that tells."""
+    lines = []
+    for finding in ranked(document):
+        undecided = [rival for rival in distinct_rivals(finding) if rival["status"] == "undecided"]
+        if undecided:
+            kinds = {finding["effect"], *(rival["effect"] for rival in undecided)}
+            others = list(dict.fromkeys(effect_title(rival) for rival in undecided))[:2]
+            motion = _TEXTS["motions"][_motion_of(kinds)]
+            lines.append(fill(_TEXTS["record"], {"one": effect_title(finding), "others": others, "motion": motion}))
+    return lines
+
+
+def _motion_of(effects: set[str]) -> str:
+    """The kind of motion in which some effects differ."""
+    for kind, alike in (("reversal", _REVERSAL), ("timing", _TIMING), ("load", _LOAD)):
+        if len(effects & alike) > 1:
+            return kind
+    return "other"
+
+
+# ------------------------------------------------------------------ tables and sections
+
+
+def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
+    """The table of held-out errors in mrad RMS: headers, and a row for each joint and for all."""
+    columns = {name: document["peers"][key] for key, name in _PEERS.items()}
+    columns |= {"before": document["before"]}
+    if document["findings"]:
+        columns |= {"after": document["after"]}
+    rows = [
+        [f"joint {joint}", *(number(_MRAD * column[_BY_JOINT][joint - 1]) for column in columns.values())]
+        for joint in range(1, len(document["before"][_BY_JOINT]) + 1)
+    ]
+    rows.append(["all", *(number(_MRAD * column[_ERROR]) for column in columns.values())])
+    return ["held-out error (mrad RMS)", *columns], rows
+
+
+def servo_rows(document: Document) -> tuple[list[str], list[list[str]]]:
+    """The servos as they are with the findings: headers, and a row for each joint."""
+    headers = ["servo", "kp (Nm/rad)", "sag (mrad/Nm)", "lag (ms)", "delay (ms)", "friction (Nm)"]
+    rows = [
+        [
+            f"joint {joint}",
+            number(servo["stiffness_Nm_per_rad"]),
+            number(_MRAD * servo["sag_rad_per_Nm"]),
+            number(1e3 * servo["lag_s"]),
+            number(1e3 * servo["delay_s"]),
+            number(servo["coulomb_Nm"]),
+        ]
+        for joint, servo in enumerate(document["servos"], 1)
+    ]
+    return headers, rows
+
+
+def steps(document: Document, recording: Path, diagnosis: Path | None) -> list[tuple[str, str]]:
+    """Commands to copy: a purpose and a line each."""
+    if diagnosis is None:
+        named = Path(f"{recording.stem}_diagnosis.json")
+        return [("Keep this diagnosis", command_line("diagnose", recording, "--out", named))]
+    predicted = diagnosis.with_name(f"{recording.stem}_predicted.csv")
+    purpose = "Joints that follow these commands; give commands of your own in their place"
+    return [(purpose, command_line("predict", diagnosis, recording, "--out", predicted))]
+
+
+def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[str, Any]) -> list[Part]:
+    """The sections of a report with statements; arguments as of `sections.sections_of`."""
+    faults = [
+        (fault_name(fault["fault"]), fault["statement"], row_ranges(fault["rows"])) for fault in document["data_faults"]
+    ]
+    said = [verdict_statement(document), *cautions(document), fill(_TEXTS["setting"], document)]
+    ruled_out = [entry["statement"] for entry in document["ruled_out"]]
+    commands = [] if files is None else steps(document, files.recording, files.diagnosis)
+    drawn = [("picture", picture) for name, picture in pictures.items() if name == "over_time"]
+    no_findings = [("text", "None: no effect of the catalogue, and no function of what was recorded, is significant.")]
+    findings = [("bullets", _finding_lines(document, details))] if document["findings"] else no_findings
+    return [
+        ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in said)]),
+        (
+            "Held-out rollouts from the commands alone",
+            [("table", error_rows(document)), ("text", fill(_TEXTS["held_out"], document)), *drawn],
+        ),
+        ("Data faults", [("faults", faults)] if faults else []),
+        ("Findings", findings),
+        ("Servos", [("table", servo_rows(document))]),
+        ("What to do", [("bullets", list(dict.fromkeys(action_of(one) for one in ranked(document))))]),
+        ("What to record next", [("bullets", what_to_record(document))]),
+        ("Commands to copy", [("command", step) for step in commands]),
+        ("Tested and ruled out", [("bullets", ruled_out)] if details and ruled_out else []),
+    ]
+
+
+def _finding_lines(document: Document, details: bool) -> Sequence[str]:
+    """A line for each finding, with what it is not distinguished from."""
+    lines = []
+    for finding in ranked(document):
+        p_value = finding["p_value"]
+        shown = f"{p_value:.1e}" if p_value > 0 else "below 1e-300"
+        line = f"{finding_statement(finding)} {fill(_TEXTS['p_value'], {'p': shown})}"
+        near = rivals(finding)
+        if near:
+            line += f" Not distinguished from {', '.join(near)}."
+        far = rivals(finding, rejected=True)
+        if details and far:
+            line += f" Nearest effects that were rejected: {', '.join(far)}."
+        lines.append(line)
+    return lines

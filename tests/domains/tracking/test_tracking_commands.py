@@ -1,0 +1,255 @@
+"""`diagnose` and `predict` of logs of commands and measured joints: what is found, printed, written and refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.csv
+import pytest
+from typed import flat, refused, run
+
+from lite6jax import cli
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.description import write_arm
+from lite6jax.diagnosis.document import model_from_document
+from lite6jax.domains.predict import predicted
+from lite6jax.domains.tracking.screening import screen_tracking
+from lite6jax.recordings import read_recording
+from tests.domains.tracking.test_servo_fit import LEVER, PENDULUM, PERIOD, SERVO, TRUE, commands_of
+from tests.oracles.servos import follow
+
+SAMPLES = 300
+NOISE = 2e-4
+"""rad, beside which the oracle and the rollout agree."""
+
+
+def write_log(folder, columns, arm=PENDULUM, servo=SERVO, noise=2e-5):
+    """A log with its sidecar and the description of its arm."""
+    write_arm(arm, folder / "arm.yaml", overwrite=True)
+    lines = [",".join(columns)] + [
+        ",".join(f"{value:.9g}" for value in row) for row in np.column_stack([*columns.values()])
+    ]
+    path = folder / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    gains = "unknown" if servo is None else json.dumps(servo)
+    path.with_suffix(".yaml").write_text(
+        "recording:\n  arm: arm.yaml\n  joint_source: measured\n  motion: trajectory\n  command: position\n"
+        f"  joint_noise_rad: {noise:.1e}\n  payload_com_m: [0.0, -0.1, 0.0]\n  servo: {gains}\n"
+    )
+    return path
+
+
+def columns_of(command, noise=2e-5, **changed):
+    """Times, a command and what the oracle makes of it with the noise of an encoder."""
+    q = follow(command, PERIOD, **(TRUE | changed))
+    errors = np.random.default_rng(5).normal(0.0, noise, len(q))
+    return {"time_s": PERIOD * np.arange(len(q)), "q1_rad": q + errors, "cmd1_rad": command}
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    """The folder of a log of a servo that is later than declared, and of its diagnosis."""
+    folder = tmp_path_factory.mktemp("late")
+    log = write_log(folder, columns_of(commands_of(SAMPLES), NOISE, delay=0.023), noise=NOISE)
+    code = cli.main(["diagnose", str(log), "--out", str(folder / "d.json")])
+    assert code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def document(diagnosed):
+    return json.loads((diagnosed / "d.json").read_text())
+
+
+def test_a_late_servo_is_found_and_named(document):
+    assert document["domain"] == "tracking"
+    assert document["verdict"] == "explained"
+    assert [(finding["effect"], finding["site"]) for finding in document["findings"]] == [("time_offset", "clock")]
+    offset = document["findings"][0]["parameters"]["offset_s"]
+    assert offset["value"] == pytest.approx(0.023, abs=3e-4)
+    assert 0 < offset["std"] < 3e-4
+    assert document["findings"][0]["joints"] == [1]
+    assert document["servos"][0]["delay_s"] == pytest.approx(0.023, abs=3e-4)
+
+
+def test_held_out_rollouts_and_their_peers_are_in_the_document(document):
+    before, after = (document[stage]["heldout_rollout_rms_rad"] for stage in ("before", "after"))
+    assert after < 1.5 * NOISE
+    assert before > 20 * after
+    peers = {name: one["heldout_rollout_rms_rad"] for name, one in document["peers"].items()}
+    assert after < peers["second_order"]
+    assert after < peers["best_delay"] < peers["commanded"]
+    by_joint = document["after"]["heldout_rollout_rms_by_joint_rad"]
+    assert by_joint == pytest.approx([after])
+
+
+def test_the_report_says_the_cause_and_what_it_is_beside(capsys, diagnosed):
+    code, out, _ = run(capsys, "report", diagnosed / "d.json", width=120)
+    said = flat(out)
+    assert code == 0
+    assert "All joints are late, by one time" in said
+    assert "measured = commanded" in said
+    assert "best delay" in said
+    assert "second order" in said
+    assert "Declare the delay" in said
+    assert "lite6jax predict" in said
+
+
+def test_joints_are_predicted_from_commands_alone(capsys, diagnosed, document):
+    command = commands_of(400, seed=4)
+    time = PERIOD * np.arange(400)
+    lines = ["time_s,cmd1_rad"] + [f"{t:.4f},{u:.9g}" for t, u in zip(time, command, strict=True)]
+    unseen = diagnosed / "unseen.csv"
+    unseen.write_text("\n".join(lines) + "\n")
+    code, _, _ = run(capsys, "predict", diagnosed / "d.json", unseen, "--out", diagnosed / "p.csv")
+    assert code == 0
+    table = pyarrow.csv.read_csv(diagnosed / "p.csv")
+    assert table.column_names == ["q1_rad", "outside"]
+    truth = follow(command, PERIOD, **(TRUE | {"delay": 0.023}))
+    errors = table["q1_rad"].to_numpy() - truth
+    assert np.sqrt(np.mean(errors**2)) < NOISE
+    found = predicted(model_from_document(document), unseen)
+    assert found.position[:, 0] == pytest.approx(table["q1_rad"].to_numpy())
+    assert "Joints 1 in 400 rows" in found.summary()
+
+
+@pytest.mark.long
+def test_a_clean_log_has_no_finding(tmp_path, capsys):
+    log = write_log(tmp_path, columns_of(commands_of(SAMPLES), NOISE), noise=NOISE)
+    code, out, _ = run(capsys, "diagnose", log, "--out", tmp_path / "d.json", width=120)
+    document = json.loads((tmp_path / "d.json").read_text())
+    assert code == 0
+    assert document["findings"] == []
+    assert document["verdict"] == "consistent"
+    before, after = (document[stage]["heldout_rollout_rms_rad"] for stage in ("before", "after"))
+    assert before == after
+    assert "nothing is missing from the model" in flat(out)
+
+
+def two_joints(first, second):
+    """The log of two servoed pendulums, each by its own oracle, as columns."""
+    one, other = columns_of(first), columns_of(second)
+    return {
+        "time_s": one["time_s"],
+        "q1_rad": one["q1_rad"],
+        "q2_rad": other["q1_rad"],
+        "cmd1_rad": one["cmd1_rad"],
+        "cmd2_rad": other["cmd1_rad"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("changed", "fault"),
+    [
+        (lambda log: log | {"q1_rad": log["q2_rad"], "q2_rad": log["q1_rad"]}, ("joints_swapped", [1, 2])),
+        (lambda log: log | {"q2_rad": -log["q2_rad"]}, ("joint_sign", [2])),
+    ],
+)
+def test_columns_that_are_exchanged_or_reversed_are_corrected(tmp_path, changed, fault):
+    t = PERIOD * np.arange(SAMPLES)
+    log = two_joints(commands_of(SAMPLES), 0.3 * np.cos(2 * np.pi * 0.9 * t) - 0.3)
+    massless = Arm("two", np.vstack([PENDULUM.kinematics, [[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]]]))
+    path = write_log(tmp_path, changed(log), massless, servo=None)
+    screened = screen_tracking(read_recording(path, arm=massless), massless)
+    assert [(one.code, one.numbers["joints"]) for one in screened.found] == [fault]
+    restored = screened.data.recording.joint_position
+    assert restored[:, 0] == pytest.approx(log["q1_rad"])
+    assert restored[:, 1] == pytest.approx(log["q2_rad"])
+
+
+def test_the_side_that_is_wrong_is_told_by_the_weight_of_the_arm(tmp_path):
+    log = columns_of(commands_of(SAMPLES) + 0.8)
+    # the same pendulum, at whose zero it does not hang: it is no mirror image of itself
+    turned = replace(PENDULUM, center_of_mass=LEVER * np.array([[np.sin(0.8), -np.cos(0.8), 0.0]]))
+    shifted = {"q1_rad": log["q1_rad"] - 0.8, "cmd1_rad": 0.8 - log["cmd1_rad"]}
+    path = write_log(tmp_path, log | shifted, turned)
+    screened = screen_tracking(read_recording(path, arm=turned), turned)
+    assert [(one.code, one.numbers["side"]) for one in screened.found] == [("joint_sign", "commanded")]
+
+
+def test_rows_that_repeat_while_the_arm_moves_are_left_out(tmp_path):
+    log = columns_of(commands_of(SAMPLES))
+    stale = log["q1_rad"].copy()
+    for row in (100, 101, 250):
+        stale[row] = stale[row - 1]
+    path = write_log(tmp_path, log | {"q1_rad": stale})
+    screened = screen_tracking(read_recording(path, arm=PENDULUM), PENDULUM)
+    assert [(one.code, one.rows) for one in screened.found] == [("stale_rows", (101, 102, 251))]
+    assert np.flatnonzero(screened.stale).tolist() == [100, 101, 250]
+
+
+# ------------------------------------------------------------------ bad input
+
+
+def shifted(log, rows):
+    """A log whose commands are its own read-outs of some rows later."""
+    q = log["q1_rad"]
+    return log | {"cmd1_rad": np.r_[q[rows:], np.full(rows, q[-1])]}
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (
+            lambda log: log | {"cmd1_rad": log["q1_rad"]},
+            "commands and read-outs are equal to 1e-06 rad: the log holds commands twice, or a simulator without "
+            "dynamics; record measured joints as q1_rad ...",
+        ),
+        (
+            lambda log: {name: row[:-1] for name, row in shifted(log, 1).items()},
+            "each command is the read-out of 1 rows after: the log holds measurements twice; record what the "
+            "controller was sent as cmd1_rad ...",
+        ),
+        (
+            lambda log: log | {"q1_rad": 0 * log["q1_rad"]},
+            "q1_rad hardly moves while its command does: its torque may be off, or the column is another quantity; "
+            "leave out such rows, or name the columns anew",
+        ),
+        (lambda log: log | {"cmd1_rad": 0 * log["q1_rad"]}, "its commands never move; record a motion"),
+        (
+            lambda log: {name: row for name, row in log.items() if name != "time_s"},
+            "commands need times; add time_s",
+        ),
+        (
+            lambda log: log | {"q1_rad": 2 * log["q1_rad"]},
+            "q1_rad moves 1.96 times as far as cmd1_rad; give both in the same unit, after the same gear",
+        ),
+    ],
+)
+def test_logs_that_cannot_be_diagnosed_are_refused_in_one_line(capsys, tmp_path, changed, says):
+    log = write_log(tmp_path, changed(columns_of(commands_of(SAMPLES))))
+    assert refused(capsys, "diagnose", log, "--out", tmp_path / "d.json") == f"{log}: {says}"
+    assert not (tmp_path / "d.json").exists()
+
+
+def test_what_is_not_of_commands_is_refused(capsys, diagnosed, tmp_path):
+    log = diagnosed / "log.csv"
+    said = refused(capsys, "diagnose", log, "--poses")
+    assert said == f"{log}: has commands and no poses; leave --poses or domain='poses' out"
+    said = refused(capsys, "diagnose", log, "--reference", log)
+    assert said.startswith("reference: is not of commands")
+    said = refused(capsys, "diagnose", log, "--poses", "--tracking")
+    assert said == "--poses and --tracking: give one of them, or none to diagnose both poses and torques"
+    empty = tmp_path / "m.csv"
+    empty.write_text("time_s,q1_rad\n0.0,0.1\n0.01,0.2\n")
+    said = refused(capsys, "predict", diagnosed / "d.json", empty, "--out", tmp_path / "p.csv")
+    assert said == f"{empty}: has no column cmd1_rad; give time_s and cmd1_rad … of every joint"
+    said = refused(capsys, "predict", diagnosed / "d.json", log, "--register", "--out", tmp_path / "p.csv")
+    assert said == "--register: a diagnosis of tracking has no sensor frame"
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda model: model["servo"].pop("delay"), "servo does not have a number of each kind for each joint"),
+        (lambda model: model["links"].append(model["links"][0]), "other numbers of links or ranges"),
+    ],
+)
+def test_a_damaged_model_is_refused(capsys, diagnosed, document, tmp_path, damage, says):
+    damaged = json.loads(json.dumps(document))
+    damage(damaged["model"])
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(damaged))
+    said = refused(capsys, "predict", path, diagnosed / "log.csv", "--out", tmp_path / "p.csv")
+    assert says in said
+    assert said.endswith("run `lite6jax diagnose` again")
