@@ -121,9 +121,8 @@ class Effects:
         if self.prior:
             if self.domain is not None:
                 raise InputError("--prior: holds for both domains; leave --domain out")
-            return command.present(
-                self.json, lambda: _as_json(listings.prior_entries(priors.PRIOR)), listings.prior_report(priors.PRIOR)
-            )
+            entries = priors.PRIOR.entries
+            return command.present(self.json, lambda: _as_json(entries), listings.prior_report(entries))
         found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
         return command.present(
             self.json, lambda: _as_json([effect.to_dict() for effect in found]), listings.effects_report(found)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 from typing import final
 
 from lite6jax.errors import InputError
-from lite6jax.estimation.documented import option
+from lite6jax.estimation.documented import documented, option
 
 
 @final
@@ -26,7 +26,7 @@ class Prior:
 
     # physics, of a term that a model lacks
     named: float = option(0.25, "a term is an effect with a name, any of them", "four kinds, equally probable")
-    wave: float = option(0.25, "it is a wave of a joint's turn, of any order", "as above")
+    wave: float = option(0.25, "it is a wave of a turn, of any order", "as above")
     process: float = option(0.25, "it is a function of one driver, at any component", "as above")
     product: float = option(0.25, "it is a function of two drivers, at any component", "as above")
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
@@ -38,7 +38,7 @@ class Prior:
     # what was declared
     wrong_input: float = option(0.1, "a declared input such as a load is wrong", "one case in ten")
     calibration_off: float = option(0.1, "all numbers of the calibration file are off a little", "one file in ten")
-    nominal_table: float = option(1 / 300, "the arm has another nominal table than its file's", "one file in 300")
+    nominal_table: float = option(1 / 300, "another nominal table than the file's holds", "one file in 300")
     # faults of the data
     data_fault: float = option(1 / 300, "columns, units, zeros, a frame or a tool are wrong", "one file in 300")
     distance_constant: float = option(1 / 300, "a gauge of distances has a zero of its own", "as another fault")
@@ -52,6 +52,14 @@ class Prior:
     def probabilities(self) -> dict[str, float]:
         """Each by its name."""
         return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+
+    @property
+    def entries(self) -> dict[str, dict[str, float | str]]:
+        """Of each kind of explanation its probability, what it costs in nats, what it says, and why it is so."""
+        return {
+            one.name: {"probability": one.value, "cost": self.cost(one.name), "meaning": one.meaning, "why": one.why}
+            for one in documented(self)
+        }
 
     def cost(self, name: str) -> float:
         """−ln of a probability, nats."""

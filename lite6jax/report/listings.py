@@ -16,7 +16,6 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.quality import Result
-from lite6jax.estimation.documented import documented
 from lite6jax.fleet import FLEET
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
@@ -26,7 +25,6 @@ from lite6jax.report.words import capital, chance, counted, fill, listing, numbe
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
-    from lite6jax.estimation.prior import Prior
 
 Document = Mapping[str, Any]
 _TEXTS = read_texts("screens.yaml")
@@ -47,19 +45,11 @@ def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     yield from say(texts["end"], {"dynamic": "dynamic" in domains})
 
 
-def prior_entries(prior: "Prior") -> dict[str, dict[str, Any]]:
-    """Of each kind of explanation its prior probability, what it costs in nats, what it says, and why it is so."""
-    return {
-        one.name: {"probability": one.value, "cost": prior.cost(one.name), "meaning": one.meaning, "why": one.why}
-        for one in documented(prior)
-    }
-
-
-def prior_report(prior: "Prior") -> Iterator[RenderableType]:
-    """The prior probabilities of explanations."""
+def prior_report(entries: Document) -> Iterator[RenderableType]:
+    """The prior probabilities of explanations, as `Prior.entries`."""
     rows = (
         (name, f"{one['probability']:.3g}", f"{one['cost']:.1f}", f"{one['meaning']} ({one['why']})")
-        for name, one in prior_entries(prior).items()
+        for name, one in entries.items()
     )
     yield listing("explanation", "probability", "cost (nats)", "of what", rows=rows, left=[3], wrapped=[3])
     yield from ("", *say(_TEXTS["effects"]["prior"], {}))

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import log_orders, log_orders_of
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.search.scan import KINDS, PAIRS, SINGLE, Scan
+from lite6jax.search.scan import PAIRS, SINGLE, Scan
 
 
 def test_the_probabilities_of_whole_and_other_orders_add_up_to_one():
@@ -88,7 +88,7 @@ def weights_of_processes(scan):
 
 def test_the_prior_probabilities_of_all_terms_add_up_to_one_at_most(scan):
     names = sum(np.exp(-scan.cost_of_name(term)) for term in scan.names)
-    waves = np.exp(-KINDS)  # of one family, and the weights of its orders add up to one
+    waves = DEFAULTS.prior.wave  # of one family, and the weights of its orders add up to one
     assert 0.3 < names + waves + sum(weights_of_processes(scan)) <= 1 + 1e-9
 
 
