@@ -20,6 +20,8 @@ from lite6jax.arms.factory import read_factory
 from lite6jax.calibration.fleet import compare
 from lite6jax.design.poses import plan_discrimination
 from lite6jax.results import Figures, PublicResult
+from tests.domains.tracking.test_servo_fit import commands_of
+from tests.domains.tracking.test_tracking_commands import columns_of, write_log
 
 LITE6 = lite6jax.read_arm("lite6")
 LONGEST = 2500
@@ -41,6 +43,8 @@ def found(tmp_path_factory):
     kinematics = np.stack([LITE6.kinematics + 1e-3 * rng.standard_normal((6, 6)) for _ in range(3)])
     files = [lite6jax.write_factory(each, folder / f"arm{k}.yaml") for k, each in enumerate(kinematics)]
     kinematics[2, 0, 0] = np.nan
+    log = write_log(tmp_path_factory.mktemp("tracked"), columns_of(commands_of(300), 2e-4, delay=0.023), noise=2e-4)
+    tracked = lite6jax.diagnose(log)
     effect = poses.findings[0].effect
     rivals = (effect, [1e-4]), type(effect)(3)
     made = [
@@ -53,6 +57,7 @@ def found(tmp_path_factory):
         *(lite6jax.predicted(poses.model, q[:30]), lite6jax.predicted(torques.model, motion)),
         lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),
         lite6jax.register_model(poses.model, recording)[1],
+        *(tracked, lite6jax.predicted(tracked.model, log)),
     ]
     return {type(one): one for one in made}
 
