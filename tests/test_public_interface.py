@@ -245,7 +245,7 @@ FRAME = pd.DataFrame({"q1_rad": [0.0]})
         (lambda _: lite6jax.diagnose(42), "recording: has the type int; give the path of a recording, or a Recording"),
         (lambda _: lite6jax.diagnose(FRAME), r"has the type DataFrame; .* Recording\.from_dataframe"),
         (lambda _: lite6jax.diagnose(None), "recording: has the type NoneType; give the path"),
-        (lambda _: lite6jax.diagnose(BARE, domain="both"), "domain='both': is none; give \"poses\", \"torques\" or"),
+        (lambda _: lite6jax.diagnose(BARE, domain="both"), 'domain=\'both\': is none; give "poses", "torques" or'),
         (lambda _: lite6jax.identify_recording({}), "recording: has the type dict; give the path"),
         (lambda _: lite6jax.diagnose("run.csv", 6), "arm: has the type int; give an Arm, the name of a bundled one"),
         (lambda _: lite6jax.fit(42), r"source: has the type int; give a file or a list of files, a Recording"),
