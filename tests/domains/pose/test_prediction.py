@@ -148,7 +148,7 @@ def test_an_effect_of_ones_own(arm, tmp_path):
 def test_a_model_of_no_domain_is_refused(arm, tmp_path):
     path = stored(tmp_path, document(arm, []))
     said = refusal(lambda: read_model(path, domain="pose"))
-    assert said == 'domain=\'pose\': is none; give "poses" or "torques", or leave it out'
+    assert said == 'domain=\'pose\': is none; give "poses", "torques" or "tracking", or leave it out'
 
 
 # ------------------------------------------------------------------ plain arrays
