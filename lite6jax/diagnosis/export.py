@@ -16,6 +16,7 @@ from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_link
 from lite6jax.diagnosis.document import find_torques, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
+from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic import (
     FIELDS,
@@ -34,6 +35,7 @@ from lite6jax.effects.dynamic import (
 )
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
+from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
@@ -64,12 +66,16 @@ def read_diagnosed_arm(
         the arm, and what was found and has no place in it, a phrase each.
 
     Raises:
-        InputError: as `read_model`.
+        InputError: as `read_model`; a diagnosis of commands.
     """
     document = parse_document(path)
     model = model_from_document(document, effects, str(path))
     if isinstance(model, DiagnosedMotors):
         return diagnosed_arm(model)
+    if isinstance(model, DiagnosedServos):
+        raise InputError(
+            f"{path}: is of commands, and no file of an arm holds servos; use it with lite6jax predict"
+        )
     chain, left_out = diagnosed_chain(model, nominal, alone)
     if find_torques(document) is None:
         return chain, left_out

@@ -4,7 +4,7 @@ They are fitted to some samples and compared on others, as the servos are.
 """
 
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,12 @@ def _second_order(command: Array, measured: Array, runs: Runs, period: float, tr
 
     def follow(numbers: Array) -> Array:
         w, z = np.exp(np.clip(numbers[:2], -10.0, 10.0))
-        numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2 * z * w, w * w]), period)
+        system: Any = cont2discrete(([w * w], [1.0, 2 * z * w, w * w]), period)
+        numerator, denominator = np.ravel(system[0]), np.ravel(system[1])
         position = np.empty_like(command)
         for first, last in zip(*run_ends(runs), strict=True):
             u = command[first:last]
-            position[first:last] = lfilter(numerator.ravel(), denominator, u - u[0]) + u[0]
+            position[first:last] = lfilter(numerator, denominator, u - u[0]) + u[0]
         return numbers[2] * position + numbers[3]
 
     def errors(numbers: Array) -> Array:
