@@ -210,6 +210,15 @@ class Scan:
         """Which quantity the time is; None where there is none."""
         return next((k for k, one in enumerate(self.quantities) if one.driver.is_time), None)
 
+    @cached_property
+    def later(self) -> tuple[NDArray[np.integer], NDArray[np.integer], Array]:
+        """The samples from the last to the first; and of each jump in time how many are after it, and from when on."""
+        assert self.time is not None
+        times = self.problem.seen(np.asarray(self.quantities[self.time].values)[None])[0]
+        order = np.argsort(times, kind="stable")
+        first = 1 + np.flatnonzero(np.diff(times[order]) > 0)
+        return order[::-1], len(times) - first, times[order[first]]
+
     def _cost_of_quantity(self, site: str, k: int) -> float:
         own = self.own[site]
         share = self.prior.own_driver
@@ -341,8 +350,7 @@ class Weighed:
         scan, white = self._scan, self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
         found = [*self.named(), *self.waves()]
-        found += self.wanders()
-        found += self.steps()
+        found += self.of_read_outs()
         if scan.among is None:
             found += self.spectra()
             singles = self.singles(max([least, *(one.net - self._options.close for one in found)]))
@@ -555,38 +563,40 @@ class Weighed:
         R = kernels.root(kernel)
         return of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
 
-    def wanders(self) -> list[Ranked]:
-        """What the read-outs that may wander do so, each with the likeliest memory."""
-        acting = {id(component) for component in self.components}
-        order = self._scan.drivers
-        each = [
-            self._of_rolloffs(one, order, "wander", exact=True) for one in self._scan.wandering if id(one) in acting
-        ]
-        return _best_of_each([one for some in each for one in some])
+    def of_read_outs(self) -> list[Ranked]:
+        """What the read-outs that may wander do by themselves: wander with the likeliest memory, or jump once."""
+        found = []
+        for component in self.components:
+            if self._scan.may_wander(component):
+                found += self._of_rolloffs(component, self._scan.drivers, "wander", exact=True)
+                found += self._steps(component)
+        return _best_of_each(found)
 
-    def steps(self) -> list[Ranked]:
-        """What the read-outs that may wander do by a jump in time, each at the likeliest sample."""
-        acting = {id(component) for component in self.components}
-        each = [self._step(one) for one in self._scan.wandering if id(one) in acting]
-        return _best_of_each([one for one in each if one is not None])
+    def _steps(self, component: Component) -> list[Ranked]:
+        """The likeliest jump in time of a read-out; none where no time is known.
 
-    def _step(self, component: Component) -> Ranked | None:
-        """The likeliest jump in time of a read-out: sums over the samples after it give that of every sample."""
-        k = self._scan.time
-        if k is None:
-            return None
-        times = self._problem.seen(np.asarray(self._scan.quantities[k].values)[None])[0]
-        order = np.argsort(times, kind="stable")
+        Sums over the samples after each jump weigh all of them.
+        """
+        if self._scan.time is None:
+            return []
+        backwards, count, begins = self._scan.later
+        if not len(begins):
+            return []
         sums = self._sums(component)
-        after = lambda of_samples: np.cumsum(of_samples[..., order[::-1]], -1)[..., ::-1][..., 1:]  # noqa: E731
-        pull, information = after(sums.pull), after(sums.weight) - np.sum(after(sums.inside) ** 2, 0)
-        later = np.diff(times[order]) > 0
-        if not later.any():
-            return None
-        pull, information = pull[later][:, None], np.maximum(information[later], 0.0)[:, None, None]
-        gains = of_process(pull, information, sums.left, sums.freedom, self._options.confounded).gain
-        at = float(times[order][1:][later][np.argmax(gains)])
-        return self.of_kernel(component, (k,), "step", (at,), exact=True)
+
+        def after(of_samples: Array) -> Array:
+            return np.cumsum(of_samples[..., backwards], -1)[..., count - 1]
+
+        information = np.maximum(after(sums.weight) - np.sum(after(sums.inside) ** 2, 0), 0.0)
+        gains = of_process(
+            after(sums.pull)[:, None],
+            information[:, None, None],
+            sums.left,
+            sums.freedom,
+            self._options.confounded,
+        ).gain
+        at = float(begins[np.argmax(gains)])
+        return [self.of_kernel(component, (self._scan.time,), "step", (at,), exact=True)]
 
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
@@ -680,7 +690,7 @@ class Weighed:
             names = [name for name in names if name not in kernels.SCALED]
         found += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if k == self._scan.time and self._scan.may_wander(component):
-            found += [one for one in [self._step(component)] if one is not None]
+            found += self._steps(component)
         if self._scan.quantities[k].driver.turns == component.site:
             found += self._of_rolloffs(component, k, "spectrum", exact)
         return found
