@@ -121,8 +121,7 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     weighed = deviation.weighed(of_values)
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
-    options = state.options
-    return tuple(one for one in hypothesis if one.code != "sensor_scale" or _is_gross(one, np.inf, options))
+    return tuple(one for one in hypothesis if one.code != "sensor_scale" or _is_gross_scale(one, state.options))
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
@@ -364,9 +363,11 @@ def _is_gross(change: Change, share: float, options: ScreeningOptions) -> bool:
         share: its displacement over what factories grant.
         options: the thresholds.
     """
-    if change.code == "sensor_scale":
-        return abs(np.log(float(change.value))) > np.log(options.least_scale)
-    return share > options.least_gross
+    return _is_gross_scale(change, options) if change.code == "sensor_scale" else share > options.least_gross
+
+
+def _is_gross_scale(change: Change, options: ScreeningOptions) -> bool:
+    return abs(np.log(float(change.value))) > np.log(options.least_scale)
 
 
 # ------------------------------------------------------------------ another nominal table
@@ -413,7 +414,7 @@ def use_other_table(state: Screened) -> Screened:
         ours = _with_table(arm, arm.arm).fitted(options.most_fitted)
         more = len(arm.unknown) - len(theirs.unknown)
         fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
-        required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("data_fault"))
+        required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("nominal_table"))
         decided, likelier = bool(theirs.log_likelihood(arm.scale) > required), False
         ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}
         numbers |= {"decided": decided} | ratios
