@@ -70,8 +70,8 @@ class Diagnose:
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
-    """A recording of measured poses, of motor torques or currents, or of commands beside measured joints (.csv,
-    .parquet, .mcap, .bag, or the folder of a rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it;
+    """A recording of measured poses, of motor torques or currents, or of commands beside measured joints: .csv,
+    .parquet, .mcap, .bag, or the folder of a rosbag2 or of a LeRobot data set. Its sidecar .yaml stands beside it;
     `lite6jax init` writes one. Or a folder of recordings, or a URL that fsspec reads: each recording is diagnosed."""
     more: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")] = ()
     """Further recordings of the same arm with the same tool, touched at other places or measured from other ones:

@@ -270,6 +270,17 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         return "explained" if found else "consistent"
 
     @property
+    def before(self) -> Array:
+        """Held-out errors with the nuisance alone: of torques `(joint, sample)` Nm, N of prismatic joints; of commands
+        `(joint, sample)` rad, of rollouts of the servos; of poses `(sample,)` m, of positions."""
+        return self.errors.before
+
+    @property
+    def after(self) -> Array:
+        """The same with the effects."""
+        return self.errors.after
+
+    @property
     @abstractmethod
     def recording(self) -> Recording:
         """As it was screened."""

@@ -59,16 +59,6 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     domain: ClassVar[Domain] = "torques"
 
     @property
-    def before(self) -> Array:
-        """`(joint, sample)` Nm, N of prismatic joints, held-out errors with the nuisance alone."""
-        return self.errors.before
-
-    @property
-    def after(self) -> Array:
-        """`(joint, sample)` Nm, N of prismatic joints, held-out errors with the effects."""
-        return self.errors.after
-
-    @property
     def recording(self) -> Recording:
         """As it was screened."""
         return self.problem.data.recording

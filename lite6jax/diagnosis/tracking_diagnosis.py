@@ -5,7 +5,7 @@ Errors are those of rollouts from the commands alone, from the first position of
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -60,16 +60,6 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
     domain: ClassVar[Domain] = "tracking"
 
     peers: dict[str, Array] = field(default_factory=dict)
-
-    @property
-    def before(self) -> Array:
-        """`(joint, sample)` rad, held-out errors of rollouts of the servos alone."""
-        return self.errors.before
-
-    @property
-    def after(self) -> Array:
-        """`(joint, sample)` rad, held-out errors of rollouts with the effects."""
-        return self.errors.after
 
     @property
     def recording(self) -> Recording:
@@ -218,11 +208,12 @@ def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, A
     """`(joint, sample)` rad of each peer on rows that it was not fitted to."""
     data = problem.data
     command = np.asarray(data.recording.commanded_position).T
-    errors = {name: np.zeros_like(data.measured) for name in ("commanded", "best_delay", "second_order")}
+    errors: dict[str, Array] = {}
     for held in folds:
         peers = fit_peers(command, data.measured, data.recording.run, data.commands.period, problem.valid & ~held)
-        for name, of_peer in errors.items():
-            of_peer[:, held] = (getattr(peers, name) - data.measured)[:, held]
+        for name, position in peers.items():
+            of_peer = errors.setdefault(name, np.zeros_like(position))
+            of_peer[:, held] = (position - data.measured)[:, held]
     return errors
 
 
@@ -288,7 +279,7 @@ def diagnose_tracking(
     Raises:
         InputError: no arm is declared, or as `screen_tracking`.
     """
-    options = options or Options()
+    options = (options or Options()).of(recording.settings)
     engine = options.engine
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
@@ -307,13 +298,8 @@ def diagnose_tracking(
             selection = _without_idle_processes(selection, engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
-        errors = errors_of_folds(errors_without, (selection, engine), folds, anywhere=False)
-        kept = problem.valid
-
-        def again(spread: Sequence[Mask]) -> HeldOut:
-            return errors_of_folds(errors_without, (selection, engine), spread, anywhere=False)
-
-        verified = verify(selection, errors, folds, kept, options, again)
+        held_out = partial(errors_of_folds, errors_without, (selection, engine), anywhere=False)
+        verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
         problem = verified.selection.problem

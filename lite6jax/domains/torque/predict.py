@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
+from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.filtering import evenly_timed, interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.uncertainty import (
@@ -176,7 +177,7 @@ def read_driver(driver: Driver, dynamics: Dynamics) -> Array | None:
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosedMotors:
+class DiagnosedMotors(JointModel):
     """An arm with the effects on torques that were found.
 
     Attributes:
@@ -204,26 +205,6 @@ class DiagnosedMotors:
     def __repr__(self) -> str:
         effects = ", ".join(effect.label for effect, _ in pairs(self.terms)) or "no effects"
         return f"model of the motors of a {self.arm.name} with {effects}"
-
-    @property
-    def dof(self) -> int:
-        """Number of joints."""
-        return self.arm.dof
-
-    @property
-    def sliding(self) -> tuple[int, ...]:
-        """The prismatic joints, counted from 0."""
-        return self.arm.sliding
-
-    @property
-    def joint_limits(self) -> Array:
-        """`(joint, 2)` rad, m of prismatic joints."""
-        return self.arm.joint_limits
-
-    @property
-    def motion(self) -> str:
-        """Torques are of a moving arm."""
-        return "trajectory"
 
 
 @final

@@ -3,8 +3,7 @@
 They are fitted to some samples and compared on others, as the servos are.
 """
 
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,23 +24,7 @@ _STEPS = 60
 """Evaluations of a fit at most."""
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Peers:
-    """Where joints would be without a model of the arm, `(joint, sample)` rad each.
-
-    Attributes:
-        commanded: where they are commanded.
-        best_delay: there after a time of each joint.
-        second_order: a linear system of second order of each joint, with a gain and an offset.
-    """
-
-    commanded: Array
-    best_delay: Array
-    second_order: Array
-
-
-def fit_peers(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> Peers:
+def fit_peers(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> dict[str, Array]:
     """The peers of a log on an even grid, fitted to the `training` `(sample,)` samples.
 
     Args:
@@ -50,10 +33,14 @@ def fit_peers(command: Array, measured: Array, runs: Runs, period: float, traini
         runs: `(sample,)`, which changes where a run begins.
         period: s between samples.
         training: `(sample,)` bool.
+
+    Returns:
+        where joints would be by each peer, `(joint, sample)` rad: `commanded`, where they are commanded; `best_delay`,
+        there after a time of each joint; `second_order`, a linear system of each joint with a gain and an offset.
     """
     late = best_delay(command, measured, runs, period, training)
     linear = np.stack([_second_order(u, y, runs, period, training) for u, y in zip(command, measured, strict=True)])
-    return Peers(command, late, linear)
+    return {"commanded": command, "best_delay": late, "second_order": linear}
 
 
 def best_delay(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> Array:

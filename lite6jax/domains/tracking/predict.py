@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.rollout import Commands, hold_commands
-from lite6jax.domains.uncertainty import ReferenceOrigin, Uncertainty
+from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
@@ -27,8 +28,6 @@ Runs = NDArray[np.integer]
 
 _SETTLING = 2.0
 """s for which the first command is held before a predicted run begins."""
-_BEYOND = 0.02
-"""Of a fitted range: a row within this of its ends is not outside."""
 _LEAST_RANGE = 1e-3
 """rad/s or Nm, that a fitted range counts as at least."""
 _SWEEPS = 6
@@ -79,7 +78,7 @@ class FittedRange:
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosedServos:
+class DiagnosedServos(JointModel):
     """An arm with its servos and the effects that were found on how it follows commands.
 
     Attributes:
@@ -119,26 +118,6 @@ class DiagnosedServos:
     def __repr__(self) -> str:
         effects = ", ".join(term.label for term in self.terms.terms) or "no effects"
         return f"model of the servos of a {self.arm.name} with {effects}"
-
-    @property
-    def dof(self) -> int:
-        """Number of joints."""
-        return self.arm.dof
-
-    @property
-    def sliding(self) -> tuple[int, ...]:
-        """The prismatic joints: none."""
-        return self.arm.sliding
-
-    @property
-    def joint_limits(self) -> Array:
-        """`(joint, 2)` rad."""
-        return self.arm.joint_limits
-
-    @property
-    def motion(self) -> str:
-        """Joints are of a moving arm."""
-        return "trajectory"
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -240,7 +219,7 @@ class DiagnosedServos:
         beyond = np.zeros(readout.shape[1], bool)
         for values, limits in zip(quantities, (self.ranges.velocity, self.ranges.weight), strict=True):
             lower, upper = limits.T
-            margin = _BEYOND * np.maximum(upper - lower, _LEAST_RANGE)
+            margin = MARGIN * np.maximum(upper - lower, _LEAST_RANGE)
             beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
         return beyond
 

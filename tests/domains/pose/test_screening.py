@@ -599,7 +599,7 @@ class TestFrameJump:
 
 
 def test_a_zero_that_a_fitted_chain_takes_up_is_said(tmp_path):
-    """A zero 150 mrad off misses grossly with the nominal chain; a fitted one meets the poses as they stand."""
+    """A zero 150 mrad off misses grossly with the nominal chain; a fitted one meets the poses as recorded."""
     far = ("joint_offset:joint=3,offset_rad=0.15",)
     made = Made(tmp_path, far, seed=8, geometry="free", frame=True, tool=True, orientation=False)
     screened = screen(made.recording(moving_motion(8, 200)))

@@ -254,3 +254,11 @@ def test_a_damaged_model_is_refused(capsys, diagnosed, document, tmp_path, damag
     said = refused(capsys, "predict", path, diagnosed / "log.csv", "--out", tmp_path / "p.csv")
     assert says in said
     assert said.endswith("run `lite6jax diagnose` again")
+
+
+def test_the_prior_of_a_sidecar_holds_for_commands_too(capsys, tmp_path):
+    log = write_log(tmp_path, columns_of(commands_of(60)))
+    sidecar = log.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text() + "  prior: {calibration: 0.1}\n")
+    said = refused(capsys, "diagnose", log, "--out", tmp_path / "d.json")
+    assert said.startswith("prior: 'calibration' is no explanation; the names are named, wave")
