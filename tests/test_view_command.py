@@ -26,9 +26,9 @@ from lite6jax.report.viewer import (
     WITH,
     WITHOUT,
     _rgb,
+    joint_scene,
     pose_scene,
     served,
-    torque_scene,
 )
 from tests.oracles.chains import joint_frames, six_parameter_poses
 
@@ -162,13 +162,13 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     assert (code, err) == (0, "")
     assert "Joint 2 has friction" in out
     assert "is no diagnosis of torques" in refused(capsys, "view", made[0], "--torques")
-    scene = torque_scene(document, read_model(file, domain="torques"), read_recording(path))
+    scene = joint_scene(document, read_model(file, domain="torques"), read_recording(path))
     with served(scene, HOST, 0) as shown:
         handle = shown.server.scene.get_handle_by_name
-        sample = 100 + int(scene.torques[1].over_noise[100:-100, 1].argmax())
+        sample = 100 + int(scene.joints[1].over_noise[100:-100, 1].argmax())
         shown.row.value = sample + 1
-        limit = max(errors.limit for errors in scene.torques)
-        for joint, colour in enumerate(scene.torques[1].colours(sample, limit), 1):
+        limit = max(errors.limit for errors in scene.joints)
+        for joint, colour in enumerate(scene.joints[1].colours(sample, limit), 1):
             assert tuple(handle(f"/arm/{joint}/joint{joint}").color) == tuple(colour)
         assert f"Row {sample + 1}, {recording.time[sample]:.2f} s: joint 2 is off most, by" in shown._status.content
         assert handle("/arm/2/joint2/label").text == "1, 2"

@@ -387,7 +387,7 @@ class View:
                 scene = viewer.pose_scene(document, model, recordings.read_motion(file, model))
             else:
                 measured = recordings.read_recording(file, arm=model.arm)
-                scene = viewer.torque_scene(diagnosis_file.find_torques(document) or {}, model, measured)
+                scene = viewer.joint_scene(diagnosis_file.find_torques(document) or document, model, measured)
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))

@@ -51,6 +51,8 @@ def chain_capsules(arm: Arm, radius: float | None = None, tool_point: ArrayLike 
     Raises:
         InputError: a radius that is not positive.
     """
+    if radius is None and not arm.reach:
+        return []
     radius = arm.reach / SLENDERNESS if radius is None else radius
     if not 0 < radius < np.inf:
         raise InputError(f"capsule radius {radius:g} m: give a positive length")

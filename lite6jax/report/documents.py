@@ -27,6 +27,7 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
+from lite6jax.domains.tracking.predict import TrackedMotion
 from lite6jax.fleet.folder import ERRORS, columns
 from lite6jax.fleet.folder import STATISTICS as OF_FILES
 from lite6jax.report.compensations import reason_text
@@ -195,7 +196,9 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
 
-def prediction_document(found: Prediction | TorquePrediction, registration: Registration | None) -> dict[str, Any]:
+def prediction_document(
+    found: Prediction | TorquePrediction | TrackedMotion, registration: Registration | None
+) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:

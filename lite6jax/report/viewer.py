@@ -26,6 +26,7 @@ from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
@@ -46,7 +47,9 @@ MEDIAN_ARROW = 0.05
 MOST_ARROWS = 1000
 """Of a longer recording rows at even distances have one."""
 WINDOW_S = 0.2
-"""Over which the errors of torques are averaged: of single samples the colours would flicker."""
+"""Over which the errors of joints are averaged: of single samples the colours would flicker."""
+PLAIN_REACH = 0.5
+"""m, of which a chain without lengths is drawn: axes that all meet."""
 LEAST_LIMIT = 3.0
 """Times the noise, at which colours end at least."""
 WITH, WITHOUT = "with the findings", "without the findings"
@@ -98,15 +101,17 @@ class PoseErrors:
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorqueErrors:
-    """Measured against predicted torques.
+class JointErrors:
+    """Measured against predicted torques, or angles of joints that follow commands.
 
     Attributes:
         caption: of which prediction.
+        quantity: what was measured, in words.
         over_noise: `(sample, joint)`, errors over the standard deviation of each joint's noise, RMS over `WINDOW_S`.
     """
 
     caption: str
+    quantity: str
     over_noise: Array
 
     @property
@@ -137,8 +142,8 @@ class Scene:
         time: `(sample,)` s, or None.
         moving: whether the arm moved on from row to row.
         orientation: `(sample, 3, 3)` of the measured tool in the base's frame, or None.
-        poses: errors of each prediction; none of torques.
-        torques: the same of torques; none of poses.
+        poses: errors of each prediction of poses, else none.
+        joints: errors of each prediction of torques or of angles, else none.
     """
 
     arm: Arm
@@ -152,7 +157,7 @@ class Scene:
     moving: bool
     orientation: Array | None = None
     poses: tuple[PoseErrors, ...] = ()
-    torques: tuple[TorqueErrors, ...] = ()
+    joints: tuple[JointErrors, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -160,9 +165,9 @@ class Scene:
         return len(self.row)
 
     @property
-    def errors(self) -> "Sequence[PoseErrors | TorqueErrors]":
-        """Those of poses or of torques; none of a motion alone."""
-        return self.poses or self.torques
+    def errors(self) -> "Sequence[PoseErrors | JointErrors]":
+        """Those of poses or of joints; none of a motion alone."""
+        return self.poses or self.joints
 
     @property
     def step(self) -> float:
@@ -207,30 +212,36 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     return replace(scene, moving=recording.motion == "trajectory", orientation=orientation, poses=errors)
 
 
-def torque_scene(document: Document, model: DiagnosedMotors, recording: Recording) -> Scene:
-    """A diagnosis of torques, its own document, beside its recording or another of the same arm.
+def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, recording: Recording) -> Scene:
+    """A diagnosis of torques or of commands, its own document, beside its recording or another of the same arm.
 
     Raises:
-        InputError: as `predict`, or it has no torques.
+        InputError: as `predict`, or the recording has no torques.
     """
-    measured, noise = recording.torques(), np.array(document["noise"]["estimated"]["torque_Nm"])
+    estimated = document["noise"]["estimated"]
+    if isinstance(model, DiagnosedServos):
+        quantity, measured, noise = "angle", recording.joint_position, np.array(estimated["joint_rad"])
+    else:
+        quantity, measured, noise = "torque", recording.torques(), np.array(estimated["torque_Nm"])
     models = [(WITH, model)]
     if model.terms.terms:
         models.append((WITHOUT, replace(model, terms=Terms(), values=np.zeros(0))))
-    assert recording.time is not None  # torques are predicted of a motion with times
-    steps = np.diff(recording.time)
+    # what is predicted of joints has times
+    steps = np.diff(np.asarray(recording.time))
     window = max(1, round(WINDOW_S / float(np.median(steps[steps > 0]))))
 
     average = partial(uniform_filter1d, size=window, axis=0, mode="nearest")
 
-    def averaged(each: DiagnosedMotors) -> Array:
-        errors = (measured - predict(each, recording)) / noise
+    def averaged(predicted: Array) -> Array:
+        errors = (measured - predicted) / noise
         there = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
         squares, share = average(np.where(there, errors**2, 0.0)), average(1.0 * there)
         return np.sqrt(np.where(there, squares / np.maximum(share, 1e-9), np.nan))
 
-    errors = tuple(TorqueErrors(caption, averaged(each)) for caption, each in models)
-    return replace(_scene(document, model.arm, recording, chain_capsules(model.arm), []), torques=errors)
+    errors = tuple(
+        JointErrors(caption, quantity, averaged(predict(alternative, recording))) for caption, alternative in models
+    )
+    return replace(_scene(document, model.arm, recording, chain_capsules(model.arm), []), joints=errors)
 
 
 def _scene(
@@ -321,7 +332,8 @@ class Shown:
     def __init__(self, scene: Scene, server: "ViserServer") -> None:
         self.scene, self.server = scene, server
         self._lock, self._at = threading.RLock(), 0.0
-        self._size, self._drawn = scene.arm.reach / 20, ""
+        self._size = (scene.arm.reach or PLAIN_REACH) / 20
+        self._drawn = ""
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.scene.add_grid("/floor", width=40 * self._size, height=40 * self._size, cell_size=2 * self._size)
         middle = np.array([0.0, 0.0, 8 * self._size])
@@ -404,8 +416,8 @@ class Shown:
                 if scene.poses:
                     self._caption = gui.add_html("")
                 else:
-                    self._limit = max(each.limit for each in scene.torques)
-                    gui.add_html(_torque_legend(self._limit))
+                    self._limit = max(each.limit for each in scene.joints)
+                    gui.add_html(_joint_legend(self._limit, scene.joints[0].quantity))
         with gui.add_folder("Findings"):
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
@@ -465,7 +477,7 @@ class Shown:
         for part, numbers in self.scene.marked().items():
             if (node := self._parts.get(part)) is None:
                 continue
-            if self.scene.torques and part.startswith("joint"):  # whose colours are those of errors
+            if self.scene.joints and part.startswith("joint"):  # whose colours are those of errors
                 ring = 0.75 * self._size
                 add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND))
             else:
@@ -501,9 +513,10 @@ def _finding_list(scene: Scene) -> str:
     return f'<ol style="{_STYLE}; padding-left: 1.4em">{"".join(entries)}</ol>'
 
 
-def _torque_legend(limit: float) -> str:
+def _joint_legend(limit: float, quantity: str) -> str:
     stops = ", ".join(f"rgb({r},{g},{b})" for r, g, b in shades(np.linspace(0, 1, 6)))
     bar = f'<div style="height: 0.8em; margin: 0.3em 0.6em; background: linear-gradient(to right, {stops})"></div>'
-    return bar + _paragraphs(
-        [f"Joints are coloured by the error of their torque, from 0 to {limit:.3g} times its noise (RMS over 0.2 s)."]
+    said = (
+        f"Joints are coloured by the error of their {quantity}, from 0 to {limit:.3g} times its noise (RMS over 0.2 s)."
     )
+    return bar + _paragraphs([said])

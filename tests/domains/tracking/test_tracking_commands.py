@@ -262,3 +262,17 @@ def test_the_prior_of_a_sidecar_holds_for_commands_too(capsys, tmp_path):
     sidecar.write_text(sidecar.read_text() + "  prior: {calibration: 0.1}\n")
     said = refused(capsys, "diagnose", log, "--out", tmp_path / "d.json")
     assert said.startswith("prior: 'calibration' is no explanation; the names are named, wave")
+
+
+def test_commands_are_viewed_by_the_errors_of_their_angles(diagnosed, document, capsys):
+    pytest.importorskip("viser", reason="viser (extra view) is not installed")
+    from lite6jax.report.viewer import joint_scene
+
+    code, out, err = run(capsys, "view", diagnosed / "d.json", "--port", "0", "--duration", "0.1")
+    assert (code, err) == (0, "")
+    assert f"{SAMPLES} rows of" in flat(out)
+    model = model_from_document(document, (), "d.json")
+    scene = joint_scene(document, model, read_recording(diagnosed / "log.csv"))
+    left, before = (float(np.sqrt(np.mean(errors.over_noise**2))) for errors in scene.joints)
+    assert left < 1.3
+    assert before > 3.0
