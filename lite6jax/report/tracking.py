@@ -86,6 +86,20 @@ def ranked(document: Document) -> list[Entry]:
     return sorted(document["findings"], key=lambda finding: -finding["moves_rms_rad"])
 
 
+def findings_of(document: Document) -> list[dict[str, Any]]:
+    """The findings, the largest contribution first, with `rank` (from 1), `title`, `statement` and `contribution`."""
+    return [
+        {
+            **finding,
+            "rank": rank,
+            "title": capital(effect_title(finding)),
+            "statement": finding_statement(finding),
+            "contribution": f"{number(_MRAD * finding['moves_rms_rad'])} mrad",
+        }
+        for rank, finding in enumerate(ranked(document), 1)
+    ]
+
+
 def headline(document: Document) -> str:
     """The cause and its worth, in one sentence; what there is instead where none is."""
     findings = ranked(document)

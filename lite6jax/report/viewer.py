@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
+from lite6jax.diagnosis.document import is_of_tracking
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -31,7 +32,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.report import ranking, statements
+from lite6jax.report import ranking, statements, tracking
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE
 from lite6jax.report.words import number
@@ -254,11 +255,19 @@ def _scene(
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
     links = [capsule.link for capsule in capsules]
-    findings = [{**each, "parts": _parts(each["site"], links)} for each in statements.findings_of(document)]
+    words = tracking if is_of_tracking(document) else statements
+    findings = [{**finding, "parts": _parts(finding["site"], links)} for finding in words.findings_of(document)]
     remarks = (*remarks, *([f"{said}: {', '.join(faults)}."] if faults else []))
-    said = ranking.headline(document)
     return Scene(
-        arm, said, remarks, tuple(findings), tuple(capsules), frames, recording.row, recording.time, moving=True
+        arm=arm,
+        headline=tracking.headline(document) if is_of_tracking(document) else ranking.headline(document),
+        remarks=remarks,
+        findings=tuple(findings),
+        capsules=tuple(capsules),
+        frames=frames,
+        row=recording.row,
+        time=recording.time,
+        moving=True,
     )
 
 
