@@ -280,7 +280,8 @@ def diagnose_tracking(
         InputError: no arm is declared, or as `screen_tracking`.
     """
     options = (options or Options()).of(recording.settings)
-    engine = options.engine
+    # a rollout takes as long whether few or all of its samples are compared
+    engine = replace(options.engine, first_samples=options.engine.most_samples)
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 2):

@@ -21,10 +21,10 @@ Array = NDArray[np.floating]
 
 _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
-_SETTLED = 1e-7
-"""rad, by which read-outs of two sweeps differ at most at the end."""
+SETTLED = 1e-8
+"""rad RMS, by which read-outs of two sweeps differ at the end."""
 _APART = 10.0
-"""rad, from which two sweeps are of an arm that its servos do not hold: further ones do not settle."""
+"""rad RMS, from which two sweeps are of an arm that its servos do not hold: further ones do not settle."""
 
 
 @final
@@ -129,6 +129,7 @@ def roll_coupled(
     bodies: Bodies,
     loads: Loads,
     extra: Array | None = None,
+    settled: float | Array = SETTLED,
 ) -> tuple[Rolled, Loads]:
     """The coupled arm, and the loads along it.
 
@@ -138,6 +139,7 @@ def roll_coupled(
         bodies: the arm.
         loads: to begin with.
         extra: `(joint, sample)` Nm, as of `roll`.
+        settled: rad RMS, of each joint or of all, by which read-outs of two sweeps differ at most at the end.
     """
     joints = np.arange(bodies.joints)
     rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
@@ -149,7 +151,7 @@ def roll_coupled(
         loads = Loads(torques - loads.mass * rolled.acceleration, loads.mass)
         rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
-            change = float(np.max(np.abs(rolled.readout - before)))
-        if change < _SETTLED or not change < _APART:
+            change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))
+        if np.all(change < settled) or not np.all(change < _APART):
             break
     return rolled, loads

@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.tracking.coupling import Bodies, Loads, roll_coupled
+from lite6jax.domains.tracking.coupling import SETTLED, Bodies, Loads, roll_coupled
 from lite6jax.domains.tracking.rollout import Commands, roll
 from lite6jax.effects.dynamic import (
     BaseTilt,
@@ -102,7 +102,12 @@ def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = Tr
 
 
 def roll_out(
-    model: TrackingModel, commands: Commands, loads: Loads, extra: Array | None, coupled: bool
+    model: TrackingModel,
+    commands: Commands,
+    loads: Loads,
+    extra: Array | None,
+    coupled: bool,
+    settled: float | Array = SETTLED,
 ) -> tuple[Array, Loads]:
     """Read-outs `(joint, sample)` rad, and the loads along them.
 
@@ -112,9 +117,10 @@ def roll_out(
         loads: those that are held, or where the coupled arm is iterated from.
         extra: `(joint, sample)` Nm.
         coupled: whether to iterate.
+        settled: rad RMS at which the iteration ends, as of `roll_coupled`.
     """
     if not coupled:
         joints = np.arange(commands.joints)
         return roll(model.servo, commands, joints, loads.load, loads.mass, extra=extra).readout, loads
-    rolled, along = roll_coupled(model.servo, commands, model.bodies, loads, extra)
+    rolled, along = roll_coupled(model.servo, commands, model.bodies, loads, extra, settled)
     return rolled.readout, along
