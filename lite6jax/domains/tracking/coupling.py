@@ -23,6 +23,8 @@ _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
 SETTLED = 1e-8
 """rad RMS, by which read-outs of two sweeps differ at the end."""
+_NEAR = 1e-3
+"""rad RMS, by which they differ at most where further rollouts may begin with the loads of the last one."""
 _APART = 10.0
 """rad RMS, from which two sweeps are of an arm that its servos do not hold: further ones do not settle."""
 
@@ -131,7 +133,7 @@ def roll_coupled(
     extra: Array | None = None,
     settled: float | Array = SETTLED,
 ) -> tuple[Rolled, Loads]:
-    """The coupled arm, and the loads along it.
+    """The coupled arm, and the loads along it; those that were given where rollouts do not come closer to each other.
 
     Args:
         servo: each `(joint,)`.
@@ -142,16 +144,20 @@ def roll_coupled(
         settled: rad RMS, of each joint or of all, by which read-outs of two sweeps differ at most at the end.
     """
     joints = np.arange(bodies.joints)
+    given = loads
+    change = np.full(bodies.joints, np.inf)
     rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
     if not bodies.links.any():
         return rolled, loads
+    # of these bodies: rollouts with the inertia of an arm without its payload may go apart
+    mass = interpolate(bodies.masses(rolled.position[:, :: commands.steps]), commands)
     for _ in range(_SWEEPS):
         before = rolled.readout
         torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
-        loads = Loads(torques - loads.mass * rolled.acceleration, loads.mass)
+        loads = Loads(torques - mass * rolled.acceleration, mass)
         rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
             change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))
         if np.all(change < settled) or not np.all(change < _APART):
             break
-    return rolled, loads
+    return rolled, loads if np.all(change < _NEAR) else given

@@ -247,10 +247,9 @@ class TrackingProblem:
             start = self.known.loads or self.loads
             along = partial(roll_out, model, self.data.commands, settled=_SETTLED * self.noise)
             readouts, loads = along(loads=start, extra=extra, coupled=self.data.coupled)
-            if not np.isfinite(readouts).all():  # along the loads of an arm that is quite another
+            if loads is start and start is not self.loads:  # of an arm that is quite another
                 readouts, loads = along(loads=self.loads, extra=extra, coupled=self.data.coupled)
-            if np.isfinite(readouts).all():
-                self.known.loads = loads
+            self.known.loads = loads
             far = np.nan_to_num(readouts, nan=_FAR, posinf=_FAR, neginf=-_FAR)
             self.known.rollouts[key] = np.clip(far, -_FAR, _FAR)
         return self.known.rollouts[key]
