@@ -506,6 +506,7 @@ def read_sidecar(path: str | Path) -> Sidecar:
                 f"{path}: columns.{str(name)[:60]}: {_shorten(meaning)} is no name of a column; write one such as "
                 f"q1_rad, or {IGNORED}"
             )
+    settings = _with_tip_in_arm(settings, path)
     _reject_unknown(f"{path}: recording.", settings, KEYS)
     for key, value in settings.items():
         if value is None:
@@ -517,6 +518,22 @@ def read_sidecar(path: str | Path) -> Sidecar:
     account = content.get("account")
     complete = not isinstance(account, dict) or account.get("complete") is not False
     return Sidecar(declared, {str(name): meaning.strip() for name, meaning in columns.items()}, complete)
+
+
+def _with_tip_in_arm(settings: Mapping[Any, Any], path: Path) -> dict[Any, Any]:
+    """The keys of `recording` with the arm `robot.urdf#tool0` in place of `arm: robot.urdf` and `tip: tool0`."""
+    others = dict(settings)
+    if "tip" not in others:
+        return others
+    tip, arm = others.pop("tip"), others.get("arm")
+    if not isinstance(tip, str) or not tip.strip():
+        raise InputError(f"{path}: recording.tip: {_shorten(tip)} is not accepted; give the name of a link")
+    if not isinstance(arm, str) or Path(arm).suffix.lower() not in suffixes.ARM_XML:
+        raise InputError(
+            f"{path}: recording.tip: names where the chain of a URDF or MJCF file ends; give the path of one as arm, "
+            "without #, or leave tip out"
+        )
+    return {**others, "arm": f"{arm}#{tip.strip()}"}
 
 
 def write_settings(

@@ -109,6 +109,9 @@ def test_round_trip_is_exact(tmp_path, settings):
             "recording: {factory_calibration: a.yaml, factory_uncertainty: {position_m: 1.0e-5}}",
             "is not accepted (Object missing required field rotation_rad); give {position_m: 1.0e-5, rotation_rad: 1.0",
         ),
+        ("recording: {tip: hand}", "recording.tip: names where the chain of a URDF or MJCF file ends; give the path"),
+        ("recording: {arm: lite6, tip: hand}", "recording.tip: names where the chain of a URDF or MJCF file ends"),
+        ("recording: {arm: a.xml, tip: 5}", "recording.tip: 5 is not accepted; give the name of a link"),
         ("recording: {motion: static, motion: static}", "line 1: the key 'motion' is given twice; keep one"),
         ("recording: {arm: !!python/object/apply:os.getcwd []}", "line 1: the YAML tag 'tag:yaml.org,2002:python/"),
     ],
@@ -121,6 +124,11 @@ def test_a_sidecar_of_the_other_suffix_is_not_passed_over(tmp_path):
     (tmp_path / "run7.yml").write_text(FULL)
     with pytest.raises(InputError, match=r"run7\.yml: a sidecar ends in \.yaml; rename it to run7\.yaml"):
         read_settings(tmp_path / "run7.yaml")
+
+
+def test_the_tip_of_a_tree_may_stand_beside_its_file(tmp_path):
+    settings = read_settings(sidecar(tmp_path, "recording: {arm: go2.xml, tip: FL_calf}"))
+    assert settings.arm_reference(tmp_path) == tmp_path / "go2.xml#FL_calf"
 
 
 def test_paths_are_kept_and_resolved_beside_the_sidecar(tmp_path):
