@@ -59,6 +59,17 @@ def urdf(path, *chains):
 # ------------------------------------------------------------------ commanded and measured
 
 
+def test_commands_and_measured_joints_alone_are_offered_a_diagnosis(tmp_path, capsys):
+    (q, _), (late, _) = moved(6), moved(6, late=0.03)
+    path = table(tmp_path / "log.csv", blocks(target_q=q, actual_q=late))
+    code, out, _ = run(capsys, "init", path, "--arm", "ur5e", "--yes", width=200)
+    assert code == 0
+    assert "`diagnose --tracking` asks why the arm does not follow" in out
+    assert "write joint_noise_rad there" in out
+    assert "this is a motion" not in out
+    assert f"lite6jax diagnose {path}" in out
+
+
 @pytest.mark.parametrize("measured", ["actual_current", "motor_torque"])
 def test_what_is_measured_comes_before_what_is_commanded(tmp_path, capsys, measured):
     (q, dq), (late, _) = moved(6), moved(6, late=0.03)
@@ -66,7 +77,7 @@ def test_what_is_measured_comes_before_what_is_commanded(tmp_path, capsys, measu
     path = table(tmp_path / "log.csv", blocks(target_q=q, target_qd=dq, actual_q=late, **driven))
     code, out, _ = run(capsys, "init", path, "--arm", "ur5e", "--yes", width=200)
     assert code == 0
-    assert "Commanded positions: target_q_0 … target_q_5, in radians (certain: the joints follow them). They are" in out
+    assert "Commanded positions: target_q_0 … target_q_5, in radians (certain: the joints follow them). They" in out
     found = columns_of(path)
     assert found[f"{measured}_0"] == ("current1_A" if "current" in measured else "tau1_Nm")
     assert found["target_moment_0"] == found["target_qd_0"] == "ignore"

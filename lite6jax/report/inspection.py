@@ -265,7 +265,10 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     matrix = found.of("rotation")
     matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
     transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
-    nothing = position is None and tau is None and current is None and not found.given
+    alone = position is None and tau is None and current is None and not found.given
+    tracked = alone and q is not None and found.of("cmd") is not None
+    nothing = alone and not tracked
+    noises += ["joint_noise_rad"] if tracked else []
     facts = {
         "doubtful": [
             _kind(block).lower()
@@ -288,7 +291,8 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         "announced": settings["pose_source"] if settings.get("pose_source") in READINGS_OF else "",
         "nothing": nothing,
         "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
-        "untimed": "" if position or timed or not (tau or current) else _named_time(found.unused),
+        "tracked": tracked,
+        "untimed": "" if position or timed or not (tau or current or tracked) else _named_time(found.unused),
     }
     yield from say(_TEXTS["next"], facts)
     if not nothing:
