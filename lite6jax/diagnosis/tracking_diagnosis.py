@@ -37,7 +37,7 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import fitted_again, refitted
+from lite6jax.search.state import SelectedTerm, fitted_again, refitted
 
 Array = NDArray[np.floating]
 
@@ -241,6 +241,28 @@ def _with_grip(problem: TrackingProblem, options: EngineOptions) -> TrackingProb
     return with_likely_grip(problem, fit.terms, fit.values)
 
 
+def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection with named alternatives as far behind as their own rollouts are.
+
+    The search knows alternatives by their columns, to first order. Rollouts of friction, play and limits are not
+    linear: they may differ where their columns agree. The least gap is what a fit of the alternative loses of the
+    log-likelihood.
+    """
+    state = selection.state
+    nearest = []
+    for k, tested in enumerate(state.tested):
+        others = [*state.tested[:k], *state.tested[k + 1 :]]
+        alternatives = []
+        for alternative in tested.alternatives:
+            if not alternative.term.nonparametric and alternative.gap < options.close:
+                instead = SelectedTerm(alternative.term)
+                trial = refitted(selection.problem, state, [*others, instead], options.rough)
+                alternative = replace(alternative, gap=max(alternative.gap, state.fit.gain_over(trial.fit)))
+            alternatives.append(alternative)
+        nearest.append(replace(tested, alternatives=tuple(sorted(alternatives, key=lambda one: one.gap))))
+    return replace(selection, state=replace(state, tested=tuple(nearest)))
+
+
 def _without_idle_processes(selection: Selection, options: EngineOptions) -> Selection:
     """The selection without nonparametric effects that hardly change any joint beside what is left there."""
     state = selection.state
@@ -299,7 +321,7 @@ def diagnose_tracking(
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
             entered("estimating")
-            selection = _without_idle_processes(selection, engine)
+            selection = _with_gaps_of_rollouts(_without_idle_processes(selection, engine), engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_without, (selection, engine), anywhere=False)

@@ -11,6 +11,7 @@ from typed import flat, refused, run
 from lite6jax import cli
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import write_arm
+from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.domains.predict import predicted
 from lite6jax.domains.tracking.screening import screen_tracking
@@ -276,3 +277,13 @@ def test_commands_are_viewed_by_the_errors_of_their_angles(diagnosed, document, 
     left, before = (float(np.sqrt(np.mean(errors.over_noise**2))) for errors in scene.joints)
     assert left < 1.3
     assert before > 3.0
+
+
+def test_a_dead_band_in_place_of_friction_is_judged_by_its_own_rollout(tmp_path):
+    # their columns agree where a joint reverses; at rest under load friction holds the joint, and a dead band does not
+    log = write_log(tmp_path, columns_of(commands_of(2 * SAMPLES), NOISE, coulomb=0.6), noise=NOISE)
+    found = diagnose(read_recording(log)).to_dict()
+    assert [(one["effect"], one["site"]) for one in found["findings"]] == [("coulomb_friction", "joint1")]
+    rivals = {rival["effect"]: rival for rival in found["findings"][0]["confusable_with"]}
+    assert rivals["dead_band"]["status"] == "rejected"
+    assert rivals["dead_band"]["log_likelihood_gap"] > 100.0
