@@ -274,7 +274,7 @@ class Recording(PublicResult):
             velocity_differentiated=differentiated,
             settings=settings,
             source=source,
-            notes=tuple(said),
+            notes=tuple(dict.fromkeys(said)),
             sliding=sliding or (),
             readings=readings,
             stations=stations,
@@ -584,25 +584,27 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
-    """One recording of poses, or of touches of one kind, or distances, with the arm, its effects and the tool shared.
+    """One recording of poses, of touches of one kind, distances, or commands, with the arm, its effects and the tool
+    shared.
 
     Each file is a run of its own, and rows are counted through all of them. Poses that are not in the arm's base frame
     are from several stations: the sensor's frame is another one in each file. Points, planes and anchors get the name
     of their file before their own.
 
     Raises:
-        InputError: neither poses nor touches, several kinds, files that disagree on the arm, the tool or a noise,
-            heights, images.
+        InputError: neither poses nor touches nor commands, several kinds, files that disagree on the arm, the tool or
+            a noise, heights, images.
     """
     usual = {field.name: field.default for field in fields(RecordingSettings)}
     # keys of which each file has its own; of all others they have the same
     own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
     first, touched = recordings[0], [one.touches for one in recordings if one.touches is not None]
     kinds = {_kind_of(one) for one in recordings}
-    if len(kinds) > 1 or not kinds <= {"poses", "contact", "plane", "distance"}:
+    if len(kinds) > 1 or not kinds <= {"poses", "contact", "plane", "distance", "commands"}:
         raise InputError(
             f"{', '.join(one.source for one in recordings)}: hold {' and '.join(sorted(kinds))}; several files of one "
-            "arm are diagnosed together where all are poses, touches of points, touches of planes, or distances"
+            "arm are diagnosed together where all are poses, touches of points, touches of planes, distances, or logs "
+            "of commands"
         )
     for one in recordings[1:]:
         for key in (key for key in usual if key not in own):
@@ -648,7 +650,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         **arrays,
         settings=replace(first.settings, **{key: given or usual[key] for key, given in own.items()}),
         source=first.source,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=notes,
         sliding=first.sliding,
         readings=readings,
         stations=tuple((before[1:-1] + 1).tolist()) if _has_stations(first) else (),
@@ -661,7 +663,11 @@ def _kind_of(recording: Recording) -> str:
         return recording.touches.kind
     if recording.readings is not None:
         return "images"
-    return "torques" if recording.position is None else "poses"
+    if recording.position is not None:
+        return "poses"
+    if recording.has_torques:
+        return "torques"
+    return "joints alone" if recording.commanded_position is None else "commands"
 
 
 def _has_stations(recording: Recording) -> bool:

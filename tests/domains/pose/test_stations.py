@@ -135,7 +135,7 @@ def test_what_knows_one_frame_refuses_several(call):
 def test_images_and_motions_of_several_files_are_refused():
     motion = dataclasses.replace(measured_from(FRAMES[0], 1, samples=9), position=None, quaternion=None)
     other = dataclasses.replace(motion, source="other.csv")
-    with pytest.raises(InputError, match="torques"):
+    with pytest.raises(InputError, match="hold joints alone; several files"):
         join_recordings([motion, other])
 
 

@@ -14,8 +14,10 @@ from lite6jax.arms.description import write_arm
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.domains.predict import predicted
+from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.screening import screen_tracking
-from lite6jax.recordings import read_recording
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import join_recordings, read_recording
 from tests.domains.tracking.test_servo_fit import LEVER, PENDULUM, PERIOD, SERVO, TRUE, commands_of
 from tests.oracles.servos import follow
 
@@ -287,3 +289,24 @@ def test_a_dead_band_in_place_of_friction_is_judged_by_its_own_rollout(tmp_path)
     rivals = {rival["effect"]: rival for rival in found["findings"][0]["confusable_with"]}
     assert rivals["dead_band"]["status"] == "rejected"
     assert rivals["dead_band"]["log_likelihood_gap"] > 100.0
+
+
+def test_logs_of_several_files_are_runs_of_one(tmp_path):
+    logs = []
+    for seed, name in enumerate(("sines", "steps"), 1):
+        folder = tmp_path / name
+        folder.mkdir()
+        log = write_log(folder, columns_of(commands_of(SAMPLES, seed=seed), NOISE), noise=NOISE)
+        log.with_suffix(".yaml").rename(folder / f"{name}.yaml")
+        logs.append(read_recording(log.rename(folder / f"{name}.csv")))
+    both = join_recordings(logs)
+    assert both.samples == 2 * SAMPLES
+    assert len(np.unique(both.run)) == 2
+    assert both.commanded_position == pytest.approx(np.vstack([log.commanded_position for log in logs]))
+    assert len(set(both.notes)) == len(both.notes)
+    screened = screen_tracking(both, PENDULUM)
+    assert not screened.found
+    problem = tracking_problem(screened.data)
+    residual = problem.residual(np.zeros(0), Terms(), np.zeros(0))
+    for run_number in np.unique(problem.run):
+        assert np.sqrt(np.mean(residual[:, problem.run == run_number] ** 2)) < 1.2
