@@ -56,7 +56,8 @@ _FAR = 1e3
 """rad, where an arm counts as being that its servos do not hold."""
 _KEPT = 4096
 """Columns that are kept."""
-_ROLLOUTS_KEPT = 512
+_ROLLOUTS_KEPT = 64
+"""Of a log of 60 000 rows and six joints 180 MB."""
 _SETTLED = 0.003
 """Of the noise, RMS by which rollouts of the coupled arm differ in the last two sweeps: of 10 000 rows a tenth of what
 one fitted number explains of noise."""
@@ -247,7 +248,8 @@ class TrackingProblem:
             start = self.known.loads or self.loads
             along = partial(roll_out, model, self.data.commands, settled=_SETTLED * self.noise)
             readouts, loads = along(loads=start, extra=extra, coupled=self.data.coupled)
-            if loads is start and start is not self.loads:  # of an arm that is quite another
+            went_apart = self.data.coupled and loads is start
+            if went_apart and start is not self.loads:  # along the loads of an arm that is quite another
                 readouts, loads = along(loads=self.loads, extra=extra, coupled=self.data.coupled)
             self.known.loads = loads
             far = np.nan_to_num(readouts, nan=_FAR, posinf=_FAR, neginf=-_FAR)
