@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
-from lite6jax.diagnosis.document import is_of_tracking
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -209,8 +208,10 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
-    scene = _scene(document, arm, recording, capsules, remarks)
-    return replace(scene, moving=recording.motion == "trajectory", orientation=orientation, poses=errors)
+    scene = _scene(document, arm, recording, capsules, ranking.headline(document), statements.findings_of(document))
+    remarks = (*remarks, *scene.remarks)
+    moving = recording.motion == "trajectory"
+    return replace(scene, remarks=remarks, moving=moving, orientation=orientation, poses=errors)
 
 
 def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, recording: Recording) -> Scene:
@@ -222,8 +223,10 @@ def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, re
     estimated = document["noise"]["estimated"]
     if isinstance(model, DiagnosedServos):
         quantity, measured, noise = "angle", recording.joint_position, np.array(estimated["joint_rad"])
+        headline, findings = tracking.headline(document), tracking.findings_of(document)
     else:
         quantity, measured, noise = "torque", recording.torques(), np.array(estimated["torque_Nm"])
+        headline, findings = ranking.headline(document), statements.findings_of(document)
     models = [(WITH, model)]
     if model.terms.terms:
         models.append((WITHOUT, replace(model, terms=Terms(), values=np.zeros(0))))
@@ -242,27 +245,31 @@ def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, re
     errors = tuple(
         JointErrors(caption, quantity, averaged(predict(alternative, recording))) for caption, alternative in models
     )
-    return replace(_scene(document, model.arm, recording, chain_capsules(model.arm), []), joints=errors)
+    scene = _scene(document, model.arm, recording, chain_capsules(model.arm), headline, findings)
+    return replace(scene, joints=errors)
 
 
 def _scene(
-    document: Document, arm: Arm, recording: Recording, capsules: Sequence[Capsule], remarks: Sequence[str]
+    document: Document,
+    arm: Arm,
+    recording: Recording,
+    capsules: Sequence[Capsule],
+    headline: str,
+    findings: Sequence[Document],
 ) -> Scene:
-    """The arm along the motion, with the findings; errors are added to it."""
+    """The arm along the motion, with the findings; errors, and what else is to be remarked, are added to it."""
     frames = np.zeros((recording.samples, arm.dof + 1, 4, 4))
     frames[:, 0], frames[:, :, 3, 3] = np.eye(4), 1.0
     frames[:, 1:, :3] = np.moveaxis(link_frames(arm, recording.joint_position)[:-1], (0, 3), (1, 0))
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
     links = [capsule.link for capsule in capsules]
-    words = tracking if is_of_tracking(document) else statements
-    findings = [{**finding, "parts": _parts(finding["site"], links)} for finding in words.findings_of(document)]
-    remarks = (*remarks, *([f"{said}: {', '.join(faults)}."] if faults else []))
+    shown = tuple({**finding, "parts": _parts(finding["site"], links)} for finding in findings)
     return Scene(
         arm=arm,
-        headline=tracking.headline(document) if is_of_tracking(document) else ranking.headline(document),
-        remarks=remarks,
-        findings=tuple(findings),
+        headline=headline,
+        remarks=(f"{said}: {', '.join(faults)}.",) if faults else (),
+        findings=shown,
         capsules=tuple(capsules),
         frames=frames,
         row=recording.row,
