@@ -33,6 +33,7 @@ from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.terms import Terms
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
@@ -222,6 +223,8 @@ def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, A
 
 _IDLE = 0.03
 """By which a nonparametric effect lowers the errors of its joint at least: it has no name to say what else it does."""
+_DISCREPANCY = 3e-3
+"""Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _COMPARED = 0.2
 """`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
 _ROUGHLY = 4
@@ -239,6 +242,28 @@ def _with_grip(problem: TrackingProblem, options: EngineOptions) -> TrackingProb
     rough = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset())
     fit = rough.state.fit
     return with_likely_grip(problem, fit.terms, fit.values)
+
+
+def _with_names_alone(problem: TrackingProblem, options: EngineOptions) -> Selection | None:
+    """The names that a joint's unknown servo needs to follow at all; None where servos are declared.
+
+    Beside the servo that comes nearest to a joint with a limit, processes of any kind explain more than the limit does.
+    """
+    if not problem.unknowns:
+        return None
+    return search(problem, options, thorough=False, among=frozenset())
+
+
+def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
+    """The problem with noise by which effects that move a joint far are described.
+
+    Simulators switch limits and friction at their own steps: what such an effect moves they share to some thousandths. In
+    noise that is far below, the rest would be taken for further physics.
+    """
+    residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0)) * problem.sigma
+    moved = np.sqrt(np.mean(residual[:, problem.valid] ** 2, 1))
+    noise = np.hypot(problem.noise, _DISCREPANCY * moved)
+    return replace(problem, data=replace(problem.data, noise=noise))
 
 
 def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Selection:
@@ -317,7 +342,8 @@ def diagnose_tracking(
             if problem.unknowns:
                 entered("linearising")
                 problem = relinearise(problem, engine, problem.valid, _STARTS)
-            selection = search(_with_grip(problem, engine), engine)
+            problem = _with_discrepancy(_with_grip(problem, engine))
+            selection = search(problem, engine, start=_with_names_alone(problem, engine))
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
             entered("estimating")

@@ -18,6 +18,8 @@ Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
 _MANY = 40
 """Numbers of a term from which factored columns save time."""
+_FAR_STEPS = 20
+"""Steps at most that do not count, as the nuisance moves so far that columns are others: e⁸ of a number takes ten."""
 _TYPICAL = 1e-4
 """m or rad, the change of a prediction by a number of its typical size."""
 
@@ -142,8 +144,8 @@ def fit(
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    Derivatives are those at the problem's point of linearisation, and so are the drivers of terms that a domain
-    computes from the nuisance; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
+    Derivatives are those at the problem's point of linearisation, unless its columns depend on the nuisance
+    (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
     by the error of the start in rad where that is larger. Beside an effect of many times the noise the nuisance may be
     too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew,
     up to `relinearisations` times. Derivatives are kept while no term's numbers change by more than the share `stale`.
@@ -246,18 +248,29 @@ def _fitted(
     def columns_at(where: P, numbers: Array, rows: Array) -> Sequence[Array | Factored]:
         if exact:
             return [noise.whitened(_differences(where, terms, numbers, rows, options.difference))]
+        near = where.linearised_at(numbers[:k])
         if noise.white:
-            return _parts(where, terms, numbers[k:])
-        return [noise.whitened(linear_columns(where, terms, numbers[k:]))]
+            return _parts(near, terms, numbers[k:])
+        return [noise.whitened(linear_columns(near, terms, numbers[k:]))]
+
+    def differs(where: P, numbers: Array, others: Array) -> bool:
+        """Whether columns at some numbers differ from those at others by the nuisance."""
+        return where.linearised_at(numbers[:k] - others[:k]) is not where
 
     least = float(problem.floored)
     state = weighed(residual(problem, at), noise, training, least)
     converged, H, damped = False, np.eye(0), 0.0
     columns: Sequence[Array | Factored] | None = None
-    taken = at[k:]
-    for _ in range(options.exact_steps if exact else options.steps):
-        if columns is None or exact or moving or _apart(terms, at[k:], taken, options.stale):
-            columns, taken = columns_at(problem, at, state.rows), at[k:]
+    taken = at
+    most_steps = options.exact_steps if exact else options.steps
+    far_steps = 0
+    for step_number in range(most_steps + _FAR_STEPS):
+        far = differs(problem, at, taken)
+        far_steps += far
+        if step_number - far_steps >= most_steps:
+            break
+        if columns is None or exact or moving or far or _apart(terms, at[k:], taken[k:], options.stale):
+            columns, taken = columns_at(problem, at, state.rows), at
         if not sum(map(len, columns)):
             converged = True
             break
@@ -269,7 +282,8 @@ def _fitted(
         full = -scaled_solve(H, gradient, rounding)
         length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
-        trial, there, rows, cost, fresh = at, problem, state.rows, np.inf, np.array_equal(at[k:], taken)
+        fresh = np.array_equal(at[k:], taken[k:]) and not differs(problem, at, taken)
+        trial, there, rows, cost = at, problem, state.rows, np.inf
         for step, damping in _steps(H, gradient, full, rounding, damped, options):
             trial, there = at + step, problem
             if moving:

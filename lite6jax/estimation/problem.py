@@ -105,6 +105,8 @@ class LinearisedProblem(Protocol):
             linearisation of a score test, and their numbers.
         floored: whether the noise is never less than declared, so that nothing is looked for below it: how a ball seats
             in its socket varies from sample to sample, like physics.
+        curved: whether residuals are so far from linear in what terms change that what a term gains is known from its
+            fit alone.
     """
 
     @property
@@ -121,6 +123,8 @@ class LinearisedProblem(Protocol):
     def preset(self) -> tuple[Terms, Array]: ...
     @property
     def floored(self) -> bool: ...
+    @property
+    def curved(self) -> bool: ...
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)`, predicted minus measured, exact."""
@@ -136,6 +140,16 @@ class LinearisedProblem(Protocol):
             values: `(number,)` at which derivatives are taken; zero where not given.
             beside: the terms of the model, and their numbers, that a term's own columns may depend on; `terms`
                 themselves where not given.
+        """
+        ...
+
+    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
+        """What terms of a model change of the residuals, `(row, sample)`.
+
+        Args:
+            terms: some of the model.
+            values: `(terms.size,)`.
+            beside: the model, and its numbers.
         """
         ...
 
@@ -158,6 +172,10 @@ class LinearisedProblem(Protocol):
 
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem about another nuisance, `(number,)` from here."""
+        ...
+
+    def linearised_at(self, nuisance: Array) -> Self:
+        """The problem whose columns are those at a nuisance `(number,)` from here; itself where they hardly differ."""
         ...
 
 

@@ -135,7 +135,7 @@ class ScoreTest:
         out = [not stays and not _has_prior(term) for term, stays in zip(f.terms.terms, kept, strict=True)]
         if any(out):
             more, values = f.terms.part(f.values, out)
-            added = np.tensordot(values, self.problem.columns(more.terms, values, (f.terms, f.values)), 1)[None]
+            added = self.problem.contribution(more, values, (f.terms, f.values))[None]
             residual = residual.copy()
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
         part = f.part(kept)
@@ -387,7 +387,12 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
         problem: the data.
         fit: the model.
         options: thresholds.
+
+    Returns:
+        the test, of the problem whose columns are those at the fit.
     """
+    off = problem.offset + fit.nuisance
+    problem = problem.linearised_at(fit.nuisance)
     training = np.tile(fit.training, problem.rows).astype(float)
     n = float(training.sum())
     winsorised = _winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training
@@ -404,11 +409,10 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     apart = [_has_prior(term) for term in fit.terms.terms]
     if any(apart):
         more, values = fit.terms.part(fit.values, apart)
-        added = np.tensordot(values, problem.columns(more.terms, values, (fit.terms, fit.values)), 1)[None]
+        added = problem.contribution(more, values, (fit.terms, fit.values))[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     stated = _stated(problem)
-    off = np.sqrt(problem.precision[stated]) * (problem.offset + fit.nuisance)[stated]
-    residual = np.concatenate([residual, off])
+    residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
     blocks = _blocks(problem.samples, time, options)
     spanned = _spanned(problem, fit, scale, options)
     return ScoreTest(problem, fit, options, residual, blocks, n - fit.parameters, time, scale, *spanned)
@@ -502,7 +506,8 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
-    columns = linear_columns(problem, fit.terms, fit.values) / fit.scale[fit.residuals.groups, None]
+    columns = linear_columns(problem.linearised_at(fit.nuisance), fit.terms, fit.values)
+    columns /= fit.scale[fit.residuals.groups, None]
     columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
     found = noise_model(
         rows[:, training], columns, np.sqrt(precision), problem.groups, run[training], options, fit.noise

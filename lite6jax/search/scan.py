@@ -342,7 +342,8 @@ class Weighed:
         self._scan, self._test, self._marginal = scan, test, Marginal(test)
         every = scan.problem.components
         self.components = [one for one in every if rows is None or np.any(one.column[rows])]
-        self._problem, self._options, self._rows = scan.problem, scan.options, slice(None) if rows is None else rows
+        self._problem = test.problem
+        self._options, self._rows = scan.options, slice(None) if rows is None else rows
         self._known: dict[int, Sums] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
@@ -383,6 +384,10 @@ class Weighed:
     def as_is(self, name: Term) -> Ranked | None:
         """A name with the number that it has; None where it says nothing."""
         return next(iter(self.of_terms([name])), None)
+
+    def by_columns(self, name: Term, columns: Array) -> Ranked:
+        """A name whose numbers change residuals by these columns `(number, row, sample)`."""
+        return _of_term(self._marginal.of_names([columns])[0], self._scan.cost_of_name(name), name)
 
     def named(self, usual: bool = False) -> list[Ranked]:
         """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""

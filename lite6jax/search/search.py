@@ -57,6 +57,7 @@ def search(
     reference: Problem | None = None,
     thorough: bool = True,
     among: Considered | None = None,
+    start: Selection | None = None,
 ) -> Selection:
     """Selects terms by evidence, in a linearisation about what has been found.
 
@@ -71,16 +72,17 @@ def search(
         thorough: whether terms are exchanged, as soon as there are any, and whether alternatives, what is confounded
             and what is nearest are determined.
         among: the processes to choose from, of another search of the same recording; all where not given.
+        start: of another search of the same problem, whose terms it begins with; none where not given.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
     valid = int(problem.valid.sum())  # so that a search with held-out samples takes the same strides
     strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
-    found: Selection | None = None
+    found = start
     for every in dict.fromkeys(strides):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
         begun = _begun(*some, training[::every], options, found)
-        found = _selected(begun, options, thorough and (found is None or not found.state.tested), among)
+        found = _selected(begun, options, thorough and (found is start or not found.state.tested), among)
     if strides[-1] > 1:
         found = at_estimate(_begun(problem, reference, training, options, found), options)
     assert found is not None
@@ -166,7 +168,8 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
         there, none = problem.relinearised(f.nuisance), np.zeros_like(f.nuisance)
         here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
         apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
-        if np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same:
+        same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same
+        if same and problem.linearised_at(f.nuisance) is problem:
             break
         fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
         selection = replace(selection, problem=there, state=replace(selection.state, fit=fitted))

@@ -21,16 +21,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan, Weighed
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
+
+Array = NDArray[np.floating]
 
 
 class Selector:
@@ -119,8 +122,18 @@ class Selector:
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
         while worth := self._next(state := self._with_usual(state), tried):
-            tried |= {one.key for one in worth}
-            state = self._settled(self._added(state, worth))
+            tried |= {candidate.key for candidate in worth}
+            state = self._settled(self._likelier(state, worth))
+        return state
+
+    def _likelier(self, state: State, worth: Sequence[Ranked]) -> State:
+        """The state with more terms; where residuals are curved with those alone whose fit is likelier."""
+        added = self._added(state, worth)
+        if not self.problem.curved or added.evidence > state.evidence:
+            return added
+        if len(worth) > 1:
+            for candidate in worth:
+                state = self._likelier(state, [candidate])
         return state
 
     def _with_usual(self, state: State) -> State:
@@ -284,8 +297,7 @@ class Selector:
     def weighed(self, state: State) -> State:
         """Each term weighed beside the others as it is."""
         tested = [
-            one if one.term in self._preset else self._weighed_as_is(self.beside(state, k), one)
-            for k, one in enumerate(state.tested)
+            one if one.term in self._preset else self._weighed_as_is(state, k) for k, one in enumerate(state.tested)
         ]
         return replace(state, tested=tuple(tested))
 
@@ -305,8 +317,13 @@ class Selector:
                 taken |= rows
             if not least:
                 return state
+            if self.problem.curved:
+                least = {int(order[0])}
             rest = [one for k, one in enumerate(tested) if k not in least]
-            state = refitted(self.problem, state, rest, self.options)
+            without = refitted(self.problem, state, rest, self.options)
+            if self.problem.curved and without.evidence < state.evidence:
+                return state
+            state = without
 
     def above_noise(self, state: State) -> State:
         """Without terms that explain less than independent noise at their component."""
@@ -325,14 +342,32 @@ class Selector:
             state = self._dropped(self._left_out(state, k))
         return state
 
-    def _weighed_as_is(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
-        term, weighed = one.term, Weighed(self.scan, test)
+    def _weighed_as_is(self, state: State, k: int) -> SelectedTerm:
+        """The k-th term weighed beside the others as it is."""
+        tested = state.tested[k]
+        term = tested.term
+        test = self.beside(state, k)
+        weighed = Weighed(self.scan, test)
         if term.nonparametric:
-            kernel, rolloff = _kernel_of(term), getattr(term, "rolloff", ())
-            found = weighed.of_kernel(*self._process_of(term), kernel, rolloff, exact=True)
+            rolloff = getattr(term, "rolloff", ())
+            worth = weighed.of_kernel(*self._process_of(term), _kernel_of(term), rolloff, exact=True)
+        elif self.problem.curved:
+            worth = weighed.by_columns(term, self._columns_at_estimate(test, state, k))
         else:
-            found = weighed.as_is(term)
-        return replace(one, gain=0.0) if found is None else replace(one, gain=found.gain, volume=found.volume)
+            worth = weighed.as_is(term)
+        return replace(tested, gain=0.0) if worth is None else replace(tested, gain=worth.gain, volume=worth.volume)
+
+    @staticmethod
+    def _columns_at_estimate(test: ScoreTest, state: State, k: int) -> Array:
+        """The columns of the k-th term at its numbers, that of the largest part with all that the term contributes."""
+        fit = state.fit
+        model = fit.terms, fit.values
+        term = fit.terms.terms[k]
+        values = fit.values[fit.terms.slices[k]]
+        columns = test.problem.columns([term], values, model)
+        largest = np.argmax(np.linalg.norm(values[:, None, None] * columns, axis=(1, 2)))
+        columns[largest] = test.problem.contribution(Terms((term,)), values, model)
+        return columns
 
     def _within_bounds(self, state: State) -> State:
         """Without names whose numbers are beyond their bounds, or whose part in one noise group is likelier alone."""
@@ -358,7 +393,7 @@ class Selector:
         if term.nonparametric or term in self._preset or len(set(self.problem.groups[self._rows(term, state)])) < 2:
             return False
         test = self.beside(state, k)
-        columns = self.problem.columns(
+        columns = test.problem.columns(
             [term], state.fit.values[state.fit.terms.slices[k]], (test.fit.terms, test.fit.values)
         )
         groups = np.unique(self.problem.groups[np.any(columns, axis=(0, 2))])
@@ -462,7 +497,7 @@ class Selector:
                 more, net = both
             known |= {one.cause[0] for one in more}
             names, gain = [*names, *more], gain + net
-            test = test.extend(self.problem.columns([one.make() for one in more], beside=model))
+            test = test.extend(test.problem.columns([one.make() for one in more], beside=model))
             yield names, gain
             wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
             for less in self._processes(test, component, [*_either(which), *wandering]):

@@ -184,6 +184,7 @@ class LinearProblem:
     preset: tuple = (Terms(), np.zeros(0))
     declared: bool = True
     floored: bool = False
+    curved: bool = False
 
     rows = property(lambda self: len(self.shares))
     groups = property(lambda self: np.arange(self.rows))
@@ -228,8 +229,14 @@ class LinearProblem:
     def factored(self, term):
         return None if is_free(term) else Factored(self._column(term.site)[None], term.basis(self.data))
 
+    def contribution(self, terms, values, beside):
+        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
+
     def nuisance_columns(self, terms, values):
         return self.levels
+
+    def linearised_at(self, nuisance):
+        return self
 
     def relinearised(self, nuisance):
         return replace(self, offset=self.offset + nuisance)

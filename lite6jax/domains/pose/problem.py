@@ -225,6 +225,9 @@ class PoseProblem(RigidArm):
             self._columns[key] = self.sites[columns.site_of(*key)][None]
         return Factored(self._columns[key], self.deflections.basis(term))
 
+    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
+        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
+
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
         if not self.masses:

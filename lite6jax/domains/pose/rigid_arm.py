@@ -63,6 +63,7 @@ class NuisanceProblem:
     measured: Any
     preset = Terms(), np.zeros(0)
     floored = False
+    curved = False
 
     @property
     def rows(self) -> int:
@@ -249,6 +250,9 @@ class RigidArm(NuisanceProblem):
     def own_numbers(self, nuisance: Array) -> Array:
         """The sensor's own unknowns in a nuisance `(unknown,)`."""
         return nuisance[[k for k, site in enumerate(self.unknown) if site[0] == "reading"]]
+
+    def linearised_at(self, nuisance: Array) -> Self:
+        return self
 
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""

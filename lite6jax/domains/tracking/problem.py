@@ -43,6 +43,8 @@ lazy = property if TYPE_CHECKING else cached_property
 
 _SHARE = 0.02
 """Of a number, by which it is changed for a derivative."""
+_NEAR = 0.02
+"""Of the logarithm of a servo's number: columns nearer to those at which they were taken are taken for the same."""
 _REACHED = 0.7
 """Of the largest speed or torque: the limit at which a first column is taken."""
 _PRIOR = 1.5
@@ -186,6 +188,11 @@ class TrackingProblem:
     @property
     def floored(self) -> bool:
         """Rollouts are not more exact than declared."""
+        return True
+
+    @property
+    def curved(self) -> bool:
+        """Limits, play and friction act or not; and the numbers of servos change what all do."""
         return True
 
     @property
@@ -372,6 +379,13 @@ class TrackingProblem:
             parts.append(roll(servo.take(some), commands, joints[some], loads.load, loads.mass, extra=more).readout)
         return np.concatenate(parts)
 
+    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
+        """The difference of the rollouts with all terms and without these: limits and play are not linear."""
+        model, numbers = beside
+        without = model.part(numbers, [term not in terms.terms for term in model.terms])
+        none = np.zeros(len(self.unknowns))
+        return self.residual(none, model, numbers) - self.residual(none, *without)
+
     def factored(self, term: Term) -> None:
         """None: a term acts through the loop."""
         return
@@ -398,6 +412,10 @@ class TrackingProblem:
     def relinearised(self, nuisance: Array) -> "TrackingProblem":
         """The same problem at other numbers of the servos: nuisance zero is then there."""
         return replace(self, servo=self.servo_at(nuisance), offset=self.offset + nuisance)
+
+    def linearised_at(self, nuisance: Array) -> "TrackingProblem":
+        """The same problem at other numbers of the servos, on which every column depends."""
+        return self.relinearised(nuisance) if np.any(np.abs(nuisance) > _NEAR) else self
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
         """Those of the effect; no friction or rotor is less than nothing."""
