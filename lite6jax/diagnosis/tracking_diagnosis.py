@@ -227,38 +227,32 @@ _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _COMPARED = 0.2
 """`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
-_ROUGHLY = 4
-"""One in so many samples, in which names are looked for before the grip is known."""
+_DAMPING = (1e-4, 1e-2, 1.0, 100.0)
+"""`EngineOptions.damping`: derivatives are secants, and may be wrong by as much as they are."""
 
 
-def _with_grip(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
-    """The problem with the grip by which friction holds its joints.
+def _begun(problem: TrackingProblem, options: EngineOptions) -> tuple[TrackingProblem, Selection | None]:
+    """The problem with the grip by which friction holds its joints, and the names that its search begins with.
 
-    Where no joint follows as described, the grip is that beside the names that are found roughly.
+    Where no joint follows as described, the grip is that beside the names that are found. Beside the unknown servo that
+    comes nearest to a joint with a limit, processes of any kind explain more than the limit does: names come first.
     """
     likely = with_likely_grip(problem)
-    if likely is problem or follows_as_described(likely):
-        return likely
-    rough = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset())
-    fit = rough.state.fit
-    return with_likely_grip(problem, fit.terms, fit.values)
-
-
-def _with_names_alone(problem: TrackingProblem, options: EngineOptions) -> Selection | None:
-    """The names that a joint's unknown servo needs to follow at all; None where servos are declared.
-
-    Beside the servo that comes nearest to a joint with a limit, processes of any kind explain more than the limit does.
-    """
-    if not problem.unknowns:
-        return None
-    return search(problem, options, thorough=False, among=frozenset())
+    if follows_as_described(likely) and not problem.unknowns:
+        return _with_discrepancy(likely), None
+    named = search(_with_discrepancy(likely), options, thorough=False, among=frozenset())
+    fit = named.state.fit
+    there = named.problem
+    assert isinstance(there, TrackingProblem)
+    gripped = with_likely_grip(there.relinearised(fit.nuisance), fit.terms, fit.values)
+    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
     """The problem with noise by which effects that move a joint far are described.
 
-    Simulators switch limits and friction at their own steps: what such an effect moves they share to some thousandths. In
-    noise that is far below, the rest would be taken for further physics.
+    Simulators switch limits and friction at their own steps: what such an effect moves they share to some thousandths.
+    In noise that is far below, the rest would be taken for further physics.
     """
     residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0)) * problem.sigma
     moved = np.sqrt(np.mean(residual[:, problem.valid] ** 2, 1))
@@ -331,7 +325,7 @@ def diagnose_tracking(
     options = (options or Options()).of(recording.settings)
     # A rollout takes as long whether few or all of its samples are compared; and it is iterated until what is left
     # moves log-likelihoods by some hundredths, which shorter steps do not overcome.
-    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED)
+    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED, damping=_DAMPING)
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 2):
@@ -342,8 +336,8 @@ def diagnose_tracking(
             if problem.unknowns:
                 entered("linearising")
                 problem = relinearise(problem, engine, problem.valid, _STARTS)
-            problem = _with_discrepancy(_with_grip(problem, engine))
-            selection = search(problem, engine, start=_with_names_alone(problem, engine))
+            problem, named = _begun(problem, engine)
+            selection = search(problem, engine, start=named)
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
             entered("estimating")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar, final
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used
 from numpy.typing import NDArray
 
 from lite6jax.estimation.noise import NoiseModel, white_noise
@@ -145,12 +146,13 @@ def fit(
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
     Derivatives are those at the problem's point of linearisation, unless its columns depend on the nuisance
-    (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
-    by the error of the start in rad where that is larger. Beside an effect of many times the noise the nuisance may be
-    too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew,
-    up to `relinearisations` times. Derivatives are kept while no term's numbers change by more than the share `stale`.
-    Where a combination of nuisance numbers is nearly confounded with a term, an error of a hundredth in the derivatives
-    changes the information, and `exact` derivatives are needed for the covariance.
+    (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise.
+    Each step multiplies the error by about a thousandth, or by the error of the start in rad where that is larger.
+    Beside an effect of many times the noise the nuisance may be too far from that point: a fit that has not converged
+    after `first_steps` goes on with the problem linearised anew, up to `relinearisations` times. Derivatives are kept
+    while no term's numbers change by more than the share `stale`. Where a combination of nuisance numbers is nearly
+    confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
+    are needed for the covariance.
 
     Args:
         problem: the data.
@@ -257,6 +259,7 @@ def _fitted(
         """Whether columns at some numbers differ from those at others by the nuisance."""
         return where.linearised_at(numbers[:k] - others[:k]) is not where
 
+    bounds = _bounds(problem, terms)
     least = float(problem.floored)
     state = weighed(residual(problem, at), noise, training, least)
     converged, H, damped = False, np.eye(0), 0.0
@@ -284,8 +287,9 @@ def _fitted(
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
         fresh = np.array_equal(at[k:], taken[k:]) and not differs(problem, at, taken)
         trial, there, rows, cost = at, problem, state.rows, np.inf
-        for step, damping in _steps(H, gradient, full, rounding, damped, options):
+        for step, damping in _steps(H, gradient, full, rounding, damped, options, problem.curved):
             trial, there = at + step, problem
+            trial[k:] = np.clip(trial[k:], *bounds)
             if moving:
                 there, trial = problem.relinearised(trial[:k]), np.concatenate([np.zeros(k), trial[k:]])
             rows = residual(there, trial)
@@ -339,23 +343,42 @@ def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
     return _may_jump(terms) or any(apart)
 
 
+def _bounds(problem: LinearisedProblem, terms: Terms) -> tuple[Array, Array]:
+    """The least and the most `(number,)` that a fit makes of the numbers of terms: none where residuals are linear.
+
+    Beyond the limits of a term that is curved, such as friction that is less than none, residuals say nothing of it.
+    """
+    limits = np.array([pair for term in terms.terms for pair in problem.limits(term)], float).reshape(-1, 2)
+    if problem.curved:
+        return limits[:, 0], limits[:, 1]
+    return np.full(len(limits), -np.inf), np.full(len(limits), np.inf)
+
+
 def _steps(
-    H: Array, gradient: Array, full: Array, rounding: float, damped: float, options: EngineOptions
+    H: Array, gradient: Array, full: Array, rounding: float, damped: float, options: EngineOptions, curved: bool
 ) -> Iterator[tuple[Array, float]]:
     """The steps to try, each with its damping, until one improves the fit: the full one, halves of it, damped ones.
 
     Where numbers are nearly confounded, errors of the derivatives turn a full step far along what the data hardly
     determine, and halves of it point the same way. Damping bounds the step along these combinations alone (D.
     Marquardt, Journal of the Society for Industrial and Applied Mathematics 11, 1963). Once `damped`, a fit goes on
-    with at least that damping.
+    with at least that damping. Where residuals are curved, steps of the numbers that depend on each other alone, such
+    as those of one joint, are tried at last: one joint at a kink holds the others up.
     """
     if not damped:
         yield from ((full / 2**k, 0.0) for k in range(options.halvings + 1))
+    steps = [(full, 0.0)]
     for damping in options.damping:
         if damping >= damped:
             more = H.copy()
             more[np.diag_indices_from(H)] *= 1 + damping
-            yield -scaled_solve(more, gradient, rounding), damping
+            steps.append((-scaled_solve(more, gradient, rounding), damping))
+            yield steps[-1]
+    if not curved:
+        return
+    count, part_of = scipy.sparse.csgraph.connected_components(H != 0, directed=False)
+    if count > 1:
+        yield from ((np.where(part_of == k, step, 0.0), damped) for step, _ in steps for k in range(count))
 
 
 def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) -> Residuals:

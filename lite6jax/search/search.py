@@ -82,7 +82,9 @@ def search(
     for every in dict.fromkeys(strides):
         some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
         begun = _begun(*some, training[::every], options, found)
-        found = _selected(begun, options, thorough and (found is start or not found.state.tested), among)
+        found = _selected(
+            begun, options, thorough and (found is None or found is start or not found.state.tested), among
+        )
     if strides[-1] > 1:
         found = at_estimate(_begun(problem, reference, training, options, found), options)
     assert found is not None
