@@ -168,7 +168,7 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
             movable = np.isin(np.arange(whole.size), free).astype(float)
             scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
             known = Known(movable, start, np.zeros(whole.size))
-            own = fit_chunks(whole, arm_model(start), sampled, pose, weight, scale, known=known)
+            own = fit_chunks(whole, arm_model(start), sampled, pose, weight, scale, prior=known)
             geometry = np.asarray(own.model.geometry)
             worse = np.where(np.asarray(own.status) == CONVERGED, error(form, geometry) - reached, 0.0)
             wrong = disagreement(reached, 0.0, EXACT, "positions (m)") if base and hayati else ""

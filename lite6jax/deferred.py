@@ -95,7 +95,8 @@ class _LazyModule(ModuleType):  # a module that is executed when a name is wante
         with _one_at_a_time:
             # within `import_lazily` a package is only asked for its modules
             lazily = any(isinstance(finder, _LazyLoader) for finder in sys.meta_path)
-            module, loader = cast(Any, self), self.__loader__
+            module = cast(Any, self)
+            loader = self.__loader__
             if isinstance(loader, _LazyLoader) and not lazily:
                 module.__spec__.loader = module.__loader__ = loader.loader
                 try:
@@ -119,8 +120,8 @@ class _LazyLoader(Loader):
         self.loader = loader
 
     def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
-        others = [finder for finder in sys.meta_path if finder is not self] if name.startswith("lite6jax.") else []
-        spec = next((found for finder in others if (found := finder.find_spec(name, path, target))), None)
+        finders = [finder for finder in sys.meta_path if finder is not self] if name.startswith("lite6jax.") else []
+        spec = next((located for finder in finders if (located := finder.find_spec(name, path, target))), None)
         if spec is not None and spec.loader is not None:
             spec.loader = _LazyLoader(spec.loader)
         return spec

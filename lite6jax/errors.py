@@ -54,19 +54,19 @@ def rename_argument(name: str, renamed: str) -> Iterator[None]:
         raise InputError(str(error).replace(f"`{name}=", f"`{renamed}=")) from error
 
 
-def wrong_type(argument: str, given: object, accepted: str) -> InputError:
+def wrong_type(argument: str, argument_value: object, accepted: str) -> InputError:
     """The error of an argument whose type is not `accepted`, which is a phrase after "give"."""
-    return InputError(f"{argument}: has the type {type(given).__name__}; give {accepted}")
+    return InputError(f"{argument}: has the type {type(argument_value).__name__}; give {accepted}")
 
 
-def require_type(argument: str, given: object, kinds: type | UnionType, accepted: str) -> None:
+def require_type(argument: str, argument_value: object, kinds: type | UnionType, accepted: str) -> None:
     """Refuses an argument of another type than `kinds`, as `wrong_type` words it.
 
     Raises:
         InputError: as said.
     """
-    if not isinstance(given, kinds):
-        raise wrong_type(argument, given, accepted)
+    if not isinstance(argument_value, kinds):
+        raise wrong_type(argument, argument_value, accepted)
 
 
 def command_line(*arguments: object) -> str:

@@ -55,9 +55,9 @@ def undo() -> None:
 
 def _end(number: int, frame: FrameType | None) -> None:
     undo()
-    what = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    outcome = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
     # progress bars have hidden the cursor of a terminal
     shown = "\r\x1b[K\x1b[?25h" if os.isatty(2) else ""
     with suppress(OSError):
-        os.write(2, f"{shown}{what}: nothing is left half-written\n".encode())
+        os.write(2, f"{shown}{outcome}: nothing is left half-written\n".encode())
     os._exit(128 + number)

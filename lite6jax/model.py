@@ -138,7 +138,8 @@ def predict_frames_with(
         )
     motion = physics.alter(values, motion)
     if isinstance(statics, Inertia):
-        inertia, joint = physics.alter_inertia(values, statics), joint_motion(chain, motion.joint_position)
+        inertia = physics.alter_inertia(values, statics)
+        joint = joint_motion(chain, motion.joint_position)
         moving = motion.joint_velocity, motion.joint_acceleration
         loaded = physics.loaded
         statics = loads(chain, model.geometry, joint, motion.payload, inertia, *moving) if loaded else None

@@ -51,14 +51,14 @@ class Figures(dict[str, "Figure"]):
 
         drawn = []
         for figure in self.values():
-            figure.savefig(held := BytesIO(), format="png", dpi=_DPI)
-            drawn.append(imread(BytesIO(held.getvalue()))[..., :3])
+            figure.savefig(buffer := BytesIO(), format="png", dpi=_DPI)
+            drawn.append(imread(BytesIO(buffer.getvalue()))[..., :3])
         if not drawn:
             return None
         width = max(image.shape[1] for image in drawn)
         wide = [np.pad(i, ((0, 0), (0, width - i.shape[1]), (0, 0)), constant_values=1.0) for i in drawn]
-        imsave(held := BytesIO(), np.ascontiguousarray(np.vstack(wide)), format="png")
-        return held.getvalue()
+        imsave(buffer := BytesIO(), np.ascontiguousarray(np.vstack(wide)), format="png")
+        return buffer.getvalue()
 
 
 class PublicResult:

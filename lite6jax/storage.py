@@ -240,8 +240,8 @@ def parse_yaml(text: str, path: str | Path) -> Any:
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours
         too_deep = "nesting depth" in problem
-        what = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"
-        raise InputError(f"{path}:{where} {what}; correct the file") from error
+        defect = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"
+        raise InputError(f"{path}:{where} {defect}; correct the file") from error
     except InputError:
         raise
     except (RecursionError, ValueError, ArithmeticError, TypeError) as error:  # numbers, dates and keys that cannot be
@@ -268,7 +268,8 @@ def _construct(path: str | Path, text: str) -> Any:
     def read(start: Any, depth: int = 0) -> Any:
         """The value that begins with an event."""
         nonlocal count
-        kind, before = type(start), count
+        kind = type(start)
+        before = count
         count += 1
         if kind is yaml.AliasEvent:
             if start.anchor not in anchors:

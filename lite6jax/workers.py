@@ -55,7 +55,7 @@ _SENT_AHEAD = 2
 def run_batches(
     function: Function,
     batches: Sequence[Sequence[Any]],
-    given: tuple[Any, ...] = (),
+    arguments: tuple[Any, ...] = (),
     *,
     out: Path,
     died: Callable[[Any], "pa.Table"],
@@ -70,9 +70,9 @@ def run_batches(
     The table's bytes do not depend on the workers and their number.
 
     Args:
-        function: of a module: `function(inputs, *given)` makes a row of each input of a batch.
+        function: of a module: `function(inputs, *arguments)` makes a row of each input of a batch.
         batches: the inputs.
-        given: to the function with each batch.
+        arguments: to the function with each batch.
         out: the table to write.
         died: the row of an input at which workers die.
         store: called with the inputs of a batch and its rows as they come; returns the rows of the table.
@@ -87,7 +87,7 @@ def run_batches(
     """
     tables: dict[int, pa.Table] = {}
     with Workers(scheduler, processes, len(batches)) as workers:
-        for number, rows in workers.outcomes(function, enumerate(batches), given, died=died):
+        for number, rows in workers.outcomes(function, enumerate(batches), arguments, died=died):
             tables[number] = store(batches[number], rows)
             progress(len(batches[number]))
     return write_tables([tables[number] for number in sorted(tables)], out, overwrite)
@@ -100,19 +100,21 @@ class Workers:
     Any number of functions can then be run by them, one after the other.
     """
 
-    def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
+    def __init__(
+        self, scheduler: str | None = None, processes: int | None = None, batch_count: int | None = None
+    ) -> None:
         """Starts nothing.
 
         Args:
             scheduler, processes: as of `run_batches`.
-            most: how many batches there are at most: more processes are not started.
+            batch_count: how many batches there are at most: more processes are not started.
         """
         self._pool: Processes | Cluster | None = None
         if scheduler is not None:
             self._pool = Cluster(scheduler)
         elif processes != 0:
             count = processes or threads.available()
-            self._pool = Processes(count if most is None else max(1, min(count, most)))
+            self._pool = Processes(count if batch_count is None else max(1, min(count, batch_count)))
 
     def __enter__(self) -> "Workers":
         """Starts processes, or connects.
@@ -132,7 +134,7 @@ class Workers:
         self,
         function: Function,
         batches: Iterable[tuple[int, Sequence[Any]]],
-        given: tuple[Any, ...] = (),
+        arguments: tuple[Any, ...] = (),
         *,
         died: Callable[[Any], "pa.Table"],
     ) -> Generator[tuple[int, Any]]:
@@ -143,7 +145,7 @@ class Workers:
 
         Args:
             batches: numbers and inputs, taken as there is room for them.
-            function, given, died: as of `run_batches`.
+            function, arguments, died: as of `run_batches`.
 
         Raises:
             InputError: no process starts, the cluster has no worker or one of another version, or its scheduler is
@@ -153,14 +155,15 @@ class Workers:
         pool = self._pool
         if pool is None:
             for number, inputs in batches:
-                yield number, function(inputs, *given)
+                yield number, function(inputs, *arguments)
             return
-        job, following = pickle.dumps((function, given)), iter(batches)
+        job = pickle.dumps((function, arguments))
+        following = iter(batches)
         at_work: dict[Future[Any], tuple[int, Sequence[Any], bool]] = {}
 
-        def alone(one: Any) -> "pa.Table":
-            rows = pool.take(pool.submit(job, [one]))
-            return died(one) if rows is None else rows
+        def alone(single_input: Any) -> "pa.Table":
+            rows = pool.take(pool.submit(job, [single_input]))
+            return died(single_input) if rows is None else rows
 
         def fill() -> None:
             while len(at_work) < pool.room and (batch := next(following, None)) is not None:
@@ -238,9 +241,9 @@ def work(job: bytes, inputs: Sequence[Any], expected: tuple[str, ...] | None = N
         if _job is None or _job[0] != job:
             _job = None  # what was given may be large
             _job = (job, *pickle.loads(job))
-        _, function, given = _job
+        _, function, arguments = _job
         try:
-            rows = function(inputs, *given)
+            rows = function(inputs, *arguments)
         except Exception as error:
             try:
                 pickle.loads(pickle.dumps(error))
@@ -287,10 +290,10 @@ def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...
         while True:
             message = connection.recv_bytes()
             try:
-                said = work(*pickle.loads(message))
+                reply = work(*pickle.loads(message))
             except Exception as error:
-                said = error
-            connection.send(said)
+                reply = error
+            connection.send(reply)
 
 
 # ------------------------------------------------------------------ processes of this machine
@@ -342,13 +345,13 @@ class _Process:
                 "the processes that are to do the work end as they start; free memory, or give --processes 1"
             )
         try:
-            said = self._connection.recv()
+            reply = self._connection.recv()
         except (EOFError, OSError) as error:
             self._restart()
             raise WorkerDiedError from error
-        if isinstance(said, Exception):
-            raise said
-        rows, self._resident = said
+        if isinstance(reply, Exception):
+            raise reply
+        rows, self._resident = reply
         return rows
 
     def _restart(self) -> None:
@@ -499,5 +502,5 @@ class Cluster:
         except CancelledError as error:
             raise self._error("the scheduler is gone; start it, and give the same command again") from error
 
-    def _error(self, what: str) -> InputError:
-        return InputError(f"--scheduler {self._address}: {what}")
+    def _error(self, problem: str) -> InputError:
+        return InputError(f"--scheduler {self._address}: {problem}")

@@ -29,9 +29,9 @@ def keep_compiled_code() -> None:
         folder = cache_folder()
     except RuntimeError:  # an account without a home
         return
-    loaded, own = sys.modules.get("jax"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    loaded, from_environment = sys.modules.get("jax"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
     # JAX_COMPILATION_CACHE_DIR, or a folder of the program's; a process that this one starts has what is set here
-    if (own if loaded is None else loaded.config.jax_compilation_cache_dir) not in (None, "", str(folder)):
+    if (from_environment if loaded is None else loaded.config.jax_compilation_cache_dir) not in (None, "", str(folder)):
         return
     try:
         folder.parent.parent.mkdir(parents=True, exist_ok=True)
@@ -78,10 +78,10 @@ def _private(folder: Path) -> Path | None:
     """The folder, made for its owner only; None where it belongs to, or can be changed by, somebody else."""
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.stat()
+        status = folder.stat()
     except OSError:
         return None
-    foreign = hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022)
+    foreign = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o022)
     return None if foreign else folder
 
 
@@ -91,10 +91,10 @@ def versions() -> tuple[str, ...]:
     digest = hashlib.sha256()
     for path in sorted(path for kind in ("*.py", "*.yaml") for path in _PACKAGE.rglob(kind)):
         digest.update(path.read_bytes())
-    found = [digest.hexdigest(), sys.version]
+    version_texts = [digest.hexdigest(), sys.version]
     for library in _LIBRARIES:
         try:
-            found.append(version(library))
+            version_texts.append(version(library))
         except PackageNotFoundError:
-            found.append("none")
-    return tuple(found)
+            version_texts.append("none")
+    return tuple(version_texts)

@@ -39,15 +39,15 @@ class KeptJit:
         self._jitted = jax.jit(function, static_argnums=tuple(range(static)), compiler_options=options or None)
         self._ready: dict[Any, tuple[Callable[..., Any], Any]] = {}
 
-    def __call__(self, *given: Any) -> Any:
+    def __call__(self, *arguments: Any) -> Any:
         """The function's value. Within another transformation, and where nothing is kept, that of `jax.jit`."""
         folder = kept_folder()
-        leaves, tree = jax.tree.flatten(given[self.static :])
+        leaves, tree = jax.tree.flatten(arguments[self.static :])
         if folder is None or any(isinstance(leaf, Tracer) for leaf in leaves):
-            return self._jitted(*given)
+            return self._jitted(*arguments)
         arrays = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
         shapes = tuple((array.shape, array.dtype.name) for array in arrays)
-        key = given[: self.static], tree, shapes
+        key = arguments[: self.static], tree, shapes
         if key in self._ready:
             executable, structure = self._ready[key]
             return jax.tree.unflatten(structure, executable(*arrays))
@@ -96,5 +96,5 @@ class KeptJit:
         device = jax.devices()[0]
         machine = platform.node(), platform.machine(), device.platform, device.device_kind
         function = self.function.__module__, self.function.__qualname__, sorted(self.options.items())
-        told = versions(), machine, function, static, str(tree), shapes
-        return hashlib.sha256(repr(told).encode()).hexdigest()
+        identity = versions(), machine, function, static, str(tree), shapes
+        return hashlib.sha256(repr(identity).encode()).hexdigest()

@@ -75,8 +75,8 @@ def fit_calibration(
     pose = calibration_poses(calibration, q)
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    nothing, every = np.zeros(form.size), np.ones(form.size, bool)
-    problem = Problem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, every)
+    nothing, all_free = np.zeros(form.size), np.ones(form.size, bool)
+    problem = Problem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, all_free)
     estimate = solve(problem, solver=solver, max_steps=max_steps)
     errors = prediction_errors(form, estimate.model, q, pose)
     return Solution(
@@ -86,7 +86,7 @@ def fit_calibration(
         result=estimate.result,
         steps=estimate.steps,
         covariance=None,
-        free=every,
+        free=all_free,
         held=(),
         errors=errors.select(slice(0, samples)),
         nominal_errors=prediction_errors(form, start, q, pose).select(slice(samples, None)),
@@ -111,8 +111,8 @@ def calibration_from_array(kinematics: ArrayLike, arm: Arm | None = None) -> Fac
         raise InputError(f"calibration: has {joints} joints, but {arm.name} has {arm.dof}; name another arm")
     if arm is None and not bundled_of(joints):
         raise InputError(f"calibration: has {joints} joints, as no bundled arm has; give `nominal`")
-    known = recognise(kinematics, [f"joint{i + 1}" for i in range(joints)], "calibration", arm)
-    return FactoryCalibration(kinematics, known, known.T_joint_flange, "array")
+    recognised = recognise(kinematics, [f"joint{i + 1}" for i in range(joints)], "calibration", arm)
+    return FactoryCalibration(kinematics, recognised, recognised.T_joint_flange, "array")
 
 
 # ------------------------------------------------------------------ a recording
@@ -135,10 +135,10 @@ def fit_recording(
     """
     problem = recording_problem(recording, nominal, geometry)
     form, chain = problem.form, problem.form.chain
-    few = spread_rows(recording.samples, MOST_SPREAD)
-    spread = few if len(few) < recording.samples else slice(None)
-    information = _information(problem.select(few), recording.source)
-    free, held = _without_scale(problem, *_free_of_frames(problem, information))
+    subset = spread_rows(recording.samples, MOST_SPREAD)
+    spread = subset if len(subset) < recording.samples else slice(None)
+    information = _information(problem.select(subset), recording.source)
+    free, held_parameters = _without_scale(problem, *_free_of_frames(problem, information))
     tolerance = np.zeros(form.size)
     tolerance[: chain.size] = [TOLERANCE[unit] ** -2.0 for unit in chain.units]
     tolerance[~problem.movable | (problem.precision != 0)] = 0.0
@@ -146,7 +146,9 @@ def fit_recording(
     # the parameters that the data determine: each less the share of the prior's variance that is left to it
     from_prior = np.diagonal(invert((information + np.diag(tolerance))[np.ix_(free, free)])) * tolerance[free]
     fitted = float(free.sum() - from_prior.sum())
-    samples, rows, parameters = recording.samples, problem.rows, round(fitted)
+    samples = recording.samples
+    rows = problem.rows
+    parameters = round(fitted)
     if parameters and samples * rows * (FOLDS - 1) <= FOLDS * parameters:
         raise InputError(
             f"{recording.source}: {samples} samples give {samples * rows} numbers, too few to fit {parameters} "
@@ -156,19 +158,20 @@ def fit_recording(
 
     freedom = FREEDOM if loss == "student_t" else None
     estimate = partial(solve, freedom=freedom, max_steps=max_steps)
-    first = estimate(problem.select(few), free)
+    first = estimate(problem.select(subset), free)
     residual = prediction_errors(form, first.model, problem.joint_position, problem.pose)
     problem = _with_noise(problem, residual)
-    some, weight = problem.select(few), np.ones((FOLDS, recording.samples))
+    reduced = problem.select(subset)
+    weight = np.ones((FOLDS, recording.samples))
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
         weight[k, fold] = 0.0
     start = {"start": first.model, "solver": solver}
-    if len(few) < recording.samples:
-        start["start"] = estimate(some, free, **start).model
+    if len(subset) < recording.samples:
+        start["start"] = estimate(reduced, free, **start).model
     final = estimate(problem, free, **start)
-    folds = threads.by_parts(lambda row: estimate(some, free, weight=row[spread], **start), list(weight))
+    folds = threads.by_parts(lambda row: estimate(reduced, free, weight=row[spread], **start), list(weight))
     frames_only = free & (np.arange(form.size) >= chain.size)
-    nominal_fit = estimate(some, frames_only)
+    nominal_fit = estimate(reduced, frames_only)
     notes = problem.notes
     if count := sum(fold.result != Result.CONVERGED for fold in folds):
         notes += (
@@ -185,7 +188,7 @@ def fit_recording(
         steps=first.steps + final.steps,
         covariance=_covariance(problem, free, final, freedom, fitted),
         free=free,
-        held=held,
+        held=held_parameters,
         tolerance=tolerance,
         errors=errors,
         nominal_errors=prediction_errors(form, nominal_fit.model, problem.joint_position, problem.pose),
@@ -218,37 +221,47 @@ def _free_of_frames(problem: Problem, information: Array) -> tuple[NDArray[np.bo
     units = np.array(form.units)
     largest = np.array([np.max(np.diagonal(information)[units == unit], initial=0.0) for unit in units])
     observed = np.diagonal(information) > _OBSERVED * largest
-    free, held, taken = movable.copy(), list[Held](), list[int]()
+    free = movable.copy()
+    held_parameters = list[Held]()
+    frame_columns = list[int]()
     for k in (k for k in (*range(geometry, size), *range(geometry)) if movable[k]):
-        share = np.linalg.solve(H[np.ix_(taken, taken)], H[taken, k]) if observed[k] else np.zeros(len(taken))
-        independent = observed[k] and H[k, k] - share @ H[taken, k] > _INDEPENDENT
+        share = (
+            np.linalg.solve(H[np.ix_(frame_columns, frame_columns)], H[frame_columns, k])
+            if observed[k]
+            else np.zeros(len(frame_columns))
+        )
+        independent = observed[k] and H[k, k] - share @ H[frame_columns, k] > _INDEPENDENT
         if k >= geometry and independent:
-            taken.append(k)
+            frame_columns.append(k)
         elif k >= geometry or (observed[k] and not independent):
             free[k] = False
             strong = np.abs(share) > _CONFOUNDED * max(float(np.abs(share).max(initial=0.0)), 1e-6)
-            held.append(Held(form.names[k], tuple(form.names[taken[i]] for i in np.flatnonzero(strong))))
-    return free, tuple(sorted(held, key=lambda h: form.names.index(h.name)))
+            held_parameters.append(
+                Held(form.names[k], tuple(form.names[frame_columns[i]] for i in np.flatnonzero(strong)))
+            )
+    return free, tuple(sorted(held_parameters, key=lambda h: form.names.index(h.name)))
 
 
 def _without_scale(
-    problem: Problem, free: NDArray[np.bool_], held: tuple[Held, ...]
+    problem: Problem, free: NDArray[np.bool_], held_parameters: tuple[Held, ...]
 ) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
     """The same with the longest length held, where the data set no scale, and noise alone would shrink the chain.
 
     That is so where the measured positions are one point of an unknown frame and no length is known: any chain that
     keeps the point in place does so at any size (J. Hollerbach and C. Wampler, Int. J. Robotics Research 15, 1996).
     """
-    form, position = problem.form, problem.pose if problem.pose.ndim == 2 else problem.pose[:, :3, 3]
+    form = problem.form
+    position = problem.pose if problem.pose.ndim == 2 else problem.pose[:, :3, 3]
     chain = form.chain
     lengths = np.where(free[: chain.size] & (np.array(chain.units) == "m"), np.abs(problem.start.geometry), 0.0)
     one_point = spread_of(position) <= NOISES * (problem.declared_noise[0] or UNDECLARED_NOISE[0])
     known_tool = not form.tool and np.any(problem.start.T_flange_tool[:3, 3] != problem.arm.T_joint_flange[:3, 3])
     if not (one_point and form.frame) or known_tool or chain.sliding or not lengths.any():
-        return free, held
-    longest, others = int(np.argmax(lengths)), np.flatnonzero(lengths > _CONFOUNDED * lengths.max())
-    scaled = tuple(form.names[k] for k in others if k != longest)
-    return free & (np.arange(free.size) != longest), (*held, Held(form.names[longest], scaled))
+        return free, held_parameters
+    longest = int(np.argmax(lengths))
+    comparable = np.flatnonzero(lengths > _CONFOUNDED * lengths.max())
+    scaled = tuple(form.names[k] for k in comparable if k != longest)
+    return free & (np.arange(free.size) != longest), (*held_parameters, Held(form.names[longest], scaled))
 
 
 def _with_noise(problem: Problem, residual: Errors) -> Problem:
@@ -286,7 +299,8 @@ def _noise_level(errors: Errors) -> tuple[float, float | None]:
 def _held_out_errors(problem: Problem, folds: list[Estimate], weight: Array) -> Errors:
     """Each sample's error under the fit that did not use it; `weight` `(fold, sample)` is zero where held out."""
     samples = len(problem.pose)
-    position, orientation = np.empty(samples), None if problem.pose.ndim == 2 else np.empty(samples)
+    position = np.empty(samples)
+    orientation = None if problem.pose.ndim == 2 else np.empty(samples)
     for fold, row in zip(folds, weight, strict=True):
         part = problem.select(row == 0)
         errors = prediction_errors(part.form, fold.model, part.joint_position, part.pose, of=samples)

@@ -167,7 +167,7 @@ def fit_fleet_calibrations(
     from lite6jax.recordings.units import real_array
 
     arm = _load_type(nominal)
-    if isinstance(factory, list | tuple) and any(isinstance(each, str | Path) for each in factory):
+    if isinstance(factory, list | tuple) and any(isinstance(source, str | Path) for source in factory):
         factory = np.stack([read_factory(path, arm).kinematics for path in factory])
     kinematics = real_array("factory", cast(ArrayLike, factory))
     if kinematics.ndim != 3 or kinematics.shape[1:] != (arm.dof, 6):
@@ -222,30 +222,33 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
 
     def errors(parameters: Array) -> Array:
-        found = []
-        for some in (slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)):
-            models = np.vstack([parameters[some], arm.hayati])
+        chunks = []
+        for chunk in (slice(first, first + CHUNK) for first in range(0, len(filled), CHUNK)):
+            models = np.vstack([parameters[chunk], arm.hayati])
             predicted, true = map(
                 np.asarray,
-                _flange_poses(arm.form, models, arm.T_joint_flange, kinematics[some], T_joint_flange[some], q),
+                _flange_poses(arm.form, models, arm.T_joint_flange, kinematics[chunk], T_joint_flange[chunk], q),
             )
-            own, nominal = (np.stack(frames.compare_transforms(each, true)) for each in (predicted[:-1], predicted[-1]))
-            parts = own[..., :SAMPLES], own[..., SAMPLES:], nominal[..., SAMPLES:]
+            fitted, nominal = (
+                np.stack(frames.compare_transforms(model_poses, true))
+                for model_poses in (predicted[:-1], predicted[-1])
+            )
+            parts = fitted[..., :SAMPLES], fitted[..., SAMPLES:], nominal[..., SAMPLES:]
             statistics = [np.stack([np.sqrt(np.mean(part**2, -1)), part.max(-1)], -1) for part in parts]
-            found.append(np.stack(statistics, 1).transpose(2, 1, 0, 3).reshape(-1, 3, 4))
-        return np.concatenate(found)
+            chunks.append(np.stack(statistics, 1).transpose(2, 1, 0, 3).reshape(-1, 3, 4))
+        return np.concatenate(chunks)
 
     parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
-    found = errors(parameters)
+    error_statistics = errors(parameters)
     result, steps = np.full(len(filled), Result.CONVERGED, np.int32), np.zeros(len(filled), np.int32)
-    inexact = ~(np.max(found[:, :2, [1, 3]], (1, 2)) <= EXACT)
+    inexact = ~(np.max(error_statistics[:, :2, [1, 3]], (1, 2)) <= EXACT)
     if inexact.any():
         poses = _chain_poses(kinematics, q[:SAMPLES], arm.sliding) @ T_joint_flange[:, None]
         solution = fit_fleet(q[:SAMPLES], poses, nominal=arm)
         parameters = np.where(inexact[:, None], solution.parameters, parameters)
         result, steps = np.where(inexact, solution.result, result), np.where(inexact, solution.steps, steps)
-        found = errors(parameters)
-    return FittedCalibrations(result[:count], steps[:count], parameters[:count], found[:count])
+        error_statistics = errors(parameters)
+    return FittedCalibrations(result[:count], steps[:count], parameters[:count], error_statistics[:count])
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=SINGLE_THREADED)
@@ -297,10 +300,10 @@ def compare(calibrations: Sequence[FactoryCalibration]) -> Comparison:
     if len(calibrations) < 2:
         raise InputError("compare needs two calibrations or more; name their files")
     arm = calibrations[0].arm
-    for other in calibrations[1:]:
-        if other.arm.name != arm.name:
+    for calibration in calibrations[1:]:
+        if calibration.arm.name != arm.name:
             raise InputError(
-                f"{other.source}: is of a {other.arm.name}, but {calibrations[0].source} of a {arm.name};"
+                f"{calibration.source}: is of a {calibration.arm.name}, but {calibrations[0].source} of a {arm.name};"
                 " compare arms of one type"
             )
     q = check_positions(arm)
@@ -314,5 +317,5 @@ def compare(calibrations: Sequence[FactoryCalibration]) -> Comparison:
         sources=sources,
         difference=np.stack([hayati_of(calibration) for calibration in calibrations]) - arm.hayati,
         from_nominal=np.linalg.norm(flange - nominal, axis=-1),
-        between=np.stack([np.linalg.norm(flange - own, axis=-1).max(1) for own in flange]),
+        between=np.stack([np.linalg.norm(flange - reference, axis=-1).max(1) for reference in flange]),
     )

@@ -150,9 +150,11 @@ def declared_geometry(
     if recording.sliding != arm.sliding:
         raise InputError(f"{recording.source}: {other_joints(recording.sliding, arm.sliding, arm.name)}")
     require_samples(recording, 1)
-    factory_path, uncertainty = settings.factory_path(folder), settings.factory_uncertainty
+    factory_path = settings.factory_path(folder)
+    uncertainty = settings.factory_uncertainty
     if factory is not None:
-        factory_path, uncertainty = factory.source, None
+        factory_path = factory.source
+        uncertainty = None
     elif factory_path is not None:
         factory = read_factory(factory_path, arm)
     if factory is not None and not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
@@ -175,13 +177,13 @@ def declared_geometry(
         frame = (
             frame and touches.kind == "contact" and all(touches.names[k] in points for k in np.unique(touches.group))
         )
-    known = factory or nominal_calibration(arm)
+    prior_calibration = factory or nominal_calibration(arm)
     if geometry == "free" and touches is None:
         form = ModelForm(arm.form, frame, tool)
         values = arm.hayati if factory is None else hayati_of(factory)
     else:
         form = ModelForm(SixParameterForm(arm.dof, arm.sliding), frame, tool)
-        values = known.kinematics.ravel()
+        values = prior_calibration.kinematics.ravel()
     movable = np.ones(form.size, bool)
     precision = np.zeros(form.size)
     if geometry == "exact":
@@ -194,7 +196,7 @@ def declared_geometry(
         sigma = None
     if sigma is not None:
         precision[: form.chain.size] = [1 / sigma[unit == "rad"] ** 2 for unit in form.chain.units]
-    return DeclaredGeometry(arm, known, form, values, movable, precision, uncertainty, factory is not None)
+    return DeclaredGeometry(arm, prior_calibration, form, values, movable, precision, uncertainty, factory is not None)
 
 
 def recording_problem(
@@ -208,38 +210,40 @@ def recording_problem(
         InputError: no measured poses, too few of them, joints that the arm does not have, a `geometry` that needs a
             factory calibration where there is none.
     """
-    arm, known, form, values, movable, precision, *_ = declared_geometry(recording, arm, geometry, factory)
+    arm, prior_calibration, form, values, movable, precision, *_ = declared_geometry(recording, arm, geometry, factory)
     settings, tool = recording.settings, form.tool
     notes: list[str] = []
 
-    flange = calibration_poses(known, recording.joint_position)
+    flange = calibration_poses(prior_calibration, recording.joint_position)
     T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, None if tool else declared_tool(recording))
-    T_flange_tool = known.T_joint_flange @ T_flange_tool
-    rotation, pose = measured_rotations(recording), recording.position
+    T_flange_tool = prior_calibration.T_joint_flange @ T_flange_tool
+    rotation = measured_rotations(recording)
+    pose = recording.position
     assert pose is not None
     if rotation is not None:
         T = np.zeros((recording.samples, 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation, pose, 1.0
         pose = T
     declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
-    seen = None if recording.readings is None else recording.readings.seen
+    observed = None if recording.readings is None else recording.readings.seen
     spread = None
-    if seen is not None:
-        U = np.linalg.inv(seen.whitener)
+    if observed is not None:
+        U = np.linalg.inv(observed.whitener)
         spread = U @ np.swapaxes(U, 1, 2)
         variance = np.diagonal(spread, axis1=1, axis2=2)
         declared = float(np.sqrt(variance[:, :3].mean())), float(np.sqrt(variance[:, 3:].mean()))
     noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
     lacking = [declared[0] is None, rotation is not None and declared[1] is None]
     if any(lacking):
-        what = "positions" if not lacking[1] else "all that is measured" if lacking[0] else "orientations"
-        notes.append(f"the sidecar does not declare the noise of {what}: it is taken from the residuals")
+        quantities = "positions" if not lacking[1] else "all that is measured" if lacking[0] else "orientations"
+        notes.append(f"the sidecar does not declare the noise of {quantities}: it is taken from the residuals")
     by_joints = None
     if settings.joint_noise_rad:
         parts = []
-        for some in (slice(first, first + frames.BLOCK) for first in range(0, recording.samples, frames.BLOCK)):
-            turned, q = None if rotation is None else rotation[some], recording.joint_position[some]
-            parts.append(_residual_by_joints(known, q, T_sensor_base, T_flange_tool, turned))
+        for block in (slice(first, first + frames.BLOCK) for first in range(0, recording.samples, frames.BLOCK)):
+            turned = None if rotation is None else rotation[block]
+            q = recording.joint_position[block]
+            parts.append(_residual_by_joints(prior_calibration, q, T_sensor_base, T_flange_tool, turned))
         J = np.concatenate(parts)
         by_joints = settings.joint_noise_rad**2 * J @ np.swapaxes(J, 1, 2)
     return Problem(
@@ -259,14 +263,15 @@ def recording_problem(
 
 
 def _residual_by_joints(
-    known: FactoryCalibration, q: Array, T_sensor_base: Array, T_flange_tool: Array, rotation: Array | None
+    calibration: FactoryCalibration, q: Array, T_sensor_base: Array, T_flange_tool: Array, rotation: Array | None
 ) -> Array:
     """The residual's derivatives `(sample, row, joint)` by the revolute joints, which are not read without noise."""
-    links, arm = [frames.transform_from_row(row) for row in known.kinematics], known.arm
+    links = [frames.transform_from_row(row) for row in calibration.kinematics]
+    arm = calibration.arm
     _, *walked = frames.walk(links, q, arm.sliding, T_sensor_base)
     tool = walked[-1] @ T_flange_tool
     joints = np.stack([walked[j] for j in np.flatnonzero(~arm.slides)])
     turn, origin = (np.moveaxis(joints[..., :3, k], 1, 2) for k in (2, 3))
     shift = np.cross(turn, tool[:, :3, 3].T - origin, axis=1)
-    seen = Measured(None, np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1), None)
-    return np.moveaxis(seen.columns(tool, shift, turn), 2, 0).swapaxes(1, 2)
+    measured = Measured(None, np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1), None)
+    return np.moveaxis(measured.columns(tool, shift, turn), 2, 0).swapaxes(1, 2)

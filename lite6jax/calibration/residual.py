@@ -245,9 +245,11 @@ def step_order(form: ModelForm) -> np.ndarray:
 
 def _turning(form: ModelForm) -> list[np.ndarray]:
     """Which twists of each array of `_walk_twists` are of rotations, the others of shifts or of nothing."""
-    swept, chain = sweep_order(form.chain), form.chain
+    swept = sweep_order(form.chain)
+    chain = form.chain
     units = np.append(chain.units, "")[swept]  # of what is always zero, no unit
-    of_base, of_joints = units[: chain.base_size, None], units[chain.base_size :].reshape(-1, chain.dof)
+    of_base = units[: chain.base_size, None]
+    of_joints = units[chain.base_size :].reshape(-1, chain.dof)
     frames = np.array(form.units[chain.size :])[:, None]
     return [group == "rad" for group in (*of_base, *of_joints, *frames)]
 

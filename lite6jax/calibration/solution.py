@@ -83,8 +83,8 @@ def prediction_errors(
     What is compiled for `of` samples serves a part of them as well.
     """
 
-    def compare(some: slice, predicted: Array) -> tuple[Array, ...]:
-        measured = pose[some]
+    def compare(block: slice, predicted: Array) -> tuple[Array, ...]:
+        measured = pose[block]
         if pose.ndim == 2:
             return (np.linalg.norm(predicted[:, :3, 3] - measured, axis=1),)
         return frames.compare_transforms(predicted, measured)
@@ -104,12 +104,12 @@ def _by_slices(
     size = padded_size(min(of or len(joint_position), _AT_ONCE))[0]
 
     def part(first: int) -> tuple[Array, ...]:
-        some = slice(first, first + _AT_ONCE)
-        q = joint_position[some]
-        return use(some, np.asarray(_predict_poses(form.chain, model, pad(q, 0, size)))[: len(q)])
+        block = slice(first, first + _AT_ONCE)
+        q = joint_position[block]
+        return use(block, np.asarray(_predict_poses(form.chain, model, pad(q, 0, size)))[: len(q)])
 
     parts = threads.by_parts(part, range(0, len(joint_position), _AT_ONCE))
-    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+    return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,10 @@ class Noise:
     def over_declared(self) -> float | None:
         """The residuals over the declared noise, of the part where that is more; None where none is declared."""
         pairs = zip((self.position, self.orientation), self.declared or (None, None), strict=True)
-        return max((found / told for found, told in pairs if found is not None and told is not None), default=None)
+        return max(
+            (residual / declared for residual, declared in pairs if residual is not None and declared is not None),
+            default=None,
+        )
 
 
 @dataclass(frozen=True)
@@ -228,7 +231,7 @@ class Solution(PublicResult):
             return quality_of_calibration(self.checked.position)
         measured, q = self.recording.position, self.recording.joint_position
         flange = self.model if measured is not None else self.model._replace(T_flange_tool=np.eye(4))  # type: ignore[arg-type]
-        (predicted,) = _by_slices(self.form, flange, q, lambda some, poses: (poses[:, :3, 3],))
+        (predicted,) = _by_slices(self.form, flange, q, lambda block, poses: (poses[:, :3, 3],))
         measured = predicted if measured is None else measured  # touches have no positions of their own
         noise = None if self.noise.declared is None else self.noise.declared[0]
         return quality_of_poses(
@@ -268,7 +271,8 @@ def write_solution(solution: Solution, path: str | Path, overwrite: bool = False
     if not isinstance(form, HayatiForm):
         arm = solution.arm
         chain = FactoryCalibration(parameters.reshape(-1, 6), arm, arm.T_joint_flange, str(path))
-        form, parameters = arm.form, hayati_of(chain)
+        form = arm.form
+        parameters = hayati_of(chain)
     error = solution.checked.position_rms
     fit = {
         "result": solution.result.name.lower(),

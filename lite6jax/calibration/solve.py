@@ -137,7 +137,7 @@ def fit_chunks(
     whitener: np.ndarray,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
-    known: Known | None = None,
+    prior: Known | None = None,
 ) -> Fits:
     """Fits arms by least squares, chunk by chunk and on every core.
 
@@ -150,7 +150,7 @@ def fit_chunks(
         whitener: `(2,)`, one for all.
         max_steps: most steps an arm may take.
         progress: called with the number of arms done since the last call.
-        known: besides the samples, of all; None for least squares without a prior.
+        prior: besides the samples, of all; None for least squares without a prior.
 
     Returns:
         NumPy arrays, a row an arm.
@@ -169,15 +169,16 @@ def fit_chunks(
     def solve(first: int) -> Fits:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
         data = pad(q, q.ndim - 2, size), pad(part(pose, first), 1, size), pad(part(weight, first), 1, size)
-        found = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, known)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], found)
+        fits = _fit_chunk(form, block, start, *data, np.asarray(whitener, float), max_steps, prior)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: arms - first], fits)
 
-    firsts, parts = range(0, arms, chunk), []
+    firsts = range(0, arms, chunk)
+    parts = []
     with ThreadPoolExecutor(threads.available()) as pool:
-        for found in map(solve, firsts) if threads.available() == 1 else pool.map(solve, firsts):
-            parts.append(found)
+        for fits in map(solve, firsts) if threads.available() == 1 else pool.map(solve, firsts):
+            parts.append(fits)
             if progress:
-                progress(len(found.samples))
+                progress(len(fits.samples))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
@@ -191,14 +192,14 @@ def _fit_chunk(
     weight: Array,
     whitener: Array,
     max_steps: ArrayLike,
-    known: Known | None,
+    prior: Known | None,
 ) -> Fits:
     prepare = jax.vmap(
         partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
     )
     observed = prepare(joint_position, pose, weight, whitener)
     start = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(weight), *jnp.shape(leaf))), start)
-    solved = solve_chunk(form, start, observed, max_steps, known)
+    solved = solve_chunk(form, start, observed, max_steps, prior)
     covariance = jax.vmap(inverse)(solved.curvature)
     # how much its correlation with the others inflates a parameter's variance
     inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
@@ -210,8 +211,8 @@ def _fit_chunk(
     def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
         """Of all distances and angles, zero where missing."""
         raw = differences(block, predict_frames(form, model, block.joint)[1])
-        there = block.weight > 0
-        return tuple(jnp.sum(jnp.where(there, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
+        present = block.weight > 0
+        return tuple(jnp.sum(jnp.where(present, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
 
     totals = jax.vmap(lambda model, observed: over_blocks(partial(squares, model), observed))(solved.model, observed)
     used = jnp.sum(observed.weight > 0, (1, 2))
@@ -235,36 +236,43 @@ class _State(NamedTuple):
 
 
 def solve_chunk(
-    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, known: Known | None = None
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, prior: Known | None = None
 ) -> Solved:
     """Fits a chunk of arms; the arm, and of what is observed then the block, are leading axes.
 
     With no steps only cost and curvature at the start are evaluated. The curvature contains that of the prior, and is
     the identity where nothing moves.
     """
-    arms, squares = observed.weight.shape[0], observed.whitener**2
+    arms = observed.weight.shape[0]
+    squares = observed.whitener**2
     per_sample = 3 * jnp.sum(squares, 2)[..., None] if squares.ndim == 3 else jnp.sum(squares, (2, 3))
     floor = jnp.sum(observed.weight * per_sample, (1, 2)) * ROUNDING**2  # what residuals of rounding cost
 
-    def evaluated(function: Callable[..., tuple[Array, ...]], model: ArmModel, own: Observations) -> tuple[Array, ...]:
+    def evaluated(
+        function: Callable[..., tuple[Array, ...]], model: ArmModel, observations: Observations
+    ) -> tuple[Array, ...]:
         """Cost, gradient and, of `linearise`, curvature of one arm."""
-        robust = None if known is None else known.robust
-        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), own)
-        if known is None:
+        robust = None if prior is None else prior.robust
+        cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), observations)
+        if prior is None:
             return cost, gradient, *curvature
-        free, precision, n = jnp.asarray(known.free), jnp.asarray(known.precision), model.geometry.shape[0]
-        away = model.geometry - known.center
+        free = jnp.asarray(prior.free)
+        precision = jnp.asarray(prior.precision)
+        n = model.geometry.shape[0]
+        away = model.geometry - prior.center
         cost += 0.5 * jnp.sum(precision[:n] * away**2)
         gradient = gradient.at[:n].add(precision[:n] * away) * free
-        inside, held, prior = free[:, None] * free > 0, jnp.diag(1 - free), jnp.diag(precision)
-        return cost, gradient, *(jnp.where(inside, known.share * H + prior, held) for H in curvature)
+        inside = free[:, None] * free > 0
+        held_diagonal = jnp.diag(1 - free)
+        prior_curvature = jnp.diag(precision)
+        return cost, gradient, *(jnp.where(inside, prior.share * H + prior_curvature, held_diagonal) for H in curvature)
 
     def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
         return jax.vmap(partial(evaluated, function))(models, observed)
 
-    def choose(which: Array, new: Any, old: Any) -> Any:
+    def choose(condition: Array, new: Any, old: Any) -> Any:
         """The leaves of one tree or of the other, arm by arm."""
-        return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
+        return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
 
     def body(state: _State) -> _State:
         renewed = jnp.any(state.renew)
@@ -275,15 +283,15 @@ def solve_chunk(
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
         flat = jnp.abs(state.decrement) <= FLAT * state.cost + floor
         better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
-        taken = running & better
+        accepted = running & better
         before = state.model, state.cost, state.gradient, state.curvature
-        model, cost, gradient, H = choose(taken, (state.candidate, cost, gradient, H), before)
+        model, cost, gradient, H = choose(accepted, (state.candidate, cost, gradient, H), before)
         relaxed = jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping)
         damping = jnp.where(running, jnp.where(better, relaxed, jnp.maximum(10 * state.damping, 1e-4)), state.damping)
-        kept = lax.cond(
+        inverses = lax.cond(
             renewed | jnp.any(damping != state.damping), lambda: jax.vmap(inverse)(H, damping), lambda: state.inverse
         )
-        step = -jnp.einsum("aij,aj->ai", kept, gradient)
+        step = -jnp.einsum("aij,aj->ai", inverses, gradient)
         decrement = -jnp.sum(step * gradient, 1)
         moved = jnp.max(jnp.abs(step), 1)
         # what the step after this one would gain, if steps go on shrinking as they last did
@@ -302,8 +310,8 @@ def solve_chunk(
         cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
         slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
         return _State(
-            model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,
-            jnp.where(taken, moved, state.moved), status, state.steps + (going | arrived),
+            model, candidate, cost, gradient, H, inverses, going & slow, damping, decrement,
+            jnp.where(accepted, moved, state.moved), status, state.steps + (going | arrived),
         )  # fmt: skip
 
     row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
@@ -326,10 +334,10 @@ def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
 
     def eliminate(k: Array, A: Array) -> Array:
         """One pass over the matrix; updates of a row and a column after it would copy it twice."""
-        here, pivot = places == k, 1 / A[k, k]
-        row, column = jnp.where(here, pivot, A[k] * pivot), jnp.where(here, 0.0, A[:, k])
-        rest = jnp.where(here | here[:, None], 0.0, A) - column[:, None] * row
-        return rest + jnp.where(here[:, None], row, 0.0)
+        is_pivot, pivot = places == k, 1 / A[k, k]
+        row, column = jnp.where(is_pivot, pivot, A[k] * pivot), jnp.where(is_pivot, 0.0, A[:, k])
+        reduced = jnp.where(is_pivot | is_pivot[:, None], 0.0, A) - column[:, None] * row
+        return reduced + jnp.where(is_pivot[:, None], row, 0.0)
 
     return lax.fori_loop(0, H.shape[0], eliminate, scaled) * scale[:, None] * scale
 
@@ -378,7 +386,8 @@ def solve(
         solver: which; see `fit`.
         max_steps: most steps at one scale; zero only evaluates residuals and information at the start.
     """
-    form, count = problem.form, len(problem.pose)
+    form = problem.form
+    count = len(problem.pose)
     solve_one = _solve_one_of_few if count <= _FEW else _solve_one
     free = problem.movable if free is None else free
     weight = np.ones(count) if weight is None else weight
@@ -397,31 +406,36 @@ def solve(
         return t_scale(squares[weight > 0], problem.rows, freedom)
 
     model: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
-    squares, steps, result = measure(model), 0, Result.STEPS_EXHAUSTED
+    squares = measure(model)
+    steps = 0
+    result = Result.STEPS_EXHAUSTED
     scale = 1.0 if freedom is None else scale_of(squares)
-    known = Known(free.astype(float), np.asarray(problem.start.geometry), problem.precision)
+    prior = Known(free.astype(float), np.asarray(problem.start.geometry), problem.precision)
     for _ in range(_MAX_SCALES):
         robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
         # Student's loss curves less than its weighted squares, by a share that the residuals show
         scaled = squares[weight > 0] / scale**2
         share = 1.0 if freedom is None else max(curvature_share(scaled, problem.rows, freedom), _LEAST_CURVED)
-        known = known._replace(robust=robust, share=share)
+        prior = prior._replace(robust=robust, share=share)
         if solver == "levenberg_marquardt" and max_steps:
-            found = _solve_of_record(form, max_steps, model, observed, known)
-            model, cost, good, more = jax.tree.map(np.asarray, found)
+            solved = _solve_of_record(form, max_steps, model, observed, prior)
+            model, cost, good, more = jax.tree.map(np.asarray, solved)
             result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
             result = result if np.isfinite(cost) else Result.NOT_FINITE
         else:
-            found = jax.tree.map(np.asarray, solve_one(form, model, observed, max_steps, known))
-            model, result, more = found.model, Result(int(found.status)), found.steps
-        squares, steps = measure(model), steps + int(more)
+            solved = jax.tree.map(np.asarray, solve_one(form, model, observed, max_steps, prior))
+            model = solved.model
+            result = Result(int(solved.status))
+            more = solved.steps
+        squares = measure(model)
+        steps = steps + int(more)
         if freedom is None or result == Result.NOT_FINITE:
             break
         before, scale = scale, scale_of(squares)
         if abs(scale / before - 1) < _SCALE_TOLERANCE or more <= 1:  # the scale of rounding errors never settles
             break
     robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
-    at_end = solve_one(form, model, observed, 0, known._replace(robust=robust, share=1.0))
+    at_end = solve_one(form, model, observed, 0, prior._replace(robust=robust, share=1.0))
     information = np.asarray(at_end.curvature)
     if result != Result.NOT_FINITE:
         # how much its correlation with the others inflates a parameter's variance
@@ -442,10 +456,10 @@ def invert(H: Numbers) -> Numbers:
             return np.full_like(H, np.nan)
 
 
-def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, known: Known) -> Solved:
+def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, prior: Known) -> Solved:
     """Of one arm, without the axis of arms."""
-    first, seen = jax.tree.map(lambda leaf: leaf[None], (start, observed))
-    return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, seen, max_steps, known))
+    first, observations = jax.tree.map(lambda leaf: leaf[None], (start, observed))
+    return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, observations, max_steps, prior))
 
 
 def _observe_blocks(
@@ -472,20 +486,20 @@ _solve_one_of_few = KeptJit(_solve_arm, 1, **SINGLE_THREADED, xla_backend_optimi
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve_of_record(
-    form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, known: Known
+    form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, prior: Known
 ) -> tuple[ArmModel, Array, Array, Array]:
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s
 
-    n, robust = form.chain.size, known.robust
+    n, robust = form.chain.size, prior.robust
     assert robust is not None
-    free, precision = jnp.asarray(known.free), jnp.asarray(known.precision)
+    free, precision = jnp.asarray(prior.free), jnp.asarray(prior.precision)
 
     def robust_residuals(model: ArmModel, block: Observations) -> Array:
         """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
         rows = residuals(form, model, block)
-        there = block.weight > 0
-        squares = jnp.sum(rows**2, 0) / jnp.where(there, block.weight, 1.0) / robust.scale**2
+        present = block.weight > 0
+        squares = jnp.sum(rows**2, 0) / jnp.where(present, block.weight, 1.0) / robust.scale**2
         u = squares / robust.freedom
         small = u < 1e-5
         safe = jnp.where(small, 1.0, u)
@@ -495,7 +509,7 @@ def _solve_of_record(
     def every_residual(step: Array, _: None) -> Array:
         model = form.retract(start, step * free)
         rows = lax.map(partial(robust_residuals, model), observed)
-        pull = jnp.sqrt(precision[:n]) * (model.geometry - known.center)
+        pull = jnp.sqrt(precision[:n]) * (model.geometry - prior.center)
         return jnp.concatenate([rows.reshape(-1), pull * free[:n], step * (1 - free)])
 
     solution = optimistix.least_squares(

@@ -89,13 +89,14 @@ def read_source(
         return read_factory(path, arm)
     require_own_sidecar(file)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
-    given: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
+    assumptions: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}
     if arm is not None:
-        return read_recording(path, arm=arm, joint_limits=arm.possible_positions, reach=arm.reach, **given)
-    recording = read_recording(path, **given)
-    known = bundled_of(recording.dof)
-    if known:  # a wrong unit is no reason to find no arm
-        limits, reach = _widest_limits(known), max(arm.reach for arm in known)
+        return read_recording(path, arm=arm, joint_limits=arm.possible_positions, reach=arm.reach, **assumptions)
+    recording = read_recording(path, **assumptions)
+    bundled = bundled_of(recording.dof)
+    if bundled:  # a wrong unit is no reason to find no arm
+        limits = _widest_limits(bundled)
+        reach = max(arm.reach for arm in bundled)
         check_scale(recording, limits, reach, degrees=assume_degrees, millimetres=assume_millimetres)
     return recording if not recording.numbers_per_sample else with_arm(recording, warn=True)
 
@@ -150,14 +151,14 @@ def with_arm(recording: Recording, warn: bool = False) -> Recording:
             f"{recording.source}: declares no arm, which touches do not tell; name it with `arm=NAME`, or `arm:` in "
             "the sidecar"
         )
-    tried = matches(recording)
-    name = _choose(recording, tried).name
+    candidates = matches(recording)
+    name = _choose(recording, candidates).name
     recording = replace(recording, settings=replace(recording.settings, arm=name))
-    said = f"no arm is declared, and this looks like a {_listed(tried)}; say so by `arm: {name}` in a sidecar"
+    note = f"no arm is declared, and this looks like a {_listed(candidates)}; say so by `arm: {name}` in a sidecar"
     if warn:
-        warnings.warn(f"{recording.source}: {said}", InputWarning, stacklevel=3)
+        warnings.warn(f"{recording.source}: {note}", InputWarning, stacklevel=3)
         return recording
-    return replace(recording, notes=(*recording.notes, said))
+    return replace(recording, notes=(*recording.notes, note))
 
 
 def matches(recording: Recording) -> list[Match]:
@@ -167,18 +168,19 @@ def matches(recording: Recording) -> list[Match]:
     where they are unknown, the geometry is not. Refuses joint positions in degrees and what has no poses.
     """
     require_samples(recording, 1)
-    known = bundled_of(recording.dof)
-    if known:  # a wrong unit is no reason to find no arm
-        require_radians(recording.joint_position, _widest_limits(known), f"{recording.source}: joint_position")
+    bundled = bundled_of(recording.dof)
+    if bundled:  # a wrong unit is no reason to find no arm
+        require_radians(recording.joint_position, _widest_limits(bundled), f"{recording.source}: joint_position")
     tool = None if recording.settings.tool == "unknown" else declared_tool(recording)
-    position, found = recording.position, []
+    position = recording.position
+    arm_errors = []
     assert position is not None
-    for arm in known:
+    for arm in bundled:
         flange = frames.chain(arm.links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-        found.append((arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
-    return sorted(found, key=lambda match: match[1])
+        arm_errors.append((arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
+    return sorted(arm_errors, key=lambda match: match[1])
 
 
 def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
@@ -187,26 +189,24 @@ def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
     return np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)
 
 
-def _choose(recording: Recording, tried: Sequence[Match]) -> Arm:
-    undeclared, remedy = (
-        f"{recording.source}: declares no arm, and",
-        "name it with `arm=NAME`, or `arm:` in the sidecar",
-    )
-    if not tried:
+def _choose(recording: Recording, candidates: Sequence[Match]) -> Arm:
+    undeclared = f"{recording.source}: declares no arm, and"
+    remedy = "name it with `arm=NAME`, or `arm:` in the sidecar"
+    if not candidates:
         raise InputError(f"{undeclared} no bundled one has {recording.dof} joints; {remedy}")
-    best, error = tried[0]
+    nearest, error = candidates[0]
     if not error <= RECOGNISED_WITHIN:
         raise InputError(
-            f"{undeclared} its poses fit no bundled one (nearest: {_listed(tried)}); {remedy}, or check the joints' "
-            f"order, signs and units"
+            f"{undeclared} its poses fit no bundled one (nearest: {_listed(candidates)}); {remedy}, or check the "
+            f"joints' order, signs and units"
         )
-    alike = [match for match in tried if match[1] <= max(ALIKE * error, 1e-9)]
-    if len(alike) > 1:
-        raise InputError(f"{undeclared} fits several alike ({_listed(alike)}); {remedy}")
-    return best
+    similar = [match for match in candidates if match[1] <= max(ALIKE * error, 1e-9)]
+    if len(similar) > 1:
+        raise InputError(f"{undeclared} fits several alike ({_listed(similar)}); {remedy}")
+    return nearest
 
 
-def _listed(tried: Sequence[Match]) -> str:
+def _listed(candidates: Sequence[Match]) -> str:
     """The nearest arms with their errors in mm."""
-    shown = "; ".join(f"{arm.name}: {1e3 * error:.3g} mm" for arm, error in tried[:_SHOWN])
-    return shown + ("; …" if len(tried) > _SHOWN else "")
+    shown = "; ".join(f"{arm.name}: {1e3 * error:.3g} mm" for arm, error in candidates[:_SHOWN])
+    return shown + ("; …" if len(candidates) > _SHOWN else "")

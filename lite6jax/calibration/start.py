@@ -118,8 +118,8 @@ def frames_from_poses(
         elif frame is None:
             T_frame = _registration(p + R @ T_tool[:3, 3], position, weight)
         elif tool is None:
-            seen = (position - T_frame[:3, 3]) @ T_frame[:3, :3]
-            T_tool[:3, 3] = _solve(R, seen - p, weight)
+            position_in_base = (position - T_frame[:3, 3]) @ T_frame[:3, :3]
+            T_tool[:3, 3] = _solve(R, position_in_base - p, weight)
         distance = np.linalg.norm(_missed(R, p, position, T_frame, T_tool), axis=1)
         scale = max(float(np.median(distance)), 1e-9)
         weight = 1 / (1 + (distance / (2 * scale)) ** 2)
@@ -145,19 +145,22 @@ def _cosines(R: Array, p: Array, position: Array, weight: Array) -> tuple[Array,
         rows[:, i, 9 + i] = -1.0
     rows[:, :, 12:] = -R
     A = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, 15)
-    found, _, _, singular = np.linalg.lstsq(A, (np.sqrt(weight)[:, None] * p).ravel(), rcond=1e-9)
+    solution, _, _, singular = np.linalg.lstsq(A, (np.sqrt(weight)[:, None] * p).ravel(), rcond=1e-9)
     determined = float(singular[-1] / singular[0]) if A.shape[0] >= 15 else 0.0
-    return found[:9].reshape(3, 3), determined
+    return solution[:9].reshape(3, 3), determined
 
 
 def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Array]:
     """The sensor frame's rotation and both translations from the best of many rotations, on some of the samples."""
-    few = spread_rows(len(p), _FEW)
-    R, p, position, weight = R[few], p[few], position[few], np.ones(len(few))
+    subset = spread_rows(len(p), _FEW)
+    R = R[subset]
+    p = p[subset]
+    position = position[subset]
+    weight = np.ones(len(subset))
     quarter_turns = (
         np.eye(3)[list(order)] * signs for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
     )
-    found = []
+    outcomes = []
     for start in (turn for turn in quarter_turns if np.linalg.det(turn) > 0):
         T_frame, T_tool = np.eye(4), np.eye(4)
         T_frame[:3, :3] = start
@@ -166,8 +169,8 @@ def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Ar
             T_frame[:3, :3] = _turned_frame(R, p, position, weight, T_frame, T_tool)
         T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
         missed = np.median(np.linalg.norm(_missed(R, p, position, T_frame, T_tool), axis=1))
-        found.append((float(missed), len(found), T_frame, T_tool))
-    _, _, T_frame, T_tool = min(found, key=lambda one: one[:2])
+        outcomes.append((float(missed), len(outcomes), T_frame, T_tool))
+    _, _, T_frame, T_tool = min(outcomes, key=lambda outcome: outcome[:2])
     return T_frame[:3, :3], T_tool[:3, 3], T_frame[:3, 3]
 
 
@@ -179,8 +182,8 @@ def _missed(R: Array, p: Array, position: Array, T_frame: Array, T_tool: Array) 
 def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: Array) -> tuple[Array, Array]:
     """Of the tool and the sensor frame, whose rotation is given."""
     columns = np.concatenate([R_frame @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
-    found = _solve(columns, position - p @ R_frame.T, weight)
-    return found[:3], found[3:]
+    translations = _solve(columns, position - p @ R_frame.T, weight)
+    return translations[:3], translations[3:]
 
 
 def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: Array, T_tool: Array) -> Array:

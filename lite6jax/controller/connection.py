@@ -109,7 +109,8 @@ class ReportPort:
         """The events that wait, with the reports of a connection merged, which is much faster to process."""
         events: list[Reports | str] = []
         while not self.events.empty():
-            event, last = self.events.get(), events[-1] if events else None
+            event = self.events.get()
+            last = events[-1] if events else None
             if isinstance(event, Reports) and isinstance(last, Reports) and event.connection == last.connection:
                 events[-1] = Reports(event.connection, last.reports + event.reports, event.heard)
             else:
@@ -131,7 +132,9 @@ class ReportPort:
             connection = connect(self.address.host, self.port, CONNECT_S)
         except InputError as error:
             return str(error)
-        received, heard, index = bytearray(), time.monotonic(), self._connections
+        received = bytearray()
+        heard = time.monotonic()
+        index = self._connections
         with connection:
             connection.settimeout(0.1)  # the delay of a stop
             while not self._stop.is_set():
@@ -145,7 +148,9 @@ class ReportPort:
                     return f"{self.place}: {error.strerror or error}"
                 if not chunk:
                     return f"{self.place}: closed by the controller"
-                heard, fault, reports = time.monotonic(), "", []
+                heard = time.monotonic()
+                fault = ""
+                reports = []
                 received += chunk
                 try:
                     for report in protocol.take_reports(received):

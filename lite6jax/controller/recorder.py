@@ -108,17 +108,18 @@ class TableWriter:
         ]
         self._schema = self._schema or pa.schema(fields)
         batch = pa.record_batch(dict(columns), schema=self._schema)
-        first, sink = not self._size, pa.BufferOutputStream()
+        first = not self._size
+        sink = pa.BufferOutputStream()
         sink.write(",".join(columns).encode() + b"\n" if first else b"")
         pa_csv.write_csv(batch, sink, pa_csv.WriteOptions(include_header=False))
-        rest = memoryview(sink.getvalue())
-        size = self._size + len(rest)
+        unwritten = memoryview(sink.getvalue())
+        size = self._size + len(unwritten)
         if self._open is None:
             self._open = io.FileIO(self.file, "w+" if self._overwrite else "x+")
         try:
             self._open.seek(self._size)
-            while len(rest):  # on a disk that becomes full, a write may be partial without an error
-                rest = rest[self._open.write(rest) or 0 :]
+            while len(unwritten):  # on a disk that becomes full, a write may be partial without an error
+                unwritten = unwritten[self._open.write(unwritten) or 0 :]
         except OSError:
             self._open.truncate(self._size)
             raise
@@ -286,12 +287,14 @@ def record(
         account = {"complete": False}  # until it is replaced at the end
         declared.extend([write_settings(settings, sidecar_path(out), overwrite, account=account), *files])
 
-    rows, table = Rows(station, seconds), TableWriter(out, overwrite, SOURCES)
+    rows = Rows(station, seconds)
+    table = TableWriter(out, overwrite, SOURCES)
     try:
         ended = _take_rows(address, rows, table, declare, stop or threading.Event(), show)
     finally:
         table.close()
-    count, refusal = rows.count - table.waiting, table.refusal
+    count = rows.count - table.waiting
+    refusal = table.refusal
     if table.waiting:
         refusal = (
             f"{table.file}: the disk took {count} rows and not the last {table.waiting} ({refusal}); free space before "
@@ -299,8 +302,8 @@ def record(
         )
     notes = (*station.notes, *rows.notes())
     if seconds is not None and not rows.complete:
-        left = max(seconds - rows.time, 0.0) if rows.count else seconds
-        notes += (f"ended {left:.3g} s before {seconds:g} s: {rows.stopped or ended}",)
+        seconds_missing = max(seconds - rows.time, 0.0) if rows.count else seconds
+        notes += (f"ended {seconds_missing:.3g} s before {seconds:g} s: {rows.stopped or ended}",)
     recording = LiveRecording(
         written=(*([table.file] if count else []), *declared),
         rows=count,
@@ -351,7 +354,9 @@ def _take_rows(
                 if isinstance(event, str):
                     trouble = rows.lost = event
                     continue
-                trouble, heard, first = "", event.heard, not rows.count
+                trouble = ""
+                heard = event.heard
+                first = not rows.count
                 if (columns := rows.take(event)) is not None:
                     if first:
                         declare()
@@ -393,11 +398,15 @@ def record_poses(
     check_targets(out, overwrite, station.calibration is not None, live=False)
     if poses.dof != station.arm.dof:
         raise InputError(f"{poses.source}: has {poses.dof} joints, the {station.arm.name} {station.arm.dof}")
-    joints, started, stop = protocol.round_floats(poses.joint_position), time.monotonic(), stop or threading.Event()
+    joints = protocol.round_floats(poses.joint_position)
+    started = time.monotonic()
+    stop = stop or threading.Event()
     answers, failure, _ = compute_poses(address, joints, stop, lambda row: advance(1))
     rows = [i for i, answer in enumerate(answers) if not isinstance(answer, str)]
     refused = [(int(poses.row[i]), answer) for i, answer in enumerate(answers) if isinstance(answer, str)]
-    settings, written, sources = station.sidecar_settings(out, computed=True), [], {}
+    settings = station.sidecar_settings(out, computed=True)
+    written = []
+    sources = {}
     if not rows and not stop.is_set():
         first = f"the first with {refused[0][1]}" if refused else ""
         raise InputError(failure or f"{address}: refuses all joints of {poses.source}, {first}; check them")

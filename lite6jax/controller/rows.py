@@ -105,8 +105,8 @@ class Rows:
     def take(self, event: Reports) -> dict[str, NDArray] | None:
         """The columns of new reports; None if all are duplicates."""
         parts = []
-        for length, same in groupby(event.reports, len):
-            reports = np.frombuffer(b"".join(same), protocol.report_layout(protocol.REALTIME, length))
+        for length, group in groupby(event.reports, len):
+            reports = np.frombuffer(b"".join(group), protocol.report_layout(protocol.REALTIME, length))
             steps = np.diff(reports["time_us"].astype(np.int64))
             cuts = np.flatnonzero((steps < 0) | (steps > self._largest_step_us(event))) + 1
             parts += [self._continue(part, event) for part in np.split(reports, cuts)]
@@ -184,7 +184,8 @@ class Rows:
 
     def _convert(self, reports: NDArray, time: Array) -> dict[str, NDArray]:
         """The columns of new reports, in SI units."""
-        count, joints = len(reports), range(self._dof)
+        count = len(reports)
+        joints = range(self._dof)
         table: dict[str, NDArray] = {"time_s": time}
         for name, (pattern, _) in _FIELDS.items():
             values = reports[name].astype(float)
@@ -223,18 +224,19 @@ class Rows:
         finite = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
         safe = np.where(finite[:, None], numbers, 0.0)
         if not self._certain and finite.any():
-            some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
-            expected = frames.chain(self._links, q[some]) @ self._tool
-            found, off = expected.copy(), {}
+            sampled = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
+            expected = frames.chain(self._links, q[sampled]) @ self._tool
+            measured = expected.copy()
+            off = {}
             for name, read in _CONVENTIONS.items():
-                found[:, :3, :3] = read(safe[some]).as_matrix()
-                off[name] = float(frames.compare_transforms(expected, found)[1].max())
-            best = min(off, key=lambda name: off[name])
-            if self._convention is None and not self.names and off[best] > _IMPLAUSIBLE_RAD:
+                measured[:, :3, :3] = read(safe[sampled]).as_matrix()
+                off[name] = float(frames.compare_transforms(expected, measured)[1].max())
+            convention = min(off, key=lambda name: off[name])
+            if self._convention is None and not self.names and off[convention] > _IMPLAUSIBLE_RAD:
                 self._convention = ""
                 return None
-            self._convention = best
-            self._certain = max(off.values()) - off[best] > _DISTINCT_RAD
+            self._convention = convention
+            self._certain = max(off.values()) - off[convention] > _DISTINCT_RAD
         quaternions = _CONVENTIONS[self._convention or "roll pitch yaw"](safe).as_quat(scalar_first=True)
         quaternions[~finite] = np.nan
         return quaternions

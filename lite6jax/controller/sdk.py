@@ -150,10 +150,10 @@ class Sdk:
             raise self._failure(f"says: {reply['error']}")
         return reply
 
-    def _failure(self, what: str) -> SdkError:
+    def _failure(self, trouble: str) -> SdkError:
         return SdkError(
-            f"{self._where}: the SDK's connection {what}; end other programs connected to the arm, check the network, "
-            "and try again"
+            f"{self._where}: the SDK's connection {trouble}; end other programs connected to the arm, check the "
+            "network, and try again"
         )
 
 
@@ -270,9 +270,11 @@ def verify(
             f"{address}: the controller reports error {condition.error}, during which its tool offset is "
             "unreliable; clear the error with the vendor's program, and try again"
         )
-    here = condition.joint_position[: arm.dof]
-    answers, failure, version = compute_poses(address, np.vstack([here, q]), None, lambda row: row and advance(1))
-    for joints, answer in zip((here, *q), answers, strict=False):
+    present_position = condition.joint_position[: arm.dof]
+    answers, failure, version = compute_poses(
+        address, np.vstack([present_position, q]), None, lambda row: row and advance(1)
+    )
+    for joints, answer in zip((present_position, *q), answers, strict=False):
         if isinstance(answer, str):
             shown = " ".join(f"{value:.1f}" for value in np.degrees(joints))
             raise InputError(
@@ -284,11 +286,12 @@ def verify(
     at_rest, *_ = computed = protocol.read_pose(np.array(answers))
     computed = computed[1:]
 
-    links, q_sent = frames.transform_from_row(calibration.kinematics), protocol.round_floats(q)
+    links = frames.transform_from_row(calibration.kinematics)
+    q_sent = protocol.round_floats(q)
     tools = {"none": np.eye(4)}
     if condition.has_tool:
         tools = {"applied": condition.T_flange_tool, "omitted by the controller": np.eye(4)}
-    at_rest_expected = frames.chain(links, here)
+    at_rest_expected = frames.chain(links, present_position)
     agreement = {name: np.array(compare_transforms(at_rest_expected @ T, at_rest)) for name, T in tools.items()}
     tool = min(agreement, key=lambda name: agreement[name] @ [1.0, 0.1])
     expected = frames.chain(links, q_sent) @ tools[tool]
@@ -296,10 +299,10 @@ def verify(
     other_chain = offset = None
     if not _agree(position, orientation):
         offset = find_offset(expected, computed)
-        for other in map(load_bundled, bundled_arms()):
-            if other.dof == arm.dof and other_chain is None:
-                poses = frames.chain(other.links, q_sent) @ tools[tool]
-                other_chain = other.name if _agree(*compare_transforms(poses, computed)) else None
+        for candidate in map(load_bundled, bundled_arms()):
+            if candidate.dof == arm.dof and other_chain is None:
+                poses = frames.chain(candidate.links, q_sent) @ tools[tool]
+                other_chain = candidate.name if _agree(*compare_transforms(poses, computed)) else None
     return Verification(
         q,
         position,

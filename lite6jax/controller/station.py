@@ -56,14 +56,16 @@ def read_calibration(address: Address, arm: Arm | None = None, seconds: float = 
         InputError: no connection, no reply (`SilentError`), an incomplete reply, no calibration
             (`UncalibratedError`), another arm, or an invalid reply. The message names the address and the remedy.
     """
-    where, received, end = str(address), bytearray(), time.monotonic() + seconds
+    where = str(address)
+    received = bytearray()
+    end = time.monotonic() + seconds
     with connect(address.host, address.port, seconds) as connection:
         try:
             connection.sendall(REQUEST.encode())
             while len(received) < CALIBRATION_REPLY:
-                if (left := end - time.monotonic()) <= 0:
+                if (time_remaining := end - time.monotonic()) <= 0:
                     raise TimeoutError
-                connection.settimeout(left)
+                connection.settimeout(time_remaining)
                 piece = connection.recv(CALIBRATION_REPLY - len(received))
                 if not piece:
                     raise ConnectionError
@@ -95,22 +97,22 @@ def _check_reply(received: bytearray, where: str) -> None:
     if len(received) < HEADER.size:
         return
     transaction, proto, length = HEADER.unpack_from(received)
-    what = ""
+    mismatch = ""
     if (transaction, proto) != (REQUEST.transaction, REQUEST.protocol):
         expected = f"transaction {REQUEST.transaction}, protocol {REQUEST.protocol}"
-        what = f"transaction {transaction}, protocol {proto} to {expected}"
+        mismatch = f"transaction {transaction}, protocol {proto} to {expected}"
     elif length < 2:
-        what = f"a reply of {length} bytes"
+        mismatch = f"a reply of {length} bytes"
     elif len(received) > 7:
         register, status = received[6:8]
         if register != Register.CALIBRATION:
-            what = f"register {register} to {int(Register.CALIBRATION)}"
+            mismatch = f"register {register} to {int(Register.CALIBRATION)}"
         elif status & Status.INVALID:
             raise _uncalibrated(where)
         elif length != CALIBRATION_REPLY - HEADER.size:
-            what = f"a reply of {length} bytes, not {CALIBRATION_REPLY - HEADER.size}"
-    if what:
-        raise _invalid(where, what, bytes(received))
+            mismatch = f"a reply of {length} bytes, not {CALIBRATION_REPLY - HEADER.size}"
+    if mismatch:
+        raise _invalid(where, mismatch, bytes(received))
 
 
 def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.floating]:
@@ -158,10 +160,10 @@ def _uncalibrated(where: str) -> UncalibratedError:
     )
 
 
-def _invalid(where: str, what: str, received: bytes) -> InputError:
+def _invalid(where: str, mismatch: str, received: bytes) -> InputError:
     return InputError(
-        f"{where}: replies with {what} (it begins {received[:8].hex(' ')}), which is not a calibration; check that the "
-        "address is the arm's control box, and read again"
+        f"{where}: replies with {mismatch} (it begins {received[:8].hex(' ')}), which is not a calibration; check "
+        "that the address is the arm's control box, and read again"
     )
 
 

@@ -90,13 +90,14 @@ class SelfCollision(NamedTuple):
         if not len(self.pairs):
             return np.zeros((0, len(joint_position)))
         q = joint_position if hasattr(joint_position, "__array_namespace__") else np.asarray(joint_position, float)
-        xp, walked = q.__array_namespace__(), walk_chain(self.arm, q)
+        xp = q.__array_namespace__()
+        walked = walk_chain(self.arm, q)
         p, r = (
             xp.stack([walked[c.link][:, :3, :3] @ c[end] + walked[c.link][:, :3, 3] for c in self.capsules])
             for end in (2, 3)
         )
         (i, j), radius = self.pairs.T, np.array([c.radius for c in self.capsules])
-        apart = segment_distance(*(xp.moveaxis(each, -1, 0) for each in (p[i], r[i], p[j], r[j])))
+        apart = segment_distance(*(xp.moveaxis(points, -1, 0) for points in (p[i], r[i], p[j], r[j])))
         return apart - (radius[i] + radius[j])[:, None]
 
 
@@ -110,16 +111,16 @@ def self_collision(arm: Arm, capsules: Sequence[Capsule] | None = None) -> SelfC
     capsules = tuple(chain_capsules(arm) if capsules is None else capsules)
     pairs = [
         (i, j)
-        for i, one in enumerate(capsules)
-        for j, other in enumerate(capsules[:i])
-        if one.link - other.link not in (-1, 0, 1) and one.radius + other.radius > 0
+        for i, capsule in enumerate(capsules)
+        for j, earlier_capsule in enumerate(capsules[:i])
+        if capsule.link - earlier_capsule.link not in (-1, 0, 1) and capsule.radius + earlier_capsule.radius > 0
     ]
-    found = SelfCollision(arm, capsules, np.array(pairs, int).reshape(-1, 2), ())
+    collision = SelfCollision(arm, capsules, np.array(pairs, int).reshape(-1, 2), ())
     lower, upper = arm.joint_limits.T
     q = lower + (upper - lower) * (sample_joints(arm.dof, _SAMPLES) / (2 * np.pi) + 0.5)
-    always = np.mean(found.pair_clearances(q) < 0, axis=1) > ALWAYS
-    disabled = tuple((capsules[j].name, capsules[i].name) for i, j in found.pairs[always])
-    return found._replace(pairs=found.pairs[~always], disabled=disabled)
+    always = np.mean(collision.pair_clearances(q) < 0, axis=1) > ALWAYS
+    disabled = tuple((capsules[j].name, capsules[i].name) for i, j in collision.pairs[always])
+    return collision._replace(pairs=collision.pairs[~always], disabled=disabled)
 
 
 def link_frames(arm: Arm, joint_position: ArrayLike) -> Array:
@@ -228,24 +229,24 @@ def candidates(
     lower, upper = inside_limits(arm, limit_margin).T
     rng = np.random.default_rng(seed)
     refused = {condition.name: 0 for condition in filters}
-    kept: list[Array] = []
-    tried = passed = 0
+    accepted_batches: list[Array] = []
+    drawn = passed = 0
     while passed < count:
         q = rng.uniform(lower, upper, (_BATCH, arm.dof))
-        tried += len(q)
+        drawn += len(q)
         for condition in filters:
             accepted = condition.accepts(q)
             refused[condition.name] += int(np.sum(~accepted))
             q = q[accepted]
-        kept.append(q)
+        accepted_batches.append(q)
         passed += len(q)
-        if tried >= _ENOUGH_TRIED and passed < min(_FEWEST * tried, count):
+        if drawn >= _ENOUGH_TRIED and passed < min(_FEWEST * drawn, count):
             worst = max(refused, key=lambda name: refused[name])
             raise InputError(
-                f"candidates: {passed} of {tried} joint positions pass; {worst} refused"
-                f" {100 * refused[worst] / tried:.3g} % of them; widen it"
+                f"candidates: {passed} of {drawn} joint positions pass; {worst} refused"
+                f" {100 * refused[worst] / drawn:.3g} % of them; widen it"
             )
-    return Candidates(np.concatenate(kept)[:count], tried, refused)
+    return Candidates(np.concatenate(accepted_batches)[:count], drawn, refused)
 
 
 def inside_limits(arm: Arm, margin: float = 0.0) -> Array:

@@ -152,8 +152,8 @@ class Determination:
     def correlated(self) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose estimates correlate above 0.95, the closest first."""
         rho = np.triu(self.correlation, 1)
-        found = sorted(zip(*np.nonzero(np.abs(rho) > _CORRELATED), strict=True), key=lambda ij: -abs(rho[ij]))
-        return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
+        index_pairs = sorted(zip(*np.nonzero(np.abs(rho) > _CORRELATED), strict=True), key=lambda ij: -abs(rho[ij]))
+        return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in index_pairs]
 
 
 def each_block(rows: Callable[..., Array], parts: Sequence[Array], block: int) -> Iterator[Array]:
@@ -198,7 +198,8 @@ def determination_of(
     names, units, size = tuple(names), tuple(units), len(names)
     order = range(size) if order is None else order
     determined, shares = _independent_columns(root, order)
-    dependencies, carried = [], {int(i): [(int(i), 1.0)] for i in np.flatnonzero(determined)}
+    dependencies = []
+    carried = {int(i): [(int(i), 1.0)] for i in np.flatnonzero(determined)}
     for k in map(int, np.flatnonzero(~determined)):
         ratio = shares[k] * scale / scale[k]  # of SI units
         partners = np.flatnonzero(np.abs(shares[k]) > _TAKES_PART)
@@ -215,9 +216,9 @@ def determination_of(
         )
         for terms in carried.values()
     )
-    known = np.zeros(size) if prior is None else np.sqrt(prior)
-    rows = np.vstack([root, np.diag(known)])
-    free = _independent_columns(rows, order)[0] if known.any() else determined
+    prior_root = np.zeros(size) if prior is None else np.sqrt(prior)
+    rows = np.vstack([root, np.diag(prior_root)])
+    free = _independent_columns(rows, order)[0] if prior_root.any() else determined
     length = np.linalg.norm(rows, axis=0)
     half = np.linalg.inv(np.linalg.qr(rows[:, free] / length[free], mode="r")) * (scale[free] / length[free])[:, None]
     covariance = np.zeros((size, size))
@@ -225,14 +226,14 @@ def determination_of(
     # the directions along which the rows change least, with their columns made comparable first
     longest = max(length.max(initial=0.0), 1e-300)
     comparable = np.where(length > _UNOBSERVABLE * longest, length, longest)
-    least = np.linalg.svd(rows / comparable)[2][int(free.sum()) :]
+    null_space = np.linalg.svd(rows / comparable)[2][int(free.sum()) :]
     return Determination(
         names=names,
         units=units,
         scale=scale,
         samples=samples,
         singular_values=np.linalg.svd(root, compute_uv=False),
-        open_directions=np.linalg.qr((least / comparable).T)[0],
+        open_directions=np.linalg.qr((null_space / comparable).T)[0],
         rank=int(determined.sum()),
         free=free,
         dependencies=tuple(dependencies),
@@ -249,15 +250,16 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
     length = np.linalg.norm(root, axis=0)
     observable = length > _UNOBSERVABLE * length.max(initial=0.0)
     unit = root / np.where(observable, length, 1.0)
-    free, shares = np.zeros(len(length), bool), dict[int, Array]()
+    free = np.zeros(len(length), bool)
+    shares = dict[int, Array]()
     for k in order:
-        share, taken = np.zeros(len(length)), np.flatnonzero(free)
+        share, basis = np.zeros(len(length)), np.flatnonzero(free)
         if observable[k]:
-            found = np.linalg.lstsq(unit[:, taken], root[:, k], rcond=None)[0]
-            if np.linalg.norm(root[:, k] - unit[:, taken] @ found) > _DEPENDENT * length[k]:
+            coordinates = np.linalg.lstsq(unit[:, basis], root[:, k], rcond=None)[0]
+            if np.linalg.norm(root[:, k] - unit[:, basis] @ coordinates) > _DEPENDENT * length[k]:
                 free[k] = True
                 continue
-            share[taken] = found / length[taken]
+            share[basis] = coordinates / length[basis]
         shares[k] = share
     return free, shares
 

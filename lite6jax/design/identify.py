@@ -50,7 +50,8 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
         InputError: joints that the arm does not have.
     """
     e = experiment
-    geometry, rigid = int(e.movable[: e.form.chain.size].sum()), e.size - e.physics.size
+    geometry = int(e.movable[: e.form.chain.size].sum())
+    rigid = e.size - e.physics.size
     return determination_of(
         e.root(joint_position),
         e.names,
@@ -79,7 +80,8 @@ def predict_accuracy(experiment: Experiment, determination: Determination, joint
     J = experiment.error_rows(joint_position)
     by_unit = J / experiment.unit
     variance = np.sum((by_unit @ determination.covariance) * by_unit, 2)
-    lost, parts = J @ determination.open_directions, (slice(3), slice(3, 6))
+    lost = J @ determination.open_directions
+    parts = (slice(3), slice(3, 6))
     position, orientation = (float(np.sqrt(np.mean(variance[:, part].sum(1)))) for part in parts)
     determined = [bool(np.linalg.norm(lost[:, p]) <= _UNDETERMINED * np.linalg.norm(J[:, p])) for p in parts]
     return Accuracy(position, orientation, *determined)
@@ -268,7 +270,10 @@ class Sensitivity(PublicResult):
         the samples of each bin `(joint, bin, parameter)`; NaN where a bin is empty."""
         q = self.joint_position
         edges = np.linspace(q.min(0), q.max(0), bins + 1).T
-        squares = [binned_statistic(at, self.position.T**2, bins=each)[0] for at, each in zip(q.T, edges, strict=True)]
+        squares = [
+            binned_statistic(at, self.position.T**2, bins=bin_edges)[0]
+            for at, bin_edges in zip(q.T, edges, strict=True)
+        ]
         return (edges[:, 1:] + edges[:, :-1]) / 2, np.sqrt(np.moveaxis(np.stack(squares), 1, 2))
 
     def over_workspace(self, cell: float = 0.05) -> tuple[Array, Array, Array]:

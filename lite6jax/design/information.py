@@ -71,14 +71,16 @@ def _tool_motions(
     parameters. `values` are the numbers of the effects, and `payload` is in kg.
     """
     run = jnp.zeros((2, len(q)), int).at[1].set(len(q) - 1)
-    payloads, sliding = jnp.full(len(q), payload), Sliding(form.chain.sliding)
+    payloads = jnp.full(len(q), payload)
+    sliding = Sliding(form.chain.sliding)
     motion = Motion(q.T, None, direction.T, None, run, temperature_rise=None, payload=payloads, sliding=sliding)
     if isinstance(statics, Inertia) and not isinstance(form.chain, SixParameterForm):
         joint = joint_motion(motion.chain, motion.joint_position)
         statics = loads(motion.chain, kinematics, joint, motion.payload, statics)
 
     def moved(step: jax.Array) -> Frame:
-        arm, numbers = form.retract(model, step[: form.size]), values + step[form.size :]
+        arm = form.retract(model, step[: form.size])
+        numbers = values + step[form.size :]
         return predict_frames_with(form.chain, physics, arm, numbers, motion, statics)[1]
 
     zero = jnp.zeros(form.size + physics.size)
@@ -160,14 +162,14 @@ class Experiment:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
-        own = (one.name for one in self.own)
-        return tuple(compress((*self.form.names, *own, *self.physics.names), self.unknown))
+        sensor_names = (number.name for number in self.own)
+        return tuple(compress((*self.form.names, *sensor_names, *self.physics.names), self.unknown))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m`, `rad`, or an effect's unit, of each."""
-        own = (one.unit for one in self.own)
-        return tuple(compress((*self.form.units, *own, *self.physics.units), self.unknown))
+        sensor_units = (number.unit for number in self.own)
+        return tuple(compress((*self.form.units, *sensor_units, *self.physics.units), self.unknown))
 
     @property
     def size(self) -> int:
@@ -177,14 +179,14 @@ class Experiment:
     @cached_property
     def unit(self) -> Array:
         """`(size,)`, the tolerance or typical size of each unknown parameter, SI."""
-        tolerances = [TOLERANCE[unit] for unit in (*self.form.units, *(one.unit for one in self.own))]
+        tolerances = [TOLERANCE[unit] for unit in (*self.form.units, *(number.unit for number in self.own))]
         return np.concatenate([tolerances, self.physics.typical])[self.unknown]
 
     @cached_property
     def prior(self) -> Array:
         """`(size, size)`, the information of the prior, in these units; diagonal."""
-        own = [one.precision or WITHIN_REACH[one.unit] ** -2.0 for one in self.own]
-        precision = np.concatenate([self.precision, own, np.zeros(self.physics.size)])
+        sensor_precision = [number.precision or WITHIN_REACH[number.unit] ** -2.0 for number in self.own]
+        precision = np.concatenate([self.precision, sensor_precision, np.zeros(self.physics.size)])
         return np.diag(precision[self.unknown] * self.unit**2)
 
     @cached_property
@@ -222,9 +224,10 @@ class Experiment:
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
         tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, direction))
-        slopes, own = self.sensor.slopes(tool), self.sensor.by_own(tool)
+        slopes = self.sensor.slopes(tool)
+        sensor_columns = self.sensor.by_own(tool)
         columns = np.einsum("rks,pks->prs", slopes, motions)
-        columns = np.concatenate([columns[: self.form.size], own, columns[self.form.size :]])[self.unknown]
+        columns = np.concatenate([columns[: self.form.size], sensor_columns, columns[self.form.size :]])[self.unknown]
         if not self.sensor.joint_noise:
             return columns
         # with J the change of whitened readings per rad of the joints, and I + σ² J Jᵀ = L Lᵀ, L⁻¹ whitens them again
@@ -246,8 +249,8 @@ class Experiment:
             return J
         base = np.tile(np.eye(6), (len(q), 1, 1))
         base[:, :3, 3:] = np.cross(np.eye(3), tool[:, None, :3, 3]).swapaxes(1, 2)
-        alike = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
-        return J - base @ alike
+        base_displacement = np.linalg.lstsq(base[:, :3].reshape(-1, 6), J[:, :3].reshape(-1, self.size), rcond=None)[0]
+        return J - base @ base_displacement
 
     def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
         """The same with these effects unknown too, linearised at `values` `(number,)`, or where they are neutral.
@@ -268,7 +271,8 @@ def check_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
     Raises:
         InputError: another shape, numbers that are not real or not finite, or degrees.
     """
-    q, arm = real_array("joint_position", joint_position), experiment.arm
+    q = real_array("joint_position", joint_position)
+    arm = experiment.arm
     if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
         raise InputError(f"joint_position of shape {q.shape}: {arm.name} takes (sample, {arm.dof})")
     if not np.isfinite(q).all():

@@ -80,9 +80,9 @@ def read_motion(recording: Recording) -> tuple[Motion, list[str]]:
         return Motion(q, dq, recording.joint_acceleration.T), []
     if recording.time is None:
         raise InputError(f"{recording.source}: has no accelerations; add time_s, or ddq1_rad_per_s2 …")
-    found = accelerated(motion_of_recording(recording)).joint_acceleration
+    acceleration = accelerated(motion_of_recording(recording)).joint_acceleration
     note = "the accelerations were not recorded and come from differences of the velocities over 0.1 s"
-    return Motion(q, dq, np.asarray(found)), [note]
+    return Motion(q, dq, np.asarray(acceleration)), [note]
 
 
 @final
@@ -125,11 +125,11 @@ class MotionRoom:
                 raise InputError(f"{name} {value:g}: give a number of {unit}, above 0")
         if self.harmonics < 2:
             raise InputError(f"harmonics {self.harmonics}: a motion from rest to rest takes 2 or more")
-        least = 10 * self.harmonics
-        if self.samples < least:
+        fewest_samples = 10 * self.harmonics
+        if self.samples < fewest_samples:
             raise InputError(
                 f"a motion of {self.duration:g} s at {self.rate:g} samples a second is too short for {self.harmonics}"
-                f" harmonics: give a longer one, of {least} samples or more"
+                f" harmonics: give a longer one, of {fewest_samples} samples or more"
             )
         inside_limits(self.arm, self.margin)
 
@@ -159,13 +159,13 @@ class MotionRoom:
         return not self.filters or bool(all_pass(self.filters, np.asarray(self.move_evenly(free, _CHECKED).q).T).all())
 
 
-def per_joint(arm: Arm, given: ArrayLike, name: str, unit: str, number: str = "number") -> Matrix:
+def per_joint(arm: Arm, numbers: ArrayLike, name: str, unit: str, number: str = "number") -> Matrix:
     """A number above zero of each joint `(joint,)`, of one for all, of prismatic joints at `LEVER`, or of one for each.
 
     Raises:
         InputError: other numbers; it says the `name`, the unit, and which `number` to give.
     """
-    values = np.atleast_1d(np.asarray(given, float))
+    values = np.atleast_1d(np.asarray(numbers, float))
     if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
         shown = " ".join(f"{value:g}" for value in values.ravel())
         raise InputError(f"{name} {shown} {unit}: give one {number} above 0, or {arm.dof} of them")
@@ -179,9 +179,11 @@ def _move(
     """A trigonometric polynomial of degree K is nowhere larger than 1/cos(πK/N) times its largest value at N
     equidistant points of a period (H. Ehlich, K. Zeller, 1964): with that factor the limits hold at every instant."""
     harmonics = free.shape[1] // 2
-    k, count = np.arange(1, harmonics + 1), _PEAK_POINTS * harmonics
-    rest = np.stack([np.append(np.ones(harmonics), np.zeros(harmonics)), np.append(np.zeros(harmonics), k)])
-    rest_to_rest = np.linalg.svd(rest)[2][2:]  # orthonormal coefficients, a then b, of motions at rest at t = 0
+    k = np.arange(1, harmonics + 1)
+    count = _PEAK_POINTS * harmonics
+    rest_conditions = np.stack([np.append(np.ones(harmonics), np.zeros(harmonics)), np.append(np.zeros(harmonics), k)])
+    # orthonormal coefficients, a then b, of motions at rest at t = 0
+    rest_to_rest = np.linalg.svd(rest_conditions)[2][2:]
     directions = free[:, :-2] / jnp.sqrt(jnp.sum(free[:, :-2] ** 2, 1, keepdims=True))
     a, b = jnp.split(directions @ rest_to_rest, 2, axis=1)
     rate = 2 * jnp.pi * k / period
@@ -196,10 +198,12 @@ def _move(
     (lower, upper), high, low = position.T, q.max(1), q.min(1)
     half = between * (high - low) / 2
     peaks = [half / ((upper - lower) / 2)]
-    peaks += [between * jnp.abs(each).max(1) / limit for each, limit in ((dq, velocity), (ddq, acceleration))]
+    peaks += [
+        between * jnp.abs(derivative).max(1) / limit for derivative, limit in ((dq, velocity), (ddq, acceleration))
+    ]
     size = jax.nn.sigmoid(free[:, -1]) / jnp.max(jnp.stack(peaks), 0)
     middle = lower + size * half + jax.nn.sigmoid(free[:, -2]) * (upper - lower - 2 * size * half)
-    q, dq, ddq = (size[:, None] * each for each in series(time))
+    q, dq, ddq = (size[:, None] * trajectory for trajectory in series(time))
     return Motion(q + (middle - size * (high + low) / 2)[:, None], dq, ddq)
 
 
@@ -214,12 +218,14 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Mat
     middles = candidates(room.arm, _FEWEST * (count + 1), seed, room.filters).joint_position
     lower, upper = room.position.T
     passed: list[Matrix] = []
-    for tried, middle in enumerate(middles):
+    for attempts, middle in enumerate(middles):
         if len(passed) == count:
             break
-        if tried >= _FEWEST * (len(passed) + 1):
+        if attempts >= _FEWEST * (len(passed) + 1):
             names = ", ".join(condition.name for condition in room.filters)
-            raise InputError(f"motions: {len(passed)} of {tried} random ones pass {names} at any amplitude; widen them")
+            raise InputError(
+                f"motions: {len(passed)} of {attempts} random ones pass {names} at any amplitude; widen them"
+            )
         free = np.zeros((room.arm.dof, 2 * room.harmonics))
         free[:, :-2] = rng.standard_normal((room.arm.dof, 2 * room.harmonics - 2))
         share = 1.0
@@ -249,23 +255,26 @@ def ascend(
 
     def climb(free: Array) -> tuple[Array, tuple[Array, Array]]:
         motion = room.move_evenly(free, _POINTS * room.harmonics)
-        value, penalty = height(motion), jnp.zeros(())
+        value = height(motion)
+        penalty = jnp.zeros(())
         for distance in distances:
             into = jnp.maximum(1 - distance(jnp.asarray(motion.q).T) / _CLEAR, 0.0)
             penalty += _WEIGHT * jnp.sum(into**2) / room.harmonics
         return value - penalty, (value, penalty)
 
     judge = jax.jit(jax.value_and_grad(climb, has_aux=True))
-    best, best_value, improved = starts[0], -np.inf, 0
+    best_motion, best_value, improved = starts[0], -np.inf, 0
     for start in starts:
-        free, first, second = start, np.zeros_like(start), np.zeros_like(start)
+        free = start
+        first = np.zeros_like(start)
+        second = np.zeros_like(start)
         for i in range(steps + 1):
             (_, (value, penalty)), uphill = judge(free)
             if value > best_value and (i == 0 or (penalty < _WEIGHT and room.passes(free))):
-                best, best_value, improved = free, float(value), improved + (i > 0)
+                best_motion, best_value, improved = free, float(value), improved + (i > 0)
             first, second = 0.9 * first + 0.1 * np.asarray(uphill), 0.99 * second + 0.01 * np.asarray(uphill) ** 2
             rate = _LAST_RATE + (_FIRST_RATE - _LAST_RATE) * (1 + np.cos(np.pi * i / max(steps, 1))) / 2
             mean, spread = first / (1 - 0.9 ** (i + 1)), second / (1 - 0.99 ** (i + 1))
             free = free + rate * mean / (np.sqrt(spread) + 1e-12)
             free[:, :-2] /= np.sqrt(np.mean(free[:, :-2] ** 2, 1, keepdims=True))  # the steps turn it alike
-    return best, best_value, improved
+    return best_motion, best_value, improved

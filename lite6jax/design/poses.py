@@ -211,8 +211,8 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
     if not 1 <= count <= total:
         raise InputError(f"{count} poses out of {total} candidates: choose 1 to {total}, or give more candidates")
     sizes = np.linalg.eigvalsh(pool.base)
-    known = int(np.sum(sizes > _DESIGN_DETERMINES * max(sizes[-1], 0.0)))
-    needed = -(-(rank - known) // height)
+    determined_by_prior = int(np.sum(sizes > _DESIGN_DETERMINES * max(sizes[-1], 0.0)))
+    needed = -(-(rank - determined_by_prior) // height)
     if count < needed:
         raise InputError(
             f"{count} poses: too few for the {rank} directions that the candidates determine; choose at least"
@@ -228,7 +228,8 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
 
 def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count: int) -> list[int]:
     """`count` of `among`, which begin with those `already` chosen: each the best beside the ones before it."""
-    rows, chosen = pool.rows[among], list(range(already))
+    rows = pool.rows[among]
+    chosen = list(range(already))
     while len(chosen) < count:
         gains = criterion.gains(rows, pool.information(among[chosen]))
         gains[chosen] = -np.inf
@@ -241,16 +242,20 @@ def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices
     exchanges = cycles = 0
     count = len(chosen)
     while cycles < _CYCLES:
-        among, at = pool.foremost(criterion, chosen), list(range(count))
-        rows, made, visited, in_vain = pool.rows[among], 0, 0, 0
+        among = pool.foremost(criterion, chosen)
+        at = list(range(count))
+        rows = pool.rows[among]
+        made = 0
+        visited = 0
+        in_vain = 0
         while in_vain < count and cycles + visited // count < _CYCLES:
             i = visited % count
-            others = at[:i] + at[i + 1 :]
-            gains = criterion.gains(rows, pool.information(among[others]))
-            gains[others] = -np.inf
-            best = int(np.argmax(gains))
-            better = gains[best] > gains[at[i]] * (1 + _IMPROVES)
-            at[i] = best if better else at[i]
+            retained = at[:i] + at[i + 1 :]
+            gains = criterion.gains(rows, pool.information(among[retained]))
+            gains[retained] = -np.inf
+            candidate = int(np.argmax(gains))
+            better = gains[candidate] > gains[at[i]] * (1 + _IMPROVES)
+            at[i] = candidate if better else at[i]
             made, in_vain, visited = made + better, 0 if better else in_vain + 1, visited + 1
         chosen, exchanges, cycles = among[at], exchanges + made, cycles + -(-visited // count)
         if not made or len(among) == len(pool.rows):
@@ -391,7 +396,8 @@ def plan_poses(
         return np.sqrt(-pool.curve(judged, indices))
 
     achieved = reached = curve(design.indices)
-    needed, more = None, count
+    needed = None
+    more = count
     while accuracy is not None:
         needed = _first_within(reached, accuracy)
         if needed is not None or more >= min(MOST_POSES, len(q)) or judged is None:
@@ -434,16 +440,18 @@ def plan_discrimination(
     Raises:
         InputError: as `plan_poses`; the first has no size, or no candidate separates them.
     """
-    (one, values), other = rivals
+    (first_effect, values), second_effect = rivals
     values = np.asarray(values, float)
     if not values.any():
-        raise InputError(f"{one.label}: has no size; give a value of its parameters")
-    at = np.concatenate([experiment.values, np.zeros(one.size + other.size)])
-    experiment = replace(experiment, approach="zero").with_physics([*experiment.physics.effects, one, other], at)
-    first = experiment.size - one.size - other.size
-    own = slice(first, first + one.size)
-    scaled = np.delete(np.eye(experiment.size), np.arange(first + 1, first + one.size), axis=1)
-    scaled[own, first] = values / experiment.unit[own]
+        raise InputError(f"{first_effect.label}: has no size; give a value of its parameters")
+    at = np.concatenate([experiment.values, np.zeros(first_effect.size + second_effect.size)])
+    experiment = replace(experiment, approach="zero").with_physics(
+        [*experiment.physics.effects, first_effect, second_effect], at
+    )
+    first = experiment.size - first_effect.size - second_effect.size
+    first_numbers = slice(first, first + first_effect.size)
+    scaled = np.delete(np.eye(experiment.size), np.arange(first + 1, first + first_effect.size), axis=1)
+    scaled[first_numbers, first] = values / experiment.unit[first_numbers]
     q = np.asarray(candidates, float)
     prior = scaled.T @ _prior_information(experiment, recorded) @ scaled
     pool = Pool(experiment.rows(q) @ scaled, prior)
@@ -465,7 +473,7 @@ def plan_discrimination(
         joint_position=q[design.indices],
         design=design,
         candidates=len(q),
-        rivals=(one.label, other.label),
+        rivals=(first_effect.label, second_effect.label),
         distance=distances(design.indices),
         random_distance=np.array([distances(draw)[-1] for draw in _random_draws(len(q), count, seed)]),
     )
@@ -499,19 +507,22 @@ def short_path(joint_position: Array) -> NDArray[np.integer]:
     """
     points = np.vstack([np.zeros(joint_position.shape[1]), joint_position])
     distance = np.abs(points[:, None] - points[None]).max(-1)
-    order, left = [0], set(range(1, len(points)))
-    while left:
-        order.append(min(left, key=lambda k: distance[order[-1], k]))
-        left.remove(order[-1])
-    tour, improved = np.array(order), True
+    order = [0]
+    unvisited = set(range(1, len(points)))
+    while unvisited:
+        order.append(min(unvisited, key=lambda k: distance[order[-1], k]))
+        unvisited.remove(order[-1])
+    tour = np.array(order)
+    improved = True
     while improved:  # 2-opt of an open path: turn a stretch round where that shortens it
         improved = False
         for i in range(1, len(tour) - 1):
-            ends, ahead = tour[i + 1 :], np.append(tour[i + 2 :], -1)
+            ends = tour[i + 1 :]
+            ahead = np.append(tour[i + 2 :], -1)
             gain = distance[tour[i - 1], tour[i]] - distance[tour[i - 1], ends]
             gain = gain + np.where(ahead < 0, 0.0, distance[ends, ahead] - distance[tour[i], ahead])
-            best = int(np.argmax(gain))
-            if gain[best] > _ROUNDING:
-                tour[i : i + 2 + best] = tour[i : i + 2 + best][::-1]
+            stretch = int(np.argmax(gain))
+            if gain[stretch] > _ROUNDING:
+                tour[i : i + 2 + stretch] = tour[i : i + 2 + stretch][::-1]
                 improved = True
     return tour[1:] - 1

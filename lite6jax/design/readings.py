@@ -79,17 +79,18 @@ def draw_views(rng: np.random.Generator, samples: int, arm: Arm, fixed: bool) ->
     turn = Rotation.from_rotvec(_TILT * rng.uniform(-1, 1, (samples, 3)) * [1, 1, 2]).as_matrix()
     wide = 0.3 * arm.reach if fixed else 0.1
     far = (0.9 if fixed else 0.35) + wide * rng.uniform(-1, 1, samples)
-    seen = np.tile(np.eye(4), (samples, 1, 1))
-    seen[:, :3, :3] = facing @ turn
+    board_poses = np.tile(np.eye(4), (samples, 1, 1))
+    board_poses[:, :3, :3] = facing @ turn
     aside = wide * rng.uniform(-1, 1, (samples, 2))
-    seen[:, :3, 3] = np.concatenate([aside, far[:, None]], 1) - seen[:, :3, :3] @ middle
-    centre, T = draw_place(rng, arm, 0.0), np.eye(4)
+    board_poses[:, :3, 3] = np.concatenate([aside, far[:, None]], 1) - board_poses[:, :3, :3] @ middle
+    centre = draw_place(rng, arm, 0.0)
+    T = np.eye(4)
     if fixed:  # looks along −x at the arm
         T[:3, :3] = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         T[:3, 3] = centre + np.array([0.9, 0.0, 0.0])
     else:  # the board lies on the table, its z upwards
         T[:3, 3] = centre * [1, 1, 0.2] - middle
-    return seen, T
+    return board_poses, T
 
 
 # ------------------------------------------------------------------ the experiment
@@ -124,10 +125,13 @@ def plan_reading(
     """
     if places < 1:
         raise InputError(f"{places} places: give 1 or more")
-    reader, rng = READERS[name], np.random.default_rng([seed, 51])
-    sigma, point = noise or reader.noise, np.eye(4)
+    reader = READERS[name]
+    rng = np.random.default_rng([seed, 51])
+    sigma = noise or reader.noise
+    point = np.eye(4)
     point[:3, 3] = tool_at or reader.tool
-    form, T_tool = SixParameterForm(arm.dof, arm.sliding), arm.T_joint_flange @ point
+    form = SixParameterForm(arm.dof, arm.sliding)
+    T_tool = arm.T_joint_flange @ point
     if reader.kind == "camera":
         T = np.linalg.inv(draw_views(rng, 1, arm, name == "fixed_camera")[1])
         lens = (*(CAMERA[key] for key in ("fx", "fy", "cx", "cy")), *DISTORTION)
@@ -140,13 +144,17 @@ def plan_reading(
     if name == "contact":
         along = rng.standard_normal((places, 3)) * [1, 1, 0.2]
         along = SOCKETS_APART * along / np.linalg.norm(along, axis=1, keepdims=True)
-        points = [one for at, shift in zip(points, along, strict=True) for one in (at, at + shift)]
+        points = [socket for at, shift in zip(points, along, strict=True) for socket in (at, at + shift)]
     elif name != "plane":
         points = [1.6 * draw_place(rng, arm, 2.5)]
-    at, count = np.array(points).T, len(points)
+    at = np.array(points).T
+    count = len(points)
     ends = ("_a", "_b") if name == "contact" else ("",)
     names = tuple(f"plate{k // len(ends) + 1}{ends[k % len(ends)]}" for k in range(count))
-    group, whitener, zeros, free = np.arange(count), np.full(2, 1 / sigma), np.zeros(count), (True,) * count
+    group = np.arange(count)
+    whitener = np.full(2, 1 / sigma)
+    zeros = np.zeros(count)
+    free = (True,) * count
     if name == "contact":
         rods = tuple(Rod(k, k + 1, SOCKETS_APART, SOCKETS_KNOWN) for k in range(0, count, 2))
         reading = Contact(group, whitener, at, names, free, rods)
@@ -157,16 +165,18 @@ def plan_reading(
         reading = Distance(group, whitener, zeros, at, np.zeros(1), names, free)
     else:
         reading = Axis(group, whitener, zeros, np.array([0.0, 0.0, 1.0]), np.zeros(1), True)
-    placed = tuple((one, (float(x), float(y), float(z))) for one, (x, y, z) in zip(names, points, strict=True))
-    known = np.array([TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.units])
-    whole = ModelForm(form, False, True)
+    placed = tuple(
+        (place_name, (float(x), float(y), float(z))) for place_name, (x, y, z) in zip(names, points, strict=True)
+    )
+    chain_precision = np.array([TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.units])
+    model_form = ModelForm(form, False, True)
     return Experiment(
         arm,
-        whole,
+        model_form,
         ArmModel(arm.kinematics.ravel(), np.eye(4), T_tool),  # type: ignore[arg-type]
         PlacedReading(reading, placed, sigma, joint_noise),
-        movable=np.arange(whole.size) >= 6,
-        precision=np.concatenate([known, np.zeros(6)]),
+        movable=np.arange(model_form.size) >= 6,
+        precision=np.concatenate([chain_precision, np.zeros(6)]),
     )
 
 
@@ -183,37 +193,38 @@ def draw_readings(
     Raises:
         InputError: the arm reaches too few of the places, or filters refuse nearly all.
     """
-    sensor, rng = of.sensor, np.random.default_rng([seed, 52])
+    sensor = of.sensor
+    rng = np.random.default_rng([seed, 52])
     limits = inside_limits(of.arm, limit_margin)
     lower, upper = limits.T
-    kept: list[Array] = []
-    tried = passed = 0
+    accepted: list[Array] = []
+    drawn = passed = 0
     for _ in range(_ROUNDS):
         q = rng.uniform(lower, upper, (count, of.arm.dof))
         if (target := _targets(of, rng, count)) is not None:
             q, reached = reach(of.model, target, q, limits, of.arm.sliding, rng)
             q = q[reached]
-        tried += count
-        kept.append(q[all_pass(filters, q)])
-        passed += len(kept[-1])
+        drawn += count
+        accepted.append(q[all_pass(filters, q)])
+        passed += len(accepted[-1])
         if passed >= count:
             break
     if passed < min(count, 10):
-        what = getattr(sensor, "quantity", "images")
+        quantity = getattr(sensor, "quantity", "images")
         raise InputError(
-            f"candidates: {passed} of {tried} poses for {what} are reached and pass; take another place of the tool "
-            "(`tool_at=(X, Y, Z)`), another arm, or widen the filters"
+            f"candidates: {passed} of {drawn} poses for {quantity} are reached and pass; take another place of the "
+            "tool (`tool_at=(X, Y, Z)`), another arm, or widen the filters"
         )
-    every = np.concatenate(kept)
-    return Candidates(every[:count], tried, {"reach": tried - passed})
+    passing = np.concatenate(accepted)
+    return Candidates(passing[:count], drawn, {"reach": drawn - passed})
 
 
 def _targets(of: Experiment, rng: np.random.Generator, count: int) -> Target | None:
     """Where the tool is to be in the sensor's coordinates, of each place as often; None where that is anywhere."""
     sensor = of.sensor
     if isinstance(sensor, BoardView):
-        seen = draw_views(rng, count, of.arm, sensor.mounted == "fixed")[0]
-        T = seen if sensor.mounted == "fixed" else np.linalg.inv(seen)
+        board_poses = draw_views(rng, count, of.arm, sensor.mounted == "fixed")[0]
+        T = board_poses if sensor.mounted == "fixed" else np.linalg.inv(board_poses)
         return Target(T[:, :3, 3].T, np.moveaxis(T[:, :3, :3], 0, -1))  # type: ignore[arg-type]
     if not isinstance(sensor, PlacedReading) or sensor.quantity in ("distance", "axis"):
         return None
@@ -248,7 +259,7 @@ def planned_readings(
     labels = [names[k] for k in read_places(of, joint_position)]
     noise = {f"{sensor.quantity}_noise_m": sensor.position_noise}
     if isinstance(sensor.reading, Contact):
-        said = ((names[rod.parent], names[rod.child], rod) for rod in sensor.reading.rods)
-        noise["contact_distances"] = tuple(KnownDistance((a, b), rod.length, rod.noise) for a, b, rod in said)  # type: ignore[assignment]
+        distances = ((names[rod.parent], names[rod.child], rod) for rod in sensor.reading.rods)
+        noise["contact_distances"] = tuple(KnownDistance((a, b), rod.length, rod.noise) for a, b, rod in distances)  # type: ignore[assignment]
     settings = replace(settings, pose_source="touch", tool="unknown", **noise)  # type: ignore[arg-type]
     return settings, readings_from_arrays(sensor.quantity, labels=labels)

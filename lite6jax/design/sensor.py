@@ -84,8 +84,10 @@ class Sensor(PlannedSensor):
     joint_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        turns, posed, length = self.orientation_noise, self.quantity == "pose", float(np.linalg.norm(self.direction))
-        for right, what in (
+        turns = self.orientation_noise
+        posed = self.quantity == "pose"
+        length = float(np.linalg.norm(self.direction))
+        for right, message in (
             (0 < self.position_noise < np.inf,
              f"position noise {self.position_noise}: give one standard deviation in m, above 0"),
             (not posed or (turns is not None and 0 < turns < np.inf),
@@ -98,7 +100,7 @@ class Sensor(PlannedSensor):
             (0 < length < np.inf, f"direction {self.direction}: give three numbers that are not all zero"),
         ):  # fmt: skip
             if not right:
-                raise InputError(what)
+                raise InputError(message)
         if abs(length - 1) > 1e-15:  # so that to normalise twice changes nothing
             object.__setattr__(self, "direction", tuple(float(c) / length for c in self.direction))
 
@@ -121,8 +123,8 @@ class Sensor(PlannedSensor):
         self, position: float | None = None, orientation: float | None = None, joint: float | None = None
     ) -> "Sensor":
         """The sensor with another noise (m, rad, rad); what is None stays."""
-        given = {"position_noise": position, "orientation_noise": orientation, "joint_noise": joint}
-        return replace(self, **{name: value for name, value in given.items() if value is not None})
+        noises = {"position_noise": position, "orientation_noise": orientation, "joint_noise": joint}
+        return replace(self, **{name: value for name, value in noises.items() if value is not None})
 
     def to_dict(self) -> dict[str, Any]:
         concerns = {"direction": "axis", "center": "distance", "orientation_noise": "pose"}
@@ -187,10 +189,12 @@ class PlacedReading(PlannedSensor):
 
     @cached_property
     def own(self) -> tuple[OwnNumber, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        names = [one.name for one in self.reading.own]
+        names = [number.name for number in self.reading.own]
         return tuple(
-            one._replace(name=f"{one.name} {names[:k].count(one.name) + 1}") if names.count(one.name) > 1 else one
-            for k, one in enumerate(self.reading.own)
+            number._replace(name=f"{number.name} {names[:k].count(number.name) + 1}")
+            if names.count(number.name) > 1
+            else number
+            for k, number in enumerate(self.reading.own)
         )
 
     def nearest(self, tool: Array) -> NDArray[np.integer]:
@@ -243,14 +247,15 @@ class BoardView(PlannedSensor):
         A corner behind the camera or outside the picture, whose middle is the principal point, is not seen. Where too
         few are, it is zero.
         """
-        lens, corners = Lens(np.array(self.lens[:4]), np.array(self.lens[4:])), np.array(self.corners)
+        lens = Lens(np.array(self.lens[:4]), np.array(self.lens[4:]))
+        corners = np.array(self.corners)
         R, p = tool[:, :3, :3], tool[:, None, :3, 3]
         fixed = self.mounted == "fixed"
         depth = (corners @ np.swapaxes(R, 1, 2) + p if fixed else (corners - p) @ R)[..., 2]
         # residuals of pixels at zero are the pixels
         at, J = map(np.asarray, linearise_corners(self.mounted, lens, corners, np.zeros((*depth.shape, 2)), tool))
-        seen = (depth > 0) & ((at > 0) & (at < 2 * lens.pinhole[2:])).all(2)
-        J = np.where(seen[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)
+        visible = (depth > 0) & ((at > 0) & (at < 2 * lens.pinhole[2:])).all(2)
+        J = np.where(visible[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)
         U = np.asarray(jnp.linalg.cholesky(np.swapaxes(J, 1, 2) @ J, upper=True))
         U = np.where(np.isfinite(U).all((1, 2), keepdims=True), U, 0.0)
         return np.moveaxis(np.concatenate([U[..., :3], U[..., 3:] @ np.swapaxes(R, 1, 2)], 2), 0, -1)

@@ -120,13 +120,13 @@ class TorqueModel:
         q, dq, ddq = map(jnp.asarray, motion)
         dof, samples = q.shape
         speed = joint_sizes(DIRECTION_SPEED, "rad/s", self.arm.slides)[:, None]
-        own = jnp.stack([dq, jnp.tanh(dq / speed), jnp.ones_like(q), ddq], 1)
-        joints = jnp.zeros((dof, dof, *own.shape[1:])).at[np.arange(dof), np.arange(dof)].set(own)
-        found = joints.reshape(dof, -1, samples)
+        joint_columns = jnp.stack([dq, jnp.tanh(dq / speed), jnp.ones_like(q), ddq], 1)
+        joints = jnp.zeros((dof, dof, *joint_columns.shape[1:])).at[np.arange(dof), np.arange(dof)].set(joint_columns)
+        columns = joints.reshape(dof, -1, samples)
         if self.inertial:
             links = regressor(self.arm.kinematics, q, dq, ddq, self.gravity, self.arm.sliding)
-            found = jnp.concatenate([links, found], 1)
-        return found / self.noise[:, None, None]
+            columns = jnp.concatenate([links, columns], 1)
+        return columns / self.noise[:, None, None]
 
     def root(self, motion: Motion) -> Array:
         """`accumulate_root` of the torques of a motion, in typical sizes."""
@@ -216,8 +216,8 @@ class TorqueIdentification:
     @property
     def deviations(self) -> dict[str, float]:
         """The standard deviation of each base parameter that is determined, SI."""
-        each = zip(self.model.base, self.standard_deviation, self.determined, strict=True)
-        return {item.name: float(deviation) for item, deviation, there in each if there}
+        base_deviations = zip(self.model.base, self.standard_deviation, self.determined, strict=True)
+        return {item.name: float(deviation) for item, deviation, is_determined in base_deviations if is_determined}
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as plain numbers and words, in SI units, for a JSON file."""
@@ -267,27 +267,31 @@ def identify_torques(model: TorqueModel, motion: Motion, *, notes: tuple[str, ..
             raise InputError(f"motion: {name} has the shape {part.shape}; {arm.name} takes ({arm.dof}, sample)")
         if not np.isfinite(part).all():
             raise InputError(f"motion: {name} has a number that is not finite; leave those samples out")
-    samples, least = motion.q.shape[1], -(-len(base) // arm.dof)
-    if samples < least:
+    samples = motion.q.shape[1]
+    fewest_samples = -(-len(base) // arm.dof)
+    if samples < fewest_samples:
         raise InputError(
-            f"motion: {samples} samples of {arm.dof} torques for {len(base)} unknowns; record {least} samples or more"
+            f"motion: {samples} samples of {arm.dof} torques for {len(base)} unknowns; record {fewest_samples} samples "
+            "or more"
         )
     free = model.possible.free
     R = model.root(motion)[:, free] * (model.base_scale / model.scale[free])
     names = [item.name for item in base]
-    found = determination_of(R, names, [item.unit for item in base], model.base_scale, samples)
+    determination = determination_of(R, names, [item.unit for item in base], model.base_scale, samples)
     # of those on which others depend only the sum with these is determined
-    entangled = {name for dependency in found.dependencies for name, _, _ in dependency.partners}
-    determined = found.free & np.array([name not in entangled for name in names])
+    entangled = {name for dependency in determination.dependencies for name, _, _ in dependency.partners}
+    determined = determination.free & np.array([name not in entangled for name in names])
     sizes = np.linalg.svd(R[:, determined], compute_uv=False) if determined.any() else np.full(1, np.nan)
     return TorqueIdentification(
         model=model,
         samples=samples,
         span=np.ptp(np.asarray(motion.q), axis=1),
         determined=determined,
-        standard_deviation=np.where(determined, found.standard_deviation, np.inf),
+        standard_deviation=np.where(determined, determination.standard_deviation, np.inf),
         condition=float(sizes[0] / sizes[-1]),
-        log_determinant=float(2 * np.sum(np.log(found.singular_values))) if found.free.all() else -np.inf,
+        log_determinant=float(2 * np.sum(np.log(determination.singular_values)))
+        if determination.free.all()
+        else -np.inf,
         at_rest=not np.any(motion.dq),
         notes=notes,
     )
@@ -317,7 +321,7 @@ class TorquePlan:
     @property
     def random_log_determinant(self) -> Array:
         """`(draw,)`, of the random motions."""
-        return np.array([found.log_determinant for found in self.random])
+        return np.array([identification.log_determinant for identification in self.random])
 
     def gain(self, log_determinant: float) -> float:
         """How many times smaller standard deviations are than of that determinant, in the geometric mean."""

@@ -104,7 +104,9 @@ def catalogue(dof: int, *, turned_tool: bool = False, sliding: Sequence[int] = (
         turned_tool: whether the tool's orientation is measured.
         sliding: the prismatic joints, counted from 0.
     """
-    k, links, slides = kinematic, range(1, dof + 1), [joint + 1 for joint in sliding]
+    k = kinematic
+    links = range(1, dof + 1)
+    slides = [joint + 1 for joint in sliding]
     joints = [joint for joint in links if joint not in slides]
     of_any = (k.JointOffset, k.JointScale, k.JointCompliance, k.JointBacklash)
     return (
@@ -132,24 +134,24 @@ def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
         loads: of gravity in it; None where the masses are not known.
         dof: number of joints.
     """
-    found: list[Effect] = []
+    effects: list[Effect] = []
     slides = motion.sliding.mask(dof)
     largest = np.zeros(dof) if loads is None else np.where(slides, 0.0, np.abs(np.asarray(loads.torque)).max(1))
     for joint, torque in enumerate(largest, 1):
         if slides[joint - 1] or torque <= _LEAST_TORQUE * largest.max():
             continue
         frictions = [_short(share * torque) for share in _FRICTIONS]
-        found.append(kinematic.JointBacklash(joint, 0.0))
+        effects.append(kinematic.JointBacklash(joint, 0.0))
         if motion.direction is not None:
-            found += [kinematic.JointBacklash(joint, friction) for friction in frictions]
-        found += [kinematic.JointWindup(joint, friction) for friction in frictions]
+            effects += [kinematic.JointBacklash(joint, friction) for friction in frictions]
+        effects += [kinematic.JointWindup(joint, friction) for friction in frictions]
     if motion.time is not None and motion.temperature_rise is None:
         duration = float(np.ptp(np.asarray(motion.time)))
         constants = [_short(share * duration) for share in _TIME_CONSTANTS]
         possible = [constant for constant in constants if constant >= kinematic.WARM_UP[0]]
         turning = np.flatnonzero(~slides) + 1
-        found += [kinematic.JointWarmUp(int(joint), constant) for joint in turning for constant in possible]
-    return tuple(found)
+        effects += [kinematic.JointWarmUp(int(joint), constant) for joint in turning for constant in possible]
+    return tuple(effects)
 
 
 def _short(number: float) -> float:
@@ -163,7 +165,9 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
         dof: number of joints.
         sliding: the prismatic joints, counted from 0.
     """
-    d, joints, of_slide = dynamic, range(1, dof + 1), {joint: joint - 1 in sliding for joint in range(1, dof + 1)}
+    d = dynamic
+    joints = range(1, dof + 1)
+    of_slide = {joint: joint - 1 in sliding for joint in range(1, dof + 1)}
     frictions = (d.ViscousFriction, d.CoulombFriction, d.LoadFriction, d.FrictionTemperature)
     motors = (d.TorqueOffset, d.TorqueScale, d.RotorInertia, d.JointSpring, d.TorqueLag)
     pairs = ((joint, source) for joint in joints for source in range(1, joint))
@@ -200,11 +204,11 @@ def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
     velocity = np.asarray(motion.joint_velocity)
     before, after = velocity[:, :-1], velocity[:, 1:]
     slides = motion.sliding.mask(len(velocity)).tolist()
-    found = [joint_size(_BLURRED * dynamic.DIRECTION_SPEED, "rad/s", of_slide) for of_slide in slides]
+    speeds = [joint_size(_BLURRED * dynamic.DIRECTION_SPEED, "rad/s", of_slide) for of_slide in slides]
     for joint, reverses in enumerate(before * after < 0):
         if reverses.any():
-            found[joint] = max(found[joint], float(np.median(np.abs(after - before)[joint, reverses])))
-    return np.array(found)
+            speeds[joint] = max(speeds[joint], float(np.median(np.abs(after - before)[joint, reverses])))
+    return np.array(speeds)
 
 
 def torque_shaped(motion: Motion, resolved: NDArray[np.floating]) -> tuple[dynamic.TorqueEffect, ...]:
@@ -214,19 +218,19 @@ def torque_shaped(motion: Motion, resolved: NDArray[np.floating]) -> tuple[dynam
     does not move.
     """
     fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
-    tried = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
-    found: list[dynamic.TorqueEffect] = []
+    joint_speeds = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
+    effects: list[dynamic.TorqueEffect] = []
     limits = {dynamic.StribeckFriction: dynamic.STRIBECK, dynamic.CoulombFriction: dynamic.TRANSITION}
     slides = np.isin(np.arange(len(fastest)), motion.sliding.joints)
-    for (kind, bounds), (joint, speed) in product(limits.items(), tried):
+    for (kind, bounds), (joint, speed) in product(limits.items(), joint_speeds):
         of_slide = bool(slides[joint - 1])
         low, high = (joint_size(bound, "rad/s", of_slide) for bound in bounds)
         if max(low, resolved[joint - 1]) <= speed <= high:
-            found.append(kind(joint, speed, of_slide=of_slide))
+            effects.append(kind(joint, speed, of_slide=of_slide))
     moving = np.flatnonzero(as_revolute(fastest, "rad/s", slides) > dynamic.DIRECTION_SPEED)
     for joint, exponent in product(moving.tolist(), _EXPONENTS):
-        found.append(dynamic.ViscousFriction(joint + 1, exponent, of_slide=bool(slides[joint])))
-    return tuple(found)
+        effects.append(dynamic.ViscousFriction(joint + 1, exponent, of_slide=bool(slides[joint])))
+    return tuple(effects)
 
 
 # ------------------------------------------------------------------ a list for people

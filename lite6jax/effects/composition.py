@@ -41,11 +41,11 @@ class Physics:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Such as `joint_compliance:joint2:compliance_rad_per_Nm`; a label that repeats is numbered, `…:joint2#2:…`."""
-        seen: Counter[str] = Counter()
+        label_counts: Counter[str] = Counter()
         names = []
         for effect in self.effects:
-            seen[effect.label] += 1
-            label = effect.label + (f"#{seen[effect.label]}" if seen[effect.label] > 1 else "")
+            label_counts[effect.label] += 1
+            label = effect.label + (f"#{label_counts[effect.label]}" if label_counts[effect.label] > 1 else "")
             names += [f"{label}:{coordinate.name}" for coordinate in effect.coordinates]
         return tuple(names)
 
@@ -79,18 +79,18 @@ class Physics:
         """`(size,)`, the values of all effects concatenated."""
         return np.concatenate([np.zeros(0), *(np.asarray(value, float) for value in values)])
 
-    def part(self, values: NDArray, kept: Sequence[bool]) -> "tuple[Physics, NDArray]":
+    def part(self, values: NDArray, selected: Sequence[bool]) -> "tuple[Physics, NDArray]":
         """A subset of the effects with its part of `values`.
 
         Args:
             values: `(size,)`, of all effects.
-            kept: for each effect, whether the subset contains it.
+            selected: for each effect, whether the subset contains it.
         """
-        rest = [
-            (effect, values[at]) for effect, at, stays in zip(self.effects, self.slices, kept, strict=True) if stays
+        subset = [
+            (effect, values[at]) for effect, at, stays in zip(self.effects, self.slices, selected, strict=True) if stays
         ]
-        physics = Physics(tuple(effect for effect, _ in rest))
-        return physics, physics.join([value for _, value in rest])
+        physics = Physics(tuple(effect for effect, _ in subset))
+        return physics, physics.join([value for _, value in subset])
 
     def check(self, motion: Motion, loads_known: bool) -> None:
         """Checks that a motion has every quantity on which the effects depend.

@@ -44,8 +44,8 @@ def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | 
     """What follows from the measured position; `read` takes NumPy or JAX's, and `(3, sample)` m."""
 
     def values(motion: Motion, _: Loads | None) -> Array | None:
-        seen = motion.measured_position
-        return None if seen is None else read(library_of(seen), seen)
+        position = motion.measured_position
+        return None if position is None else read(library_of(position), position)
 
     return values
 
@@ -95,19 +95,21 @@ _SOURCES = {
     "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
     "order of recording": _Source(lambda m, _: m.sequence, "1", "", "the rows in the order of recording"),
     "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
-    "measured position x": _Source(_of_sight(lambda xp, seen: seen[0]), "m", "", _MEASURED),
-    "measured position y": _Source(_of_sight(lambda xp, seen: seen[1]), "m", "", _MEASURED),
-    "measured position z": _Source(_of_sight(lambda xp, seen: seen[2]), "m", "", _MEASURED),
+    "measured position x": _Source(_of_sight(lambda xp, position: position[0]), "m", "", _MEASURED),
+    "measured position y": _Source(_of_sight(lambda xp, position: position[1]), "m", "", _MEASURED),
+    "measured position z": _Source(_of_sight(lambda xp, position: position[2]), "m", "", _MEASURED),
     "measured position's distance": _Source(
-        _of_sight(lambda xp, seen: xp.sqrt((seen**2).sum(0))), "m", "", _FROM_SENSOR
+        _of_sight(lambda xp, position: xp.sqrt((position**2).sum(0))), "m", "", _FROM_SENSOR
     ),
-    "measured position's azimuth": _Source(_of_sight(lambda xp, seen: xp.arctan2(seen[1], seen[0])), "rad", "", _SIGHT),
+    "measured position's azimuth": _Source(
+        _of_sight(lambda xp, position: xp.arctan2(position[1], position[0])), "rad", "", _SIGHT
+    ),
     "measured position's elevation": _Source(
-        _of_sight(lambda xp, seen: xp.arctan2(seen[2], xp.hypot(seen[0], seen[1]))), "rad", "", _SIGHT
+        _of_sight(lambda xp, position: xp.arctan2(position[2], xp.hypot(position[0], position[1]))), "rad", "", _SIGHT
     ),
 }
 _OF_SLIDE = {quantity: source.at_slide for quantity, source in _SOURCES.items() if source.at_slide}
-_GENERALISED = {own: quantity for quantity, own in _OF_SLIDE.items()}
+_GENERALISED = {slide_quantity: quantity for quantity, slide_quantity in _OF_SLIDE.items()}
 _SOURCES |= {
     source.at_slide: source._replace(
         unit=joint_unit(source.unit, True), remedy=joint_unit(source.remedy, True), at_slide=""

@@ -116,8 +116,8 @@ def direction(
     if not np.any(change):
         return np.tanh(x)
     half = 0.5 * scaled(np.asarray(change, float))
-    known = np.where(np.abs(half) < _STEADY, 1.0, half)
-    return np.where(known == half, (_log_cosh(x + known) - _log_cosh(x - known)) / (2 * known), np.tanh(x))
+    divisor = np.where(np.abs(half) < _STEADY, 1.0, half)
+    return np.where(divisor == half, (_log_cosh(x + divisor) - _log_cosh(x - divisor)) / (2 * divisor), np.tanh(x))
 
 
 def _log_cosh(x: Array) -> Array:
@@ -456,12 +456,12 @@ class JointSpring(JointTorque):
 
     def to_parameters(self, values: Array) -> tuple[Array, Array]:
         k, m = values
-        rest = -m / k if k else 0.0
-        return np.array([k, rest]), np.array([[1.0, 0.0], [-rest / k, -1.0 / k] if k else [0.0, 0.0]])
+        rest_position = -m / k if k else 0.0
+        return np.array([k, rest_position]), np.array([[1.0, 0.0], [-rest_position / k, -1.0 / k] if k else [0.0, 0.0]])
 
     def from_parameters(self, given: Mapping[str, float]) -> Array:
-        k, rest = (given.get(name, 0.0) for name in self.parameters)
-        return np.array([k, -k * rest])
+        k, rest_position = (given.get(name, 0.0) for name in self.parameters)
+        return np.array([k, -k * rest_position])
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * dynamics.position(self.joint) + values[1]
@@ -552,8 +552,8 @@ def turning_inertia(arm: Arm, link: int, links: Array) -> tuple[float, float]:
     It has no less than none, and no more than its heaviest mass at half the arm's reach. The inertial numbers of the
     `links` are `(joint, 10)`.
     """
-    most = _INERTIA if arm.mass is None else heaviest(arm, link) * (0.5 * arm.reach) ** 2
-    return -float(links[link - 1, _ABOUT_AXIS]), most
+    largest = _INERTIA if arm.mass is None else heaviest(arm, link) * (0.5 * arm.reach) ** 2
+    return -float(links[link - 1, _ABOUT_AXIS]), largest
 
 
 def heaviest_payload(arm: Arm) -> float:
@@ -616,8 +616,8 @@ class LinkMass(OfLink):
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, _MASS),)
 
     def inertial(self, values: Array, links: Array) -> Array:
-        own = links[self.link - 1]
-        return point_mass(float(values[0]), own[1:4] / own[0] if own[0] > 0 else np.zeros(3))
+        link_numbers = links[self.link - 1]
+        return point_mass(float(values[0]), link_numbers[1:4] / link_numbers[0] if link_numbers[0] > 0 else np.zeros(3))
 
 
 @final_effect
@@ -712,7 +712,9 @@ class PayloadBody(TorqueEffect):
         return np.array([mass, *(mass * place for place in center)])
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        mass, moment, center = float(values[0]), np.asarray(values[1:], float), dynamics.payload_center
+        mass = float(values[0])
+        moment = np.asarray(values[1:], float)
+        center = dynamics.payload_center
         change = np.zeros_like(dynamics.links)
         change[-1] = point_mass(mass, center) + first_moment(moment, center)
         change[-1, 4:] += point_mass(mass / (mass**2 + _MASSLESS**2), moment)[4:]  # of its distance from that centre
@@ -760,8 +762,8 @@ class UnnamedTorque(Process, JointTorque):
 
     @property
     def coefficient(self) -> Coordinate:
-        one = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
-        return one.at_slide() if self.of_slide else one
+        coordinate = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
+        return coordinate.at_slide() if self.of_slide else coordinate
 
     def is_friction_of(self, joint: int) -> bool:
         return self.joint == joint and self.follows_own_motion
@@ -806,11 +808,11 @@ def declared_torque(arm: Arm, motion: Motion, period: float = 0.0) -> Array:
     q, dq, ddq = (
         np.asarray(part, float) for part in (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
     )
-    rest = np.zeros(arm.dof) if arm.spring_rest is None else arm.spring_rest
+    rest_position = np.zeros(arm.dof) if arm.spring_rest is None else arm.spring_rest
     parts = [
         (arm.viscous_friction, dq),
         (arm.coulomb_friction, direction(dq, arm.slides, change=period * ddq)),
         (arm.rotor_inertia, ddq),
-        (arm.spring_stiffness, q - rest[:, None]),
+        (arm.spring_stiffness, q - rest_position[:, None]),
     ]
     return sum((number[:, None] * part for number, part in parts if number is not None), np.zeros_like(q))

@@ -50,14 +50,14 @@ class Coordinate(NamedTuple):
         return Coordinate(name, unit, typical, self.spread, lower, upper, self.linear)
 
 
-def symmetric(name: str, unit: str, typical: float, most: float, **others: Any) -> Coordinate:
-    """A `Coordinate` of either sign, at most `most` in size."""
-    return Coordinate(name, unit, typical, lower=-most, upper=most, **others)
+def symmetric(name: str, unit: str, typical: float, limit: float, **further_fields: Any) -> Coordinate:
+    """A `Coordinate` of either sign, at most `limit` in size."""
+    return Coordinate(name, unit, typical, lower=-limit, upper=limit, **further_fields)
 
 
-def positive(name: str, unit: str, typical: float, most: float, **others: Any) -> Coordinate:
+def positive(name: str, unit: str, typical: float, limit: float, **further_fields: Any) -> Coordinate:
     """A `Coordinate` that cannot be negative."""
-    return Coordinate(name, unit, typical, lower=0.0, upper=most, **others)
+    return Coordinate(name, unit, typical, lower=0.0, upper=limit, **further_fields)
 
 
 class Estimate(NamedTuple):
@@ -118,8 +118,8 @@ class Effect(ABC):
         number = getattr(self, self.fixed or "") if self.searched else None
         if number in (None, self.plain) or 0 < number < np.inf or (self.may_be_zero and number == 0):
             return
-        wanted = "zero or a positive number" if self.may_be_zero else "a positive number"
-        raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {wanted}")
+        accepted = "zero or a positive number" if self.may_be_zero else "a positive number"
+        raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {accepted}")
 
     @property
     def periodic(self) -> bool:
@@ -145,10 +145,12 @@ class Effect(ABC):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
-        own = getattr(self, self.at, 0)
+        joint = getattr(self, self.at, 0)
         return tuple(
-            driver_of(each) if each[-1].isdecimal() else joint_driver(each, own if place_of(each) else 0, slides(self))
-            for each in self.quantities
+            driver_of(phrase)
+            if phrase[-1].isdecimal()
+            else joint_driver(phrase, joint if place_of(phrase) else 0, slides(self))
+            for phrase in self.quantities
         )
 
     @final
@@ -232,7 +234,8 @@ class Effect(ABC):
         Raises:
             InputError: a number that is not possible, or another one than the fixed one.
         """
-        number, name = self.fixed_number, self.own(self.fixed or "")
+        number = self.fixed_number
+        name = self.own(self.fixed or "")
         if number is not None and given.get(name, number) != number:
             raise InputError(
                 f"{self.label}: {name} {given[name]:g} beside the fixed {name} {number:g}; give one of them"
@@ -251,10 +254,10 @@ class Effect(ABC):
         parameters, jacobian = self.to_parameters(values)
         C = np.zeros((values.size, values.size)) if covariance is None else np.asarray(covariance, float)
         stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, C, jacobian), 0.0))
-        found = zip(self.parameters, parameters, stds, strict=True)
+        estimates = zip(self.parameters, parameters, stds, strict=True)
         return {
             name: Estimate(float(p), float(min(std, UNINFORMED_PHASE) if name == "phase_rad" else std))
-            for name, p, std in found
+            for name, p, std in estimates
         }
 
     @final
@@ -381,11 +384,13 @@ def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
     if not isinstance(effect, OfJoint):
         return
     joints = [effect.joint, *([effect.source_joint] if hasattr(effect, "source_joint") else [])]  # type: ignore[attr-defined]
-    others = [joint for joint in joints if (joint - 1 in sliding) != effect.of_slide]
-    if others:
-        own, other = ("prismatic", "revolute") if effect.of_slide else ("revolute", "prismatic")
-        remedy = "joints of one kind" if len(others) < len(joints) else f"of_slide={not effect.of_slide}"
-        raise InputError(f"{effect.label}: is of a {own} joint, and joint {others[0]} is {other}; give {remedy}")
+    mismatched = [joint for joint in joints if (joint - 1 in sliding) != effect.of_slide]
+    if mismatched:
+        effect_kind, joint_kind = ("prismatic", "revolute") if effect.of_slide else ("revolute", "prismatic")
+        remedy = "joints of one kind" if len(mismatched) < len(joints) else f"of_slide={not effect.of_slide}"
+        raise InputError(
+            f"{effect.label}: is of a {effect_kind} joint, and joint {mismatched[0]} is {joint_kind}; give {remedy}"
+        )
 
 
 # ------------------------------------------------------------------ waves
@@ -417,8 +422,8 @@ class Wave(OfJoint, ABC):
     @final
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Those of sine and cosine, and the order where it is not fixed."""
-        one = self.amplitude.at_slide() if self.of_slide else self.amplitude
-        waves = tuple(one._replace(name=wave + one.name) for wave in ("sine", "cosine"))
+        amplitude = self.amplitude.at_slide() if self.of_slide else self.amplitude
+        waves = tuple(amplitude._replace(name=wave + amplitude.name) for wave in ("sine", "cosine"))
         order = Coordinate("order", "1/m" if self.of_slide else "1", 0.1, lower=0.0, linear=False)
         return waves if self.order is not None else (*waves, order)
 

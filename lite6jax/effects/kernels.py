@@ -90,8 +90,8 @@ def factors_of(kernel: str) -> list[str]:
 def is_kernel(kernel: str, drivers: int) -> bool:
     """Whether a kernel of so many drivers has this name; spectra and plays are of one driver."""
     factors = factors_of(kernel)
-    known = set(factors) <= set(KERNELS) and (len(factors) == 1 or set(factors) <= {*SCALED, "wave"})
-    return known and len(factors) == drivers
+    is_known = set(factors) <= set(KERNELS) and (len(factors) == 1 or set(factors) <= {*SCALED, "wave"})
+    return is_known and len(factors) == drivers
 
 
 def features(
@@ -107,13 +107,14 @@ def features(
         rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of a
             step, the value from which on it is; the middle of its range where not given.
     """
-    xp, names = library_of(values), factors_of(kernel)
+    xp = library_of(values)
+    names = factors_of(kernel)
     if kernel == "play":
         return _play_features(values[0], bounds, run)
     if kernel == "spectrum":
         turned = orders_of(bounds)[:, None] * values[0]
-        both = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
-        return both * spectrum_deviations(bounds, rolloff)[:, None]
+        waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
+        return waves * spectrum_deviations(bounds, rolloff)[:, None]
     if kernel == "wander":
         size = wander_deviations(rolloff)
         place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
@@ -121,10 +122,10 @@ def features(
     if kernel == "step":
         (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
         return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
-    each = _factors(names, values, bounds)
-    if len(each) == 1:
-        return each[0]
-    return (each[0][:, None] * each[1][None]).reshape(-1, each[0].shape[-1])
+    by_factor = _factors(names, values, bounds)
+    if len(by_factor) == 1:
+        return by_factor[0]
+    return (by_factor[0][:, None] * by_factor[1][None]).reshape(-1, by_factor[0].shape[-1])
 
 
 def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
@@ -132,17 +133,19 @@ def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
 
     Within the bounds it is zero. Of NumPy values on the host; arguments as of `features`.
     """
-    xp, names = library_of(values), factors_of(kernel)
+    xp = library_of(values)
+    names = factors_of(kernel)
     if not set(names) & set(SCALED) - {"line"}:
         return xp.zeros(values.shape[-1])
     inside = xp.stack([
         xp.clip(values[k], bounds[2 * k], bounds[2 * k + 1]) if name in SCALED and name != "line" else values[k]
         for k, name in enumerate(names)
     ])  # fmt: skip
-    whole, known = 1.0, 1.0
+    process_variance, feature_variance = 1.0, 1.0
     for of_process, of_features in zip(_factors(names, inside, bounds), _factors(names, values, bounds), strict=True):
-        whole, known = whole * xp.sum(of_process**2, 0), known * xp.sum(of_features**2, 0)
-    return xp.maximum(whole - known, 0.0)  # type: ignore[return-value]
+        process_variance = process_variance * xp.sum(of_process**2, 0)
+        feature_variance = feature_variance * xp.sum(of_features**2, 0)
+    return xp.maximum(process_variance - feature_variance, 0.0)  # type: ignore[return-value]
 
 
 @lru_cache(maxsize=4096)
@@ -258,10 +261,11 @@ def _factor(name: str, values: Array, lower: float, upper: float, in_product: bo
 
 
 def _play_features(values: Array, bounds: Sequence[float], run: Array | None) -> Array:
-    xp, half = library_of(values), 0.5 * (bounds[1] - bounds[0])
-    whole = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)])
+    xp = library_of(values)
+    half = 0.5 * (bounds[1] - bounds[0])
+    single_run = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)])
     centred = values - 0.5 * (bounds[0] + bounds[1])
-    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(whole if run is None else run))
+    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(single_run if run is None else run))
     behind = np.asarray(behind) if xp is np else behind
     # a spring that slips at the end of its play, from -1 to 1: friction and lost motion are sums of such
     slipping = (centred - behind) / (_PLAYS * half)[:, None]
@@ -281,10 +285,10 @@ def plays(values: Array, widths: Array, run: Array) -> Array:
         run: `(2, sample)`, the first and the last sample of the run of each.
     """
 
-    def pushed(left: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+    def pushed(follower: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         value, begins = now
-        left = jnp.clip(jnp.where(begins, 0.0, left), value - widths, value + widths)
-        return left, left
+        follower = jnp.clip(jnp.where(begins, 0.0, follower), value - widths, value + widths)
+        return follower, follower
 
     begins = run[0] == jnp.arange(run.shape[1])
     return lax.scan(pushed, jnp.zeros_like(widths), (values, begins))[1].T

@@ -190,7 +190,8 @@ class JointWarmUp(JointEffect):
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
-        xp, time = library_of(values, motion.time), self.drivers[0].values(motion, loads)
+        xp = library_of(values, motion.time)
+        time = self.drivers[0].values(motion, loads)
         constant = self.time_constant_s or xp.where(values[1] > 0, values[1], 1.0)
         return -values[0] * xp.expm1(-time / constant)
 
@@ -529,8 +530,8 @@ class ToolOffset(FrameEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        most = {"m": 1.0, "rad": 3.2}  # any rotation
-        return tuple(symmetric(name, unit, 1e-3, most[unit]) for name, unit in _TWIST[: 6 if self.turned else 3])
+        largest = {"m": 1.0, "rad": 3.2}  # any rotation
+        return tuple(symmetric(name, unit, 1e-3, largest[unit]) for name, unit in _TWIST[: 6 if self.turned else 3])
 
     def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         return twist(motion.samples, *values)

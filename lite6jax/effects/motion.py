@@ -145,9 +145,9 @@ def motion_of(
     last = np.append(np.flatnonzero(starts)[1:], samples)[np.cumsum(starts) - 1] - 1
     clock = given("time", time, (samples,))
     if clock is not None:
-        back = np.flatnonzero((np.diff(clock) < 0) & ~starts[1:])
-        if back.size:
-            raise InputError(f"motion: time goes back at row {back[0] + 2}; sort the rows by time within each run")
+        backward = np.flatnonzero((np.diff(clock) < 0) & ~starts[1:])
+        if backward.size:
+            raise InputError(f"motion: time goes back at row {backward[0] + 2}; sort the rows by time within each run")
     temperature = given("joint_temperature", joint_temperature)
     if temperature is None and (ambient := given("ambient_temperature", ambient_temperature, (samples,))) is not None:
         temperature = np.repeat(ambient[:, None], q.shape[1], 1)
@@ -212,14 +212,14 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     position = to_start * start + to_end * end + step * u * (1 - u) * ((1 - u) * v_start - u * v_end)
     velocity = 6 * u * (1 - u) * (end - start) / step + (1 - u) * (1 - 3 * u) * v_start + u * (3 * u - 2) * v_end
     # at a sample's own instant its own values, at whichever end of the interval it lies
-    own = jnp.where(u < 1, before, after)
-    kept = ("temperature_rise", "joint_temperature_rise", "payload")
-    rest = {name: at(value, own) for name in kept if (value := getattr(motion, name)) is not None}
+    source_sample = jnp.where(u < 1, before, after)
+    stepwise = ("temperature_rise", "joint_temperature_rise", "payload")
+    replaced = {name: at(value, source_sample) for name in stepwise if (value := getattr(motion, name)) is not None}
     if motion.joint_acceleration is not None:
         a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)
-        rest["joint_acceleration"] = (1 - u) * a_start + u * a_end
+        replaced["joint_acceleration"] = (1 - u) * a_start + u * a_end
     direction = None if motion.direction is None else jnp.sign(velocity)
-    return motion._replace(joint_position=position, joint_velocity=velocity, direction=direction, **rest)
+    return motion._replace(joint_position=position, joint_velocity=velocity, direction=direction, **replaced)
 
 
 def accelerated(motion: Motion) -> Motion:
@@ -231,7 +231,7 @@ def accelerated(motion: Motion) -> Motion:
     if motion.joint_velocity is None or motion.time is None:
         return motion
     time, velocity, (first, last) = np.asarray(motion.time), np.asarray(motion.joint_velocity), np.asarray(motion.run)
-    found = np.zeros_like(velocity)
+    acceleration = np.zeros_like(velocity)
     for start in np.unique(first):
         rows = slice(start, last[start] + 1)
         t = time[rows]
@@ -242,8 +242,8 @@ def accelerated(motion: Motion) -> Motion:
         early, late = np.maximum(t - reach, t[0]), np.minimum(t + reach, t[-1])
         duration = np.where(late > early, late - early, 1.0)
         for joint, v in enumerate(velocity[:, rows]):
-            found[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / duration
-    return motion._replace(joint_acceleration=jnp.asarray(found))
+            acceleration[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / duration
+    return motion._replace(joint_acceleration=jnp.asarray(acceleration))
 
 
 def beyond(motion: Motion, offset: Array | float) -> Array:
@@ -289,17 +289,17 @@ def since_reversal(motion: Motion) -> Array:
 
     A way back of less than `_LEAST_REVERSAL` rad, or what that is of a prismatic joint, is none: encoders jitter.
     """
-    least = joint_sizes(_LEAST_REVERSAL, "rad", motion.sliding.mask(motion.dof))
+    smallest_reversal = joint_sizes(_LEAST_REVERSAL, "rad", motion.sliding.mask(motion.dof))
 
     def moved(state: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], Array]:
         turned_at, farthest, sense = state
         q, begins = now
         turned_at, farthest = jnp.where(begins, q, turned_at), jnp.where(begins, q, farthest)
         sense = jnp.where(begins | (sense == 0), jnp.sign(q - farthest), sense)
-        back = sense * (farthest - q)
-        turns = back > least
+        retreat = sense * (farthest - q)
+        turns = retreat > smallest_reversal
         turned_at = jnp.where(turns, farthest, turned_at)
-        farthest = jnp.where(turns | (back < 0), q, farthest)
+        farthest = jnp.where(turns | (retreat < 0), q, farthest)
         return (turned_at, farthest, jnp.where(turns, -sense, sense)), abs(q - turned_at)
 
     begins = motion.run[0] == jnp.arange(motion.samples)
@@ -307,14 +307,15 @@ def since_reversal(motion: Motion) -> Array:
     return lax.scan(moved, (start, start, start), (motion.joint_position.T, begins))[1].T
 
 
-def thin(motion: Motion, every: int) -> Motion:
-    """One in `every` samples, in the runs that they belong to: what depends on the past follows the samples that stay.
+def thin(motion: Motion, decimation: int) -> Motion:
+    """One in `decimation` samples, in the runs that they belong to: what depends on the past follows the samples that
+    stay.
 
     Args:
         motion: of all samples.
-        every: from 1.
+        decimation: from 1.
     """
-    rows = np.arange(motion.samples)[::every]
+    rows = np.arange(motion.samples)[::decimation]
     first, last = np.asarray(motion.run)[:, rows]
     run = np.stack([np.searchsorted(rows, first), np.searchsorted(rows, last, side="right") - 1])
     return select(motion, rows)._replace(run=jnp.asarray(run))
@@ -326,5 +327,5 @@ def select(motion: Motion, rows: ArrayLike) -> Motion:
     Each sample becomes a run of its own, because its neighbours are missing: a clock offset must not follow.
     """
     chosen = jax.tree.map(lambda leaf: leaf[..., np.asarray(rows)], motion)
-    own = jnp.arange(chosen.samples)
-    return chosen._replace(run=jnp.stack([own, own]))
+    sample_numbers = jnp.arange(chosen.samples)
+    return chosen._replace(run=jnp.stack([sample_numbers, sample_numbers]))

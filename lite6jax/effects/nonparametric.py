@@ -37,8 +37,8 @@ def drivers_of(phrase: str) -> tuple[Driver, ...]:
 
 
 @lru_cache(maxsize=1024)
-def _coefficients(one: Coordinate, count: int) -> tuple[Coordinate, ...]:
-    return tuple(one._replace(name=f"coefficient{k + 1}{one.name}") for k in range(count))
+def _coefficients(coefficient: Coordinate, count: int) -> tuple[Coordinate, ...]:
+    return tuple(coefficient._replace(name=f"coefficient{k + 1}{coefficient.name}") for k in range(count))
 
 
 class Process(Effect, ABC):
@@ -71,12 +71,14 @@ class Process(Effect, ABC):
     specificity: ClassVar[int] = 17
 
     def __post_init__(self) -> None:
-        count, bounds = len(self.drivers), self.bounds
+        count = len(self.drivers)
+        bounds = self.bounds
         if not kernels.is_kernel(self.kernel, count):
-            one, two = f"one of {', '.join(kernels.KERNELS)}", "two that are joined by *, such as smooth*line"
+            of_one_driver = f"one of {', '.join(kernels.KERNELS)}"
+            of_two_drivers = "two that are joined by *, such as smooth*line"
             raise InputError(
                 f"{self.label}: kernel {self.kernel!r} is not possible with {count} drivers; give "
-                f"{one if count == 1 else two}"
+                f"{of_one_driver if count == 1 else of_two_drivers}"
             )
         if len(bounds) != 2 * count or not all(low < high for low, high in zip(bounds[::2], bounds[1::2], strict=True)):
             raise InputError(
@@ -168,11 +170,12 @@ class Unnamed(Process, Bending):
     def __post_init__(self) -> None:
         if not _SITE.fullmatch(self.where):
             raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
-        joint, grows = self.where.startswith("joint"), self.where == "sensor" and self.component == SCALE
+        joint = self.where.startswith("joint")
+        grows = self.where == "sensor" and self.component == SCALE
         if (self.component not in COMPONENTS and not grows) or (joint and self.component != "rz"):
-            wanted = "rz" if joint else "one of " + " ".join(COMPONENTS)
-            wanted += f", or {SCALE}" if self.where == "sensor" else ""
-            raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {wanted}")
+            accepted = "rz" if joint else "one of " + " ".join(COMPONENTS)
+            accepted += f", or {SCALE}" if self.where == "sensor" else ""
+            raise InputError(f"{self.label}: component {self.component!r} is not possible there; give {accepted}")
         super().__post_init__()
 
     @property
@@ -192,7 +195,7 @@ class Unnamed(Process, Bending):
 
     def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""
-        parts = zip(*(self._at_site(one, motion) for one in functions), strict=True)  # type: ignore[arg-type]
+        parts = zip(*(self._at_site(function, motion) for function in functions), strict=True)  # type: ignore[arg-type]
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:

@@ -52,43 +52,44 @@ def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[
 
 def _keys(kind: type[Effect], of_slide: bool = False) -> str:
     """The keys that the text form of an effect accepts, for messages."""
-    taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
+    field_names = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
     required = [field.name for field in fields(kind) if field.default is MISSING]  # type: ignore[arg-type]
-    given: dict[str, Any] = {name: number for number, name in enumerate(required, 1)}
+    placeholders: dict[str, Any] = {name: number for number, name in enumerate(required, 1)}
     try:
-        parameters = kind(**given, **({_OF_SLIDE: True} if of_slide else {})).parameters
+        parameters = kind(**placeholders, **({_OF_SLIDE: True} if of_slide else {})).parameters
     except (InputError, TypeError):  # fields that are not numbers and determine the parameters
         parameters = ("its parameters",)
-    return ", ".join([*taken, *(name for name in parameters if name not in taken)])
+    return ", ".join([*field_names, *(name for name in parameters if name not in field_names)])
 
 
-def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
+def _build(kind: type[Effect], field_values: Mapping[str, Any]) -> Effect:
     """An effect from its fields, whose types are checked because they come from a file or from the command line."""
-    of_slide = given.get(_OF_SLIDE) is True
-    taken, checked = _field_types(kind, of_slide), {}
-    for name, value in given.items():
-        if name not in taken:
+    of_slide = field_values.get(_OF_SLIDE) is True
+    field_types = _field_types(kind, of_slide)
+    checked = {}
+    for name, value in field_values.items():
+        if name not in field_types:
             raise InputError(f"{kind.name}: the key {name!r} is unknown; the keys are {_keys(kind, of_slide)}")
-        if float in taken[name] and type(value) is int:
+        if float in field_types[name] and type(value) is int:
             value = float(value)
-        elif int in taken[name] and type(value) is float and value.is_integer():
+        elif int in field_types[name] and type(value) is float and value.is_integer():
             value = int(value)  # as `reported` gives a source_joint
-        elif tuple in taken[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
+        elif tuple in field_types[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
             value = tuple(map(float, value))
-        if type(value) not in taken[name]:
-            wanted = " or ".join(_TYPES.get(t, t.__name__) for t in taken[name] if t is not type(None))
-            raise InputError(f"{kind.name}: {name} is {value!r}; give {wanted}")
+        if type(value) not in field_types[name]:
+            accepted = " or ".join(_TYPES.get(t, t.__name__) for t in field_types[name] if t is not type(None))
+            raise InputError(f"{kind.name}: {name} is {value!r}; give {accepted}")
         if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
             raise InputError(f"{kind.name}: {name} is {value}; joints and links count from 1")
         checked[name] = value
-    found = {}
+    arguments = {}
     for field in fields(kind):  # type: ignore[arg-type]
         name = joint_unit(field.name, of_slide)
         if name in checked:
-            found[field.name] = checked[name]
+            arguments[field.name] = checked[name]
         elif field.default is MISSING:
             raise InputError(f"{kind.name}: {name} is not given; the keys are {_keys(kind, of_slide)}")
-    return kind(**found)
+    return kind(**arguments)
 
 
 def parse_effect(
@@ -111,10 +112,10 @@ def parse_effect(
     Raises:
         InputError: an unknown name or key, with the accepted ones; a repeated key; a missing value.
     """
-    name, _, rest = text.partition(":")
+    name, _, assignments = text.partition(":")
     kind = _kind(name.strip(), kinds)
     written: dict[str, str] = {}
-    for item in filter(None, (part.strip() for part in rest.split(","))):
+    for item in filter(None, (part.strip() for part in assignments.split(","))):
         key, _, value = (part.strip() for part in item.partition("="))
         if not key or not value:
             raise InputError(f"{kind.name}: {item!r} is not key=value; the keys are {_keys(kind)}")
@@ -123,11 +124,11 @@ def parse_effect(
         written[key] = value
     at_slide = written.get("joint") in {str(joint + 1) for joint in sliding}
     of_slide = _OF_SLIDE in _field_types(kind) and at_slide
-    taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
-    place: dict[str, Any] = {key: _literal(value) for key, value in written.items() if key in taken}
+    field_names = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
+    place: dict[str, Any] = {key: _literal(value) for key, value in written.items() if key in field_names}
     effect = _build(kind, place | ({_OF_SLIDE: True} if of_slide else {}))
     numbers = {}
-    for key in (key for key in written if key not in taken):
+    for key in (key for key in written if key not in field_names):
         if key not in effect.parameters:
             raise InputError(f"{kind.name}: the key {key!r} is unknown; the keys are {_keys(kind, of_slide)}")
         try:
@@ -158,7 +159,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
     """
     where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
     silent = {_OF_SLIDE: False, effect.fixed: effect.plain}  # fields that say nothing at these values
-    given = {
+    written_fields = {
         effect.own(name): list(value) if isinstance(value, tuple) else value
         for name, value in where.items()
         if value not in (None, (), silent.get(name))
@@ -166,7 +167,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
     return {
         "effect": effect.name,
         "site": effect.site,
-        "where": given,
+        "where": written_fields,
         "parameters": {name: e._asdict() for name, e in effect.reported(values, covariance).items()},
     }
 

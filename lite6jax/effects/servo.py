@@ -125,18 +125,18 @@ class ServoEffect(OfJoint, TrackingEffect, ABC):
 
 def change(servo: Servo, joint: int, added: Mapping[str, float], factors: Mapping[str, float] | None = None) -> Servo:
     """A servo with numbers of a joint, counted from 1, added or multiplied."""
-    here = np.arange(len(servo.stiffness)) == joint - 1
-    more = {name: getattr(servo, name) + np.where(here, number, 0.0) for name, number in added.items()}
-    times = {name: getattr(servo, name) * np.where(here, number, 1.0) for name, number in (factors or {}).items()}
+    is_joint = np.arange(len(servo.stiffness)) == joint - 1
+    more = {name: getattr(servo, name) + np.where(is_joint, number, 0.0) for name, number in added.items()}
+    times = {name: getattr(servo, name) * np.where(is_joint, number, 1.0) for name, number in (factors or {}).items()}
     return servo._replace(**more, **times)
 
 
 # ------------------------------------------------------------------ of the command
 
 
-def _number(name: str, unit: str, typical: float, most: float, least: float = 0.0) -> Coordinate:
+def _number(name: str, unit: str, typical: float, upper: float, lower: float = 0.0) -> Coordinate:
     """A number in which the rollout is not linear."""
-    return Coordinate(name, unit, typical, lower=least, upper=most, linear=False)
+    return Coordinate(name, unit, typical, lower=lower, upper=upper, linear=False)
 
 
 @final_effect
@@ -195,8 +195,8 @@ class Limit(ServoEffect, ABC):
 
     def alter(self, values: Array, servo: Servo) -> Servo:
         """Takes the lower limit."""
-        here = np.arange(len(servo.stiffness)) == self.joint - 1
-        limit = np.where(here & (values[0] > 0), 1 / max(float(values[0]), 1 / UNLIMITED), UNLIMITED)
+        is_joint = np.arange(len(servo.stiffness)) == self.joint - 1
+        limit = np.where(is_joint & (values[0] > 0), 1 / max(float(values[0]), 1 / UNLIMITED), UNLIMITED)
         return servo._replace(**{self.limited: np.minimum(getattr(servo, self.limited), limit)})
 
     @property
@@ -210,8 +210,10 @@ class Limit(ServoEffect, ABC):
         return np.r_[1 / inverse, values[1:]], jacobian
 
     def from_parameters(self, given: Mapping[str, float]) -> Array:
-        limit, *others = self.parameters
-        return np.array([1 / given[limit] if given.get(limit, 0.0) > 0 else 0.0, *(given.get(n, 0.0) for n in others)])
+        limit, *further_names = self.parameters
+        return np.array(
+            [1 / given[limit] if given.get(limit, 0.0) > 0 else 0.0, *(given.get(n, 0.0) for n in further_names)]
+        )
 
 
 @final_effect

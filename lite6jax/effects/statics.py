@@ -73,15 +73,15 @@ def inertia_of(
     masses = np.asarray(mass, float)
     if masses.ndim != 1:
         raise InputError(f"inertia: mass has the shape {masses.shape}; give (joint,)")
-    given = {"mass": mass, "center_of_mass": center_of_mass, "payload_center": payload_center, "gravity": gravity}
-    wanted = {"mass": masses.shape, "center_of_mass": (masses.size, 3), "payload_center": (3,), "gravity": (3,)}
-    for name, value in given.items():
+    arrays = {"mass": mass, "center_of_mass": center_of_mass, "payload_center": payload_center, "gravity": gravity}
+    shapes = {"mass": masses.shape, "center_of_mass": (masses.size, 3), "payload_center": (3,), "gravity": (3,)}
+    for name, value in arrays.items():
         array = np.asarray(value, float)
-        if array.shape != wanted[name]:
-            raise InputError(f"inertia: {name} has the shape {array.shape}; give {wanted[name]}")
+        if array.shape != shapes[name]:
+            raise InputError(f"inertia: {name} has the shape {array.shape}; give {shapes[name]}")
         if not np.isfinite(array).all():
             raise InputError(f"inertia: {name} has a number that is not finite; correct it")
-    return Inertia(**{name: jnp.asarray(np.asarray(value, float)) for name, value in given.items()})
+    return Inertia(**{name: jnp.asarray(np.asarray(value, float)) for name, value in arrays.items()})
 
 
 def with_mass_errors(inertia: Inertia, errors: ArrayLike, payload: float = 0.0) -> Inertia:
@@ -167,11 +167,11 @@ def loads(
     about_flange = cross(to_payload, weight)[:, 0]
     of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])
     about_axes = jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1)
-    found = Loads(about_axes, about_base[:, 0], of_payload)
+    revolute_loads = Loads(about_axes, about_base[:, 0], of_payload)
     if not form.sliding:
-        return found
+        return revolute_loads
     slides = Sliding(form.sliding).mask(form.dof)[:, None]
-    return found._replace(effort=jnp.where(slides, jnp.sum(z * outboard_force, 0), about_axes[:, 2]))
+    return revolute_loads._replace(effort=jnp.where(slides, jnp.sum(z * outboard_force, 0), about_axes[:, 2]))
 
 
 def _specific_force(
@@ -198,7 +198,8 @@ def _specific_force(
     if velocity is None or acceleration is None:
         return lambda arm, _: jnp.broadcast_to(g, arm.shape)
     outwards = partial(lax.cumsum, axis=1)
-    slides, shifting = Sliding(form.sliding).mask(form.dof)[:, None], (velocity, acceleration)
+    slides = Sliding(form.sliding).mask(form.dof)[:, None]
+    shifting = (velocity, acceleration)
     if form.sliding:
         velocity, acceleration = (jnp.where(slides, 0.0, rate) for rate in shifting)
     rates = axis * velocity

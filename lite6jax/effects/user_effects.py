@@ -185,8 +185,10 @@ def _check(effect: Bending | Altering | TorqueEffect) -> None:
         raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
     if not effect.site:
         raise InputError(f'{type(effect).__name__} has no site; write at: ClassVar[str] = "base", or another site')
-    dof, samples = max(effect.joints_needed, 2), 3
-    q, row = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof), np.arange(1.0, samples + 1)
+    dof = max(effect.joints_needed, 2)
+    samples = 3
+    q = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof)
+    row = np.arange(1.0, samples + 1)
     motion = motion_of(
         q,
         joint_velocity=q,
@@ -197,17 +199,19 @@ def _check(effect: Bending | Altering | TorqueEffect) -> None:
         measured_position=q[:, :1].repeat(3, 1),
     )
     evaluate, neutral = _evaluation(effect, motion)
-    for name, found in evaluate(np.zeros(effect.size)).items():
-        if np.shape(found) != np.shape(neutral[name]):
-            raise InputError(f"{effect.label} gives {name} of shape {np.shape(found)}; give {np.shape(neutral[name])}")
-        if not np.allclose(found, neutral[name], rtol=0, atol=1e-12):
+    for name, changed in evaluate(np.zeros(effect.size)).items():
+        if np.shape(changed) != np.shape(neutral[name]):
+            raise InputError(
+                f"{effect.label} gives {name} of shape {np.shape(changed)}; give {np.shape(neutral[name])}"
+            )
+        if not np.allclose(changed, neutral[name], rtol=0, atol=1e-12):
             raise InputError(f"{effect.label} changes {name} at zero; choose coordinates that change nothing at zero")
     if not effect.linear:
         return
-    one, other = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
-    parts = [evaluate(values).values() for values in (one, other, one + other)]
-    for first, second, both in zip(*parts, strict=True):
-        if not np.allclose(first + second, both, rtol=0, atol=1e-9 * max(float(np.abs(both).max()), 1e-300)):
+    first_values, second_values = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
+    parts = [evaluate(values).values() for values in (first_values, second_values, first_values + second_values)]
+    for first, second, combined in zip(*parts, strict=True):
+        if not np.allclose(first + second, combined, rtol=0, atol=1e-9 * max(float(np.abs(combined).max()), 1e-300)):
             raise InputError(
                 f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it "
                 "is not proportional to"
@@ -239,10 +243,10 @@ def _evaluation(
     inertia = inertia_of(np.ones(dof), np.ones((dof, 3)))
 
     def alter(values: np.ndarray) -> dict[str, Any]:
-        found = effect.alter(jnp.asarray(values), motion)._asdict()
+        altered = effect.alter(jnp.asarray(values), motion)._asdict()
         if isinstance(effect, Loading):
-            found |= effect.alter_inertia(jnp.asarray(values), inertia)._asdict()
-        return {name: value for name, value in found.items() if neutral.get(name) is not None}
+            altered |= effect.alter_inertia(jnp.asarray(values), inertia)._asdict()
+        return {name: value for name, value in altered.items() if neutral.get(name) is not None}
 
     neutral = {**motion._asdict(), **inertia._asdict(), "sliding": None}
     return alter, neutral

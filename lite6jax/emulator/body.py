@@ -173,12 +173,13 @@ class Body:
         # JAX converts NumPy arrays at the call
         model: Any = (self.kinematics.ravel(), np.eye(4), self.arm.T_joint_flange @ load.T_flange_tool)
         inertia = self._inertia and self._inertia._replace(payload_center=load.center)
-        form, poses = SixParameterForm(self.arm.dof), []
+        form = SixParameterForm(self.arm.dof)
+        poses = []
         for first in range(0, len(sample.time), BLOCK):
             block = Sample(*(part[first : first + BLOCK] for part in sample))
             motion = self._motion(block, load.payload, BLOCK)
-            found = predict_poses(form, physics, ArmModel(*model), values, motion, inertia)
-            poses.append(np.asarray(found)[: len(block.time)])
+            block_poses = predict_poses(form, physics, ArmModel(*model), values, motion, inertia)
+            poses.append(np.asarray(block_poses)[: len(block.time)])
         return np.concatenate(poses)
 
     def _motion(self, sample: Sample, payload: float, size: int = 0, acceleration: Array | None = None) -> Motion:
@@ -201,14 +202,17 @@ class Body:
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
         """The effects on torques, and those on poses of which the motors see the cause as well."""
-        both = zip(self.physics.effects, self.physics.slices, strict=True)
-        shared = ((_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in both if e.name in _CAUSES_OF_BOTH)
+        placed_effects = zip(self.physics.effects, self.physics.slices, strict=True)
+        shared = (
+            (_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in placed_effects if e.name in _CAUSES_OF_BOTH
+        )
         return [*self.torque_effects, *shared]
 
     @property
     def torque_offset(self) -> Array:
         """`(joint,)` s by which torques belong to a later motion than they are stamped with."""
-        dof, zero = self.arm.dof, np.zeros(self.arm.dof)
+        dof = self.arm.dof
+        zero = np.zeros(self.arm.dof)
         return sum((e.offset(values[0], dof) for e, values in self._motor_effects if isinstance(e, Delaying)), zero)
 
     @cached_property
@@ -241,4 +245,6 @@ class Body:
         if not self.torque_noise.any():
             return np.zeros((len(time), self.arm.dof))
         streams = (np.random.Philox(key=int(instant)) for instant in np.round(time * 1e6))
-        return self.torque_noise * np.stack([np.random.Generator(it).standard_normal(self.arm.dof) for it in streams])
+        return self.torque_noise * np.stack(
+            [np.random.Generator(stream).standard_normal(self.arm.dof) for stream in streams]
+        )

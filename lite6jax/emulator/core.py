@@ -39,13 +39,13 @@ NAN_PLACES = ("calibration", "kinematics", "reports")
 
 
 def _fault(
-    default: Any, name: str, words: str, value: str = "", given: str = "", lowest: int = 0, highest: int = 10**9
+    default: Any, name: str, words: str, value: str = "", default_value: str = "", lowest: int = 0, highest: int = 10**9
 ) -> Any:
     """A field with its value without the fault.
 
     Its metadata are the fault's name and effect, and of its value the name, what it is where none is given, and bounds.
     """
-    kind = {"name": name, "words": words, "value": value, "given": given, "bounds": (lowest, highest)}
+    kind = {"name": name, "words": words, "value": value, "given": default_value, "bounds": (lowest, highest)}
     return field(default=default, metadata=kind)
 
 
@@ -110,10 +110,10 @@ def parse_faults(texts: Iterable[str]) -> Faults:
         kind, key = kinds[name].metadata, kinds[name].name
         if colon and not kind["value"]:
             raise InputError(f"fault {name}: takes no value; leave {value!r} out")
-        found = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
-        if isinstance(found, frozenset):
-            found |= getattr(faults, key)
-        faults = replace(faults, **{key: found})
+        parsed = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
+        if isinstance(parsed, frozenset):
+            parsed |= getattr(faults, key)
+        faults = replace(faults, **{key: parsed})
     return faults
 
 
@@ -264,7 +264,8 @@ class Core:
 
     def torque(self, time: Array) -> Array:
         """`(sample, joint)` N·m, the motor torques as they are read at `(sample,)` s: with effects and noise."""
-        offsets, torque = self.body.torque_offset, self.body.draw_torque_noise(time)
+        offsets = self.body.torque_offset
+        torque = self.body.draw_torque_noise(time)
         for offset in np.unique(offsets):
             (q, dq), half = self.read_encoders(time + offset), DIFFERENCE_S / 2
             later, earlier = (self.read_encoders(time + offset + shift)[1] for shift in (half, -half))
@@ -323,7 +324,8 @@ def _read(core: Core, request: Frame) -> bytes | Array:
     Raises:
         ValueError: the register is not emulated, or parameters of a wrong size.
     """
-    body, now = request.body, np.array([core.time])
+    body = request.body
+    now = np.array([core.time])
     match request.register:
         case Register.VERSION:
             return core.identity.encode()
@@ -422,8 +424,8 @@ def _fill_realtime(
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
     """Poses `(sample, 4, 4)` m by the controller's kinematics, and their speeds `(sample, 6)`, mm/s and rad/s."""
     half = DIFFERENCE_S / 2 * dq
-    before, here, after = np.split(core.compute_pose(np.concatenate([q - half, q, q + half])), 3)
+    before, pose, after = np.split(core.compute_pose(np.concatenate([q - half, q, q + half])), 3)
     shift = (after[:, :3, 3] - before[:, :3, 3]) * protocol.MM
-    turn = (after[:, :3, :3] - before[:, :3, :3]) @ np.swapaxes(here[:, :3, :3], 1, 2)
+    turn = (after[:, :3, :3] - before[:, :3, :3]) @ np.swapaxes(pose[:, :3, :3], 1, 2)
     spin = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], -1)
-    return here, np.concatenate([shift, spin], -1) / DIFFERENCE_S
+    return pose, np.concatenate([shift, spin], -1) / DIFFERENCE_S

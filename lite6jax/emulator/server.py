@@ -237,7 +237,8 @@ class Controller:
 
         Closes connections for which too much waits.
         """
-        loop, core = asyncio.get_running_loop(), self._core
+        loop = asyncio.get_running_loop()
+        core = self._core
         tick = loop.time()
         origin = tick - core.time / self.speed
         while not self._stop.is_set():
@@ -263,17 +264,18 @@ class Controller:
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""
-        faults, size = self._core.faults, len(reports) // len(index)
+        faults = self._core.faults
+        size = len(reports) // len(index)
         if faults.lose_every and port == protocol.REALTIME:
-            kept = [k for k, i in enumerate(index) if i % faults.lose_every]
-            reports = b"".join(reports[k * size : (k + 1) * size] for k in kept)
+            delivered = [k for k, i in enumerate(index) if i % faults.lose_every]
+            reports = b"".join(reports[k * size : (k + 1) * size] for k in delivered)
         for writer in [writer for writer, its in self._readers.items() if its == port]:
             if writer.transport.is_closing():
                 continue
-            if (whole := faults.close_reports_after) is not None:
-                left = whole * size + size // 2 - self._sent[writer]
-                if len(reports) >= left:
-                    writer.write(reports[: max(left, 0)])
+            if (reports_before_closing := faults.close_reports_after) is not None:
+                bytes_remaining = reports_before_closing * size + size // 2 - self._sent[writer]
+                if len(reports) >= bytes_remaining:
+                    writer.write(reports[: max(bytes_remaining, 0)])
                     writer.close()
                     continue
             self._sent[writer] += len(reports)

@@ -55,7 +55,7 @@ def diagnose_folder(
     folder: str | Path,
     out: Path,
     diagnose: Callable[..., pa.Table],
-    given: tuple[Any, ...],
+    arguments: tuple[Any, ...],
     *,
     scheduler: str | None = None,
     processes: int | None = None,
@@ -65,8 +65,8 @@ def diagnose_folder(
     """Diagnoses every recording of a folder, a path or a URL, one by one.
 
     The documents and the table are written to `out`, a folder that is made where it is not there. `diagnose(names,
-    place, *given)`, of a module, gives a row of `make_row` or `make_refusal` each. `progress` is called with the number
-    of recordings done since the last call, and of all; the other arguments are those of `run_batches`.
+    place, *arguments)`, of a module, gives a row of `make_row` or `make_refusal` each. `progress` is called with the
+    number of recordings done since the last call, and of all; the other arguments are those of `run_batches`.
 
     Raises:
         InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the recordings.
@@ -86,18 +86,18 @@ def diagnose_folder(
     def write_files(inputs: Sequence[str], rows: pa.Table) -> pa.Table:
         """Writes the files of a row, and names them in it."""
         (row,) = rows.to_pylist()
-        for what, suffix in (("document", ".json"), ("reduced", ".npz")):
-            if (content := row.get(_CONTENT[what])) is not None:
+        for column, suffix in (("document", ".json"), ("reduced", ".npz")):
+            if (content := row.get(_CONTENT[column])) is not None:
                 path = (out / documents[inputs[0]]).with_suffix(suffix)
                 storage.write_atomically(path, content, overwrite=True)
-                row[what] = path.name
+                row[column] = path.name
         schema = pa.schema([*SCHEMA, *REDUCED]) if _CONTENT["reduced"] in row else SCHEMA
         return pa.Table.from_pylist([row], schema)
 
     return run_batches(
         diagnose,
         [[name] for name in names],
-        (place, *given),
+        (place, *arguments),
         out=table,
         died=lambda name: make_refusal(name, f"{name}: {DIED}"),
         store=write_files,
@@ -123,8 +123,8 @@ def make_row(
             continue
         faults += [fault["fault"] for fault in part["data_faults"]]
         findings += [
-            {"domain": domain, "effect": found["effect"], "site": found["site"], "p_value": found["p_value"]}
-            for found in part["findings"]
+            {"domain": domain, "effect": finding["effect"], "site": finding["site"], "p_value": finding["p_value"]}
+            for finding in part["findings"]
         ]
     if poses is not None:
         row |= {"verdict": poses["verdict"], "quality": poses["quality"]["verdict"]}
@@ -146,8 +146,8 @@ def make_refusal(name: str, message: str) -> pa.Table:
 
 def _table(row: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> pa.Table:
     table = pa.Table.from_pylist([row], SCHEMA)
-    for what, content in contents.items():
-        table = table.append_column(_CONTENT[what], pa.array([content], pa.binary()))
+    for column, content in contents.items():
+        table = table.append_column(_CONTENT[column], pa.array([content], pa.binary()))
     return table
 
 
@@ -196,10 +196,10 @@ def pool_folder(
     for row in rows:
         heading = headings.get(row["file"])
         if heading is None or row["result"] != DIAGNOSED:
-            about, found, unused = {}, (), row["message"] or "was not diagnosed"
+            about, findings, unused = {}, (), row["message"] or "was not diagnosed"
         else:
-            about, found, unused = heading.about, heading.found, _reason_unused(heading, arm)
-        members.append(population.Member(row["file"], about, found, unused))
+            about, findings, unused = heading.about, heading.found, _reason_unused(heading, arm)
+        members.append(population.Member(row["file"], about, findings, unused))
     files = [member.file for member in members if not member.unused]
     if len(files) < _FEWEST:
         reason = next((f" ({member.unused})" for member in members if member.unused), "")
@@ -207,10 +207,10 @@ def pool_folder(
             f"{folder}: {len(files)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
             "recordings of this type of arm"
         )
-    tried = terms.Tried([headings[file] for file in files], thresholds.engine)
+    candidate_terms = terms.Tried([headings[file] for file in files], thresholds.engine)
     with Workers(scheduler, processes, len(files)) as workers:
         recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
-        return population.diagnose_population(arm[0], members, tried, recordings, progress)
+        return population.diagnose_population(arm[0], members, candidate_terms, recordings, progress)
 
 
 def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
@@ -229,9 +229,9 @@ def _kind(heading: "reduced.Heading") -> tuple[str, int, str]:
 
 def _reason_unused(heading: "reduced.Heading", arm: tuple[str, int, str]) -> str:
     """Why a recording that was diagnosed is not pooled; empty where it is."""
-    own = heading.about
+    about = heading.about
     if _kind(heading)[:2] != arm[:2]:
-        return f"is of the arm {own['arm']} with {own['joints']} joints, and most are of {arm[0]} with {arm[1]}"
+        return f"is of the arm {about['arm']} with {about['joints']} joints, and most are of {arm[0]} with {arm[1]}"
     if _kind(heading) != arm:
-        return f"has {own['what']}, and most have {arm[2]}; give --torques where all have torques"
+        return f"has {about['what']}, and most have {arm[2]}; give --torques where all have torques"
     return ""

@@ -71,7 +71,8 @@ def fit_folder(
     Raises:
         InputError: as `Place.of`, `list_fleet` and `run_batches`.
     """
-    place, out = Place.of(folder), Path(out)
+    place = Place.of(folder)
+    out = Path(out)
     names = list_fleet(place, out)
     return run_batches(
         fit_names,
@@ -89,7 +90,7 @@ def fit_folder(
 def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.Table":
     """The rows of some files of a folder, in their order."""
     with place.local_folder(names) as folder:
-        rows = fit_files([folder / name for name in names], nominal, lambda said: place.show(said, folder))
+        rows = fit_files([folder / name for name in names], nominal, lambda message: place.show(message, folder))
     return tabulate_rows(rows)
 
 
@@ -100,11 +101,11 @@ def tabulate_rows(rows: Sequence[Row]) -> "pa.Table":
     fixed = columns()
     parameters = dict.fromkeys((name for row in rows for name in row if name not in fixed), pa.float64())
     # bytes of a file's name that are not UTF-8 are spelled out
-    said = (
+    escaped = (
         {name: row[name].encode(errors="backslashreplace").decode() for name in ("file", "message")} for row in rows
     )
     return pa.Table.from_pylist(
-        [row | more for row, more in zip(rows, said, strict=True)], pa.schema(fixed | parameters)
+        [row | more for row, more in zip(rows, escaped, strict=True)], pa.schema(fixed | parameters)
     )
 
 
@@ -132,19 +133,19 @@ def fit_files(
     types: dict[str, dict[Path, factory.FactoryCalibration]] = {}
     for path in files:
         fit = _fit_recording if guess_kind(path) == "recording" else _read_calibration
-        found, remark = attempt(path, partial(fit, path, nominal))
-        if found is None:
+        outcome, remark = attempt(path, partial(fit, path, nominal))
+        if outcome is None:
             rows[path] = _refusal(path.name, as_shown(remark))
-        elif isinstance(found, str):
-            rows[path] = _refusal(path.name, as_shown(found), "other")
+        elif isinstance(outcome, str):
+            rows[path] = _refusal(path.name, as_shown(outcome), "other")
         else:
             remarks[path] = f"; {as_shown(remark)}" if remark else ""
-            if isinstance(found, dict):
-                rows[path] = found
+            if isinstance(outcome, dict):
+                rows[path] = outcome
             else:
-                types.setdefault(found.arm.name, {})[path] = found
-    for alike in types.values():
-        rows |= _fit_calibrations(alike)
+                types.setdefault(outcome.arm.name, {})[path] = outcome
+    for calibrations in types.values():
+        rows |= _fit_calibrations(calibrations)
     for path, remark in remarks.items():
         rows[path]["message"] += remark
     return [rows[path] for path in files]
@@ -161,14 +162,14 @@ def _read_calibration(path: Path, nominal: "Arm | None") -> "factory.FactoryCali
     return factory.read_factory(path, nominal)
 
 
-def _fit_calibrations(alike: "Mapping[Path, factory.FactoryCalibration]") -> Iterator[tuple[Path, Row]]:
+def _fit_calibrations(calibration_of: "Mapping[Path, factory.FactoryCalibration]") -> Iterator[tuple[Path, Row]]:
     """The rows of arms of one type, fitted in one call."""
-    calibrations = list(alike.values())
+    calibrations = list(calibration_of.values())
     arm = calibrations[0].arm
     kinematics = np.stack([calibration.kinematics for calibration in calibrations])
     flanges = np.stack([calibration.T_joint_flange for calibration in calibrations])
     fitted = fleet.fit_calibrations(kinematics, flanges, arm)
-    for path, result, steps, parameters, errors in zip(alike, *fitted, strict=True):
+    for path, result, steps, parameters, errors in zip(calibration_of, *fitted, strict=True):
         quality = quality_of_calibration(errors[1, 1:2])
         row = {"file": path.name, "kind": "calibration", "samples": start.SAMPLES, "steps": int(steps)}
         yield path, row | _fitted(Result(int(result)), arm, arm.form, parameters, quality, errors.ravel().tolist())
@@ -177,20 +178,20 @@ def _fit_calibrations(alike: "Mapping[Path, factory.FactoryCalibration]") -> Ite
 def _fit_recording(path: Path, nominal: "Arm | None") -> Row:
     recording = source.read_source(path, nominal)
     assert isinstance(recording, recordings.Recording)
-    found = pose_fit.fit_recording(recording, nominal)
-    errors = chain.from_iterable(map(_statistics, (found.errors, found.checked, found.nominal_errors)))
-    row = {"file": path.name, "kind": "recording", "samples": recording.samples, "steps": found.steps}
-    row |= _fitted(found.result, found.arm, found.form.chain, found.parameters, found.quality, errors)
-    if found.faults:
-        row["message"] += f"; data faults: {', '.join(fault.code for fault in found.faults)}"
+    fit = pose_fit.fit_recording(recording, nominal)
+    errors = chain.from_iterable(map(_statistics, (fit.errors, fit.checked, fit.nominal_errors)))
+    row = {"file": path.name, "kind": "recording", "samples": recording.samples, "steps": fit.steps}
+    row |= _fitted(fit.result, fit.arm, fit.form.chain, fit.parameters, fit.quality, errors)
+    if fit.faults:
+        row["message"] += f"; data faults: {', '.join(fault.code for fault in fit.faults)}"
     return row
 
 
 def _statistics(errors: "solution.Errors") -> list[float | None]:
     """The `STATISTICS`, without orientation where none was measured."""
-    found: list[float | None] = [errors.position_rms, float(errors.position.max())]
+    statistics: list[float | None] = [errors.position_rms, float(errors.position.max())]
     turned = errors.orientation
-    return found + ([None, None] if turned is None else [float(np.sqrt(np.mean(turned**2))), float(turned.max())])
+    return statistics + ([None, None] if turned is None else [float(np.sqrt(np.mean(turned**2))), float(turned.max())])
 
 
 def _fitted(

@@ -49,8 +49,8 @@ class ArmLikelihoods:
 
     def without(self, arm: int) -> "ArmLikelihoods":
         """Those of all arms but one."""
-        kept = np.arange(len(self.score)) != arm
-        return replace(self, score=self.score[kept], information=self.information[kept])
+        other_arms = np.arange(len(self.score)) != arm
+        return replace(self, score=self.score[other_arms], information=self.information[other_arms])
 
     @cached_property
     def eigen(self) -> tuple[Array, Array, Array]:
@@ -74,12 +74,12 @@ class ArmLikelihoods:
         v = np.einsum("aij,aj->i", U, shrunk * along)
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
-        kept = scaled > _RANK
-        inverse = (V[:, kept] / scaled[kept]) @ V[:, kept].T / np.outer(root, root)
+        determined = scaled > _RANK
+        inverse = (V[:, determined] / scaled[determined]) @ V[:, determined].T / np.outer(root, root)
         mean = inverse @ v
         without_mean = 0.5 * float(np.sum(tau**2 * shrunk * along**2) + np.sum(np.log(shrunk)))
         likely = without_mean + 0.5 * float(v @ mean)
-        volume = float(np.sum(np.log(scaled[kept])) + 2 * np.sum(np.log(root[np.diagonal(M) > 0])))
+        volume = float(np.sum(np.log(scaled[determined])) + 2 * np.sum(np.log(root[np.diagonal(M) > 0])))
         return mean, M, likely, likely - 0.5 * volume
 
 
@@ -126,9 +126,9 @@ class Hierarchy:
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         determined = np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True)
         shown = values > 0
-        each = float(np.sum(along[shown] ** 2 / values[shown]))
+        separate_statistic = float(np.sum(along[shown] ** 2 / values[shown]))
         freedom = int(shown.sum()) - int(determined)
-        return float(chdtrc(freedom, max(each - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0
+        return float(chdtrc(freedom, max(separate_statistic - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0
 
     def shrunken(self) -> tuple[Array, Array]:
         """The estimate of each arm `(arm, number)` and its covariance `(arm, number, number)`, by empirical Bayes.
@@ -138,13 +138,13 @@ class Hierarchy:
         values, U, along = self.arms.eigen
         D = self.arms.typical
         prior = self.mean / D
-        left = along - values * (prior @ U)
+        residual = along - values * (prior @ U)
         variance = self.tau**2 / (1 + self.tau**2 * values)
-        estimates = prior + np.einsum("aij,aj->ai", U, variance * left)
-        own = np.einsum("aij,aj,akj->aik", U, variance, U)
+        estimates = prior + np.einsum("aij,aj->ai", U, variance * residual)
+        conditional_covariance = np.einsum("aij,aj,akj->aik", U, variance, U)
         keeps = np.einsum("aij,aj,akj->aik", U, 1 / (1 + self.tau**2 * values), U)
         of_mean = keeps @ (self.covariance / np.outer(D, D)) @ keeps.swapaxes(1, 2)
-        return estimates * D, (own + of_mean) * np.outer(D, D)
+        return estimates * D, (conditional_covariance + of_mean) * np.outer(D, D)
 
     def outlier_p_value(self, arm: int) -> float:
         """Of an arm as far from what the others predict: a model of those is fitted without it.
@@ -154,18 +154,18 @@ class Hierarchy:
         degrees of freedom (F. Satterthwaite, Biometrics Bulletin 2, 1946).
         """
         values, U, along = (part[arm] for part in self.arms.eigen)
-        rest = fitted(self.arms.without(arm))
-        seen = values > 0
-        if not seen.any() or rest is None:
+        leave_one_out = fitted(self.arms.without(arm))
+        shown = values > 0
+        if not shown.any() or leave_one_out is None:
             return 1.0
         D = self.arms.typical
-        of_mean = rest.covariance / np.outer(D, D)
-        off = along[seen] / values[seen] - U[:, seen].T @ (rest.mean / D)
-        between = rest.tau**2 * np.eye(int(seen.sum())) + U[:, seen].T @ of_mean @ U[:, seen]
-        whole = between + np.diag(1 / values[seen])
+        of_mean = leave_one_out.covariance / np.outer(D, D)
+        off = along[shown] / values[shown] - U[:, shown].T @ (leave_one_out.mean / D)
+        between = leave_one_out.tau**2 * np.eye(int(shown.sum())) + U[:, shown].T @ of_mean @ U[:, shown]
+        predictive_covariance = between + np.diag(1 / values[shown])
         count = len(off)
-        distance = float(off @ np.linalg.solve(whole, off)) / count
-        return float(fdtrc(count, rest.freedom * count, distance))
+        distance = float(off @ np.linalg.solve(predictive_covariance, off)) / count
+        return float(fdtrc(count, leave_one_out.freedom * count, distance))
 
 
 def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
@@ -176,17 +176,17 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
         return None
     unit = 1 / np.sqrt(np.median(values[values > 0]))
     grid = unit * np.geomspace(1 / _RANGE, _RANGE, _STEPS)
-    found = [arms.solved(tau)[3] for tau in grid]
-    best = int(np.argmax(found))
-    near = np.log(grid[[max(best - 1, 0), min(best + 1, _STEPS - 1)]])
+    log_likelihoods = [arms.solved(tau)[3] for tau in grid]
+    peak = int(np.argmax(log_likelihoods))
+    near = np.log(grid[[max(peak - 1, 0), min(peak + 1, _STEPS - 1)]])
     refined: Any = minimize_scalar(
         lambda log: -arms.solved(float(np.exp(log)))[3], bounds=tuple(near), method="bounded", options={"xatol": 1e-6}
     )
     tau = float(np.exp(refined.x)) if -refined.fun > arms.solved(0.0)[3] + 1e-9 else 0.0
     mean, M, *_ = arms.solved(tau)
     D = arms.typical
-    left = along - values * (mean @ U)
-    spread = np.sum(left[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
+    residual = along - values * (mean @ U)
+    spread = np.sum(residual[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
     freedom = max(int(np.sum(values > 0)) - len(D), 1)
     covariance = scaled_inverse(M, _RANK) * max(1.0, float(spread) / freedom) * np.outer(D, D)
     return Hierarchy(arms, tau, mean * D, covariance, float(shown - 1))

@@ -36,8 +36,8 @@ def restore_url(path: str | Path) -> str | None:
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
-    scheme, rest = match.groups()
-    return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{rest}"
+    scheme, address = match.groups()
+    return f"{scheme}://{'/' if scheme in ('file', 'local') else ''}{address}"
 
 
 def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
@@ -49,10 +49,10 @@ def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
     except InputError as error:
         return None, name_options(str(error))
     except Exception as error:  # a defect of ours, met on one file, is no reason to lose the others
-        found = " ".join(f"{type(error).__name__}: {error}".split())
-        return None, f"{path}: unexpected {found}; please report it with this file"
-    said = (name_options(str(each.message)) for each in caught if issubclass(each.category, InputWarning))
-    return done, "; ".join(dict.fromkeys(said))
+        description = " ".join(f"{type(error).__name__}: {error}".split())
+        return None, f"{path}: unexpected {description}; please report it with this file"
+    remarks = (name_options(str(warning.message)) for warning in caught if issubclass(warning.category, InputWarning))
+    return done, "; ".join(dict.fromkeys(remarks))
 
 
 @final
@@ -81,8 +81,8 @@ class Place:
         if url is not None:
             return cls(url.rstrip("/"), url.rstrip("/"), True)
         if not os.path.isdir(folder):
-            what = "is not a folder" if storage.exists(folder) else "no such folder"
-            raise InputError(f"{folder}: {what}; name one")
+            problem = "is not a folder" if storage.exists(folder) else "no such folder"
+            raise InputError(f"{folder}: {problem}; name one")
         return cls(str(folder), str(Path(folder).absolute()), False)
 
     def names(self) -> list[str]:
@@ -99,10 +99,10 @@ class Place:
         except FileNotFoundError as error:
             raise InputError(f"{self.root}: no such folder; check the URL") from error
         except Exception as error:  # as many kinds as there are stores
-            said = " ".join(f"{type(error).__name__}: {error}".split())
-            raise InputError(f"{self.root}: cannot be read ({said}); check the URL, and the access to it") from error
-        found = (entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == "file")
-        return sorted(name for name in found if name and not name.startswith("."))
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(f"{self.root}: cannot be read ({reason}); check the URL, and the access to it") from error
+        file_names = (entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == "file")
+        return sorted(name for name in file_names if name and not name.startswith("."))
 
     def is_file(self, name: str) -> bool:
         """Whether a name is that of a file."""

@@ -94,9 +94,9 @@ class Weighed:
         evidence."""
         size, arms = len(typical), len(self.evidence)
         score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
-        for i, one in enumerate(self.evidence):
-            if one is not None:
-                score[i], information[i] = one.score, one.information
+        for i, arm_evidence in enumerate(self.evidence):
+            if arm_evidence is not None:
+                score[i], information[i] = arm_evidence.score, arm_evidence.information
         return ArmLikelihoods(score, information, np.array(typical, float), self.variance)
 
 
@@ -106,52 +106,60 @@ def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, 
     `cost` is −ln of its prior probability. Eigenvalues over the largest that are below `confounded` are in the model's
     span.
     """
-    shown = [one for one in evidence if one is not None]
+    shown = [arm_evidence for arm_evidence in evidence if arm_evidence is not None]
     if len(shown) < 2:  # which a hierarchical model takes
         return Weighed(term, tuple(evidence), cost)
-    b, G = np.array([one.score for one in shown]), np.array([one.information for one in shown])
-    spread = np.sum([one.covariance for one in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
+    b = np.array([arm_evidence.score for arm_evidence in shown])
+    G = np.array([arm_evidence.information for arm_evidence in shown])
+    spread = np.sum([arm_evidence.covariance for arm_evidence in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
     scatter = max(float(spread.sum() / chi_squared(b.sum(0), G.sum(0))[1]), 1.0)
-    left, freedom = np.array([one.left for one in shown]), np.array([one.freedom for one in shown])
+    residual_squares = np.array([arm_evidence.left for arm_evidence in shown])
+    freedom = np.array([arm_evidence.freedom for arm_evidence in shown])
 
-    def of(score: Array, information: Array, left: float, freedom: float) -> tuple[float, float, float]:
+    def of(score: Array, information: Array, residual_squares: float, freedom: float) -> tuple[float, float, float]:
         """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
         if not isinstance(term, Process):
             statistic, size = np.sum(chi_squared(score, information), 1)
-            gain = evidence_of_names(statistic, size, left, freedom)
-            return float(gain), float(_log(statistic, left, freedom)), np.inf
+            gain = evidence_of_names(statistic, size, residual_squares, freedom)
+            return float(gain), float(_log(statistic, residual_squares, freedom)), np.inf
         values, V = np.linalg.eigh(information)
         squares = (np.einsum("aij,ai->aj", V, score) ** 2).ravel()
         values = np.maximum(values.ravel(), 0.0)
         squares = np.where(values > confounded * values.max(), squares, 0.0)
-        found = best_amplitude(values, squares, left, freedom)
-        return float(found.gain), float(found.gain + found.volume), float(found.variance)
+        amplitude = best_amplitude(values, squares, residual_squares, freedom)
+        return (
+            float(amplitude.gain),
+            float(amplitude.gain + amplitude.volume),
+            float(amplitude.variance),
+        )
 
-    S, v = float(left.sum()), float(freedom.sum())
+    S, v = float(residual_squares.sum()), float(freedom.sum())
     ways: list[tuple[tuple[float, float, float], Way]] = [
         (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
         (of(b, G, S, v), "any"),
     ]
-    gain, likelihood, variance = max(of(*own) for own in zip(b[:, None], G[:, None], left, freedom, strict=True))
+    gain, likelihood, variance = max(
+        of(*arm_sums) for arm_sums in zip(b[:, None], G[:, None], residual_squares, freedom, strict=True)
+    )
     ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
-    (gain, likelihood, variance), way = max(ways, key=lambda one: one[0])
-    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, way, variance)
+    (gain, likelihood, variance), sharing = max(ways, key=lambda alternative: alternative[0])
+    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, sharing, variance)
 
 
-def evidence_of_names(statistic: ArrayLike, size: ArrayLike, left: float, freedom: float) -> Array:
+def evidence_of_names(statistic: ArrayLike, size: ArrayLike, residual_squares: float, freedom: float) -> Array:
     """The evidence of numbers without a prior at the likeliest ratio of prior to information.
 
     Of χ² statistics T and as many directions K, of any shape, with S left of ν degrees of freedom.
     """
-    t, K = np.asarray(statistic) / left, np.asarray(size)
+    t, K = np.asarray(statistic) / residual_squares, np.asarray(size)
     q = (freedom * t - K) / np.maximum(t * np.maximum(freedom - K, 1.0), 1e-300)
     q = np.clip(q, 0.0, 1 - 1e-9)
-    return _log(q * t * left, left, freedom) + 0.5 * K * np.log1p(-q)
+    return _log(q * t * residual_squares, residual_squares, freedom) + 0.5 * K * np.log1p(-q)
 
 
-def _log(explained: ArrayLike, left: float, freedom: float) -> Array:
+def _log(explained: ArrayLike, residual_squares: float, freedom: float) -> Array:
     """The gain in log-likelihood where so much of a sum of squares is explained."""
-    return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / left, 1 - 1e-12))
+    return -0.5 * freedom * np.log1p(-np.minimum(np.asarray(explained) / residual_squares, 1 - 1e-12))
 
 
 # ------------------------------------------------------------------ a search's scan
@@ -167,31 +175,33 @@ def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evi
         of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each group
         `(group,)`.
     """
-    named, total, alone = dict[str, list[Evidence | None]](), dict[str, list[Array]](), dict[str, Array]()
+    candidate_evidence = dict[str, list[Evidence | None]]()
+    total = dict[str, list[Array]]()
+    alone = dict[str, Array]()
     arms, S, v = 0, 0.0, 0.0
     for scan in scans:
-        for key in {**named, **scan.named}:
-            named.setdefault(key, [None] * arms).append(scan.named.get(key))
-        for key, one in scan.groups.items():
-            own = _evidence_of_sums(one.sums, scan.left, scan.freedom)
-            total[key] = [a + b for a, b in zip(total[key], one, strict=True)] if key in total else list(one)
-            alone[key] = np.maximum(alone.get(key, 0.0), own)
+        for key in {**candidate_evidence, **scan.named}:
+            candidate_evidence.setdefault(key, [None] * arms).append(scan.named.get(key))
+        for key, screened in scan.groups.items():
+            arm_gain = _evidence_of_sums(screened.sums, scan.left, scan.freedom)
+            total[key] = [a + b for a, b in zip(total[key], screened, strict=True)] if key in total else list(screened)
+            alone[key] = np.maximum(alone.get(key, 0.0), arm_gain)
         arms, S, v = arms + 1, S + scan.left, v + scan.freedom
-    found = dict[str, Array]()
+    group_evidence = dict[str, Array]()
     for key, (score, information, sums) in total.items():
         if key in SCREENED:
             means = [of_process(score @ R, R.T @ information @ R, S, v, confounded).gain for R in SCREENED[key]]
         else:
             means = [evidence_of_names(*chi_squared(score, information), S, v)]
-        found[key] = np.max([*means, _evidence_of_sums(sums, S, v), alone[key] - np.log(arms)], 0)
-    return named, found
+        group_evidence[key] = np.max([*means, _evidence_of_sums(sums, S, v), alone[key] - np.log(arms)], 0)
+    return candidate_evidence, group_evidence
 
 
-def _evidence_of_sums(sums: Array, left: float, freedom: float) -> Array:
+def _evidence_of_sums(sums: Array, residual_squares: float, freedom: float) -> Array:
     """By `Screened.sums`, `(group,)`: that of as many equal directions."""
     square, trace, of_square = sums
     scale = trace / np.maximum(of_square, 1e-300)
-    return np.max(evidence_of_names(square * scale, trace * scale, left, freedom), 1)
+    return np.max(evidence_of_names(square * scale, trace * scale, residual_squares, freedom), 1)
 
 
 # ------------------------------------------------------------------ workers
@@ -208,21 +218,21 @@ class Reduced:
         """The files of `ReducedArm.to_bytes`, thresholds, and workers that are started; computes nothing."""
         self._stored, self.options, self._workers = tuple(stored), options, workers
 
-    def scans(self, beside: Sequence[Tested], tried: Tried) -> Iterator[Scan]:
+    def scans(self, beside: Sequence[Tested], candidate_terms: Tried) -> Iterator[Scan]:
         """What each recording says of all that is tested, beside some terms, in order."""
-        return self._answers(scan_beside, tuple(beside), (*tried.singles, *tried.pairs))
+        return self._answers(scan_beside, tuple(beside), (*candidate_terms.singles, *candidate_terms.pairs))
 
-    def evidence(self, asked: Sequence[Asked]) -> list[list[Evidence | None]]:
+    def evidence(self, requests: Sequence[Asked]) -> list[list[Evidence | None]]:
         """For each recording, what it says of each term that is asked for."""
-        return list(self._answers(measure, tuple(asked)))
+        return list(self._answers(measure, tuple(requests)))
 
-    def _answers(self, question: Callable[..., Any], *given: Any) -> Iterator[Any]:
-        """What `question(recording, options, *given)` gives of each recording, in order."""
+    def _answers(self, question: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
+        """What `question(recording, options, *arguments)` gives of each recording, in order."""
         batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
         waiting: dict[int, Any] = {}
         following = 0
-        for number, found in self._workers.outcomes(answer, batches, (question, self.options, *given), died=_died):
-            waiting[number] = found
+        for number, result in self._workers.outcomes(answer, batches, (question, self.options, *arguments), died=_died):
+            waiting[number] = result
             while following in waiting:
                 yield waiting.pop(following)
                 following += 1
@@ -233,10 +243,10 @@ def _died(stored: bytes) -> NoReturn:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def answer(stored: Sequence[bytes], question: Callable[..., Any], *given: Any) -> Any:
+def answer(stored: Sequence[bytes], question: Callable[..., Any], *arguments: Any) -> Any:
     """What a question gives of one recording."""
-    (one,) = stored
-    return question(ReducedArm.from_bytes(one), *given)
+    (arm_bytes,) = stored
+    return question(ReducedArm.from_bytes(arm_bytes), *arguments)
 
 
 def scan_beside(
@@ -246,10 +256,10 @@ def scan_beside(
     return arm.beside(beside, options).scan(processes, options)
 
 
-def measure(arm: ReducedArm, options: PoolingOptions, asked: tuple[Asked, ...]) -> list[Evidence | None]:
+def measure(arm: ReducedArm, options: PoolingOptions, requests: tuple[Asked, ...]) -> list[Evidence | None]:
     """What one recording says of each term that is asked for."""
-    known = {beside: arm.beside(beside, options) for beside in {beside for _, beside in asked}}
-    return [known[beside].evidence(term, options) for term, beside in asked]
+    arm_beside = {beside: arm.beside(beside, options) for beside in {beside for _, beside in requests}}
+    return [arm_beside[beside].evidence(term, options) for term, beside in requests]
 
 
 # ------------------------------------------------------------------ the search
@@ -268,10 +278,10 @@ class Search:
     """
 
     def __init__(
-        self, reduced: Reduced, tried: Tried, progress: Callable[[int], object] = lambda effects: None
+        self, reduced: Reduced, candidate_terms: Tried, progress: Callable[[int], object] = lambda effects: None
     ) -> None:
         """Computes nothing; `progress` is called with the number of effects at each round."""
-        self._reduced, self._tried, self._progress = reduced, tried, progress
+        self._reduced, self._tried, self._progress = reduced, candidate_terms, progress
         self._options, self._least = reduced.options, -float(np.log(reduced.options.engine.level))
         self._known: dict[frozenset[Tested], list[Weighed]] = {}
 
@@ -283,24 +293,31 @@ class Search:
             if better is None:
                 break
             terms = self._grown(better)
-        return [self._reviewed(one, [term for term in terms if term != one.term]) for one in self._beside_others(terms)]
+        return [
+            self._reviewed(weighed, [term for term in terms if term != weighed.term])
+            for weighed in self._beside_others(terms)
+        ]
 
     def _grown(self, terms: list[Tested]) -> list[Tested]:
-        seen = set[Tested]()
+        considered = set[Tested]()
         while len(terms) < self._options.most_effects:
             self._progress(len(terms))
-            worth = (one for one in self._ranked(terms) if one.term not in seen and one.sure >= self._least)
-            more = next(worth, None)
+            significant = (
+                weighed
+                for weighed in self._ranked(terms)
+                if weighed.term not in considered and weighed.sure >= self._least
+            )
+            more = next(significant, None)
             if more is None:
                 break
-            seen.add(more.term)
+            considered.add(more.term)
             terms = self._dropped([*terms, more.term])
         return terms
 
     def _dropped(self, terms: list[Tested]) -> list[Tested]:
         """Without those that are not worth their cost beside the others, the least of them first."""
         while terms:
-            worst = min(self._beside_others(terms), key=lambda one: one.sure)
+            worst = min(self._beside_others(terms), key=lambda weighed: weighed.sure)
             if worst.sure >= self._least:
                 break
             terms = [term for term in terms if term != worst.term]
@@ -310,25 +327,38 @@ class Search:
         """With another term in the place of one, or of all of a site, that is likelier; None where none is."""
         site_of = {term: self._tried.candidate(term).site for term in terms}
         sites = [[term for term in terms if site_of[term] == site] for site in dict.fromkeys(site_of.values())]
-        for some in (*([term] for term in terms), *(there for there in sites if len(there) > 1)):
-            rest = [term for term in terms if term not in some]
-            worth = sum(one.net for one in self._measured([(one, (*rest, *some[:k])) for k, one in enumerate(some)]))
-            best = next(iter(self._ranked(rest)), None)
-            if best is not None and best.term not in some and best.net >= worth + self._options.engine.better:
-                return self._dropped([*rest, best.term])
+        for replaced in (*([term] for term in terms), *(site_terms for site_terms in sites if len(site_terms) > 1)):
+            remaining_terms = [term for term in terms if term not in replaced]
+            replaced_net = sum(
+                weighed.net
+                for weighed in self._measured(
+                    [(term, (*remaining_terms, *replaced[:k])) for k, term in enumerate(replaced)]
+                )
+            )
+            replacement = next(iter(self._ranked(remaining_terms)), None)
+            if (
+                replacement is not None
+                and replacement.term not in replaced
+                and replacement.net >= replaced_net + self._options.engine.better
+            ):
+                return self._dropped([*remaining_terms, replacement.term])
         return None
 
-    def _reviewed(self, one: Weighed, rest: list[Tested]) -> Weighed:
+    def _reviewed(self, weighed: Weighed, other_terms: list[Tested]) -> Weighed:
         """With its rivals, and of a process the nearest name."""
-        others = [other for other in self._ranked(rest) if not _is_same(other.term, one.term, self._options.same_line)]
-        gaps = [(other.term, max(one.net - other.net, 0.0)) for other in others[: self._options.engine.listed]]
-        named = [(other.likelihood, other.term) for other in others if isinstance(other.term, PooledTerm)]
+        rivals = [
+            rival
+            for rival in self._ranked(other_terms)
+            if not _is_same(rival.term, weighed.term, self._options.same_line)
+        ]
+        gaps = [(rival.term, max(weighed.net - rival.net, 0.0)) for rival in rivals[: self._options.engine.listed]]
+        named_rivals = [(rival.likelihood, rival.term) for rival in rivals if isinstance(rival.term, PooledTerm)]
         nearest = None
-        if isinstance(one.term, Process) and named:
-            likelihood, term = max(named, key=lambda pair: pair[0])
-            nearest = term, float(np.clip(likelihood / one.likelihood, 0.0, 1.0))
+        if isinstance(weighed.term, Process) and named_rivals:
+            likelihood, term = max(named_rivals, key=lambda pair: pair[0])
+            nearest = term, float(np.clip(likelihood / weighed.likelihood, 0.0, 1.0))
         return replace(
-            one, rivals=tuple(pair for pair in gaps if pair[1] < self._options.engine.close), nearest=nearest
+            weighed, rivals=tuple(pair for pair in gaps if pair[1] < self._options.engine.close), nearest=nearest
         )
 
     # -------------------------------------------------------------- what is likeliest
@@ -337,66 +367,74 @@ class Search:
         """All that is likely and possible beside some terms, the likeliest first; of processes the likeliest kernel."""
         key = frozenset(beside)
         if key not in self._known:
-            named, groups = screen(self._reduced.scans(beside, self._tried), self._options.engine.confounded)
-            asked = [(term, tuple(beside)) for term in (*self._lines(groups, beside), *self._processes(groups))]
-            found = [*(self._weighed(PooledTerm(name), each) for name, each in named.items()), *self._measured(asked)]
-            best: dict[str, Weighed] = {}
-            for one in sorted(found, key=lambda one: -one.net):
-                if one.gain > 0 and self._is_possible(one):
-                    best.setdefault(one.term.key, one)
-            self._known[key] = list(best.values())
+            candidate_evidence, groups = screen(
+                self._reduced.scans(beside, self._tried), self._options.engine.confounded
+            )
+            requests = [(term, tuple(beside)) for term in (*self._lines(groups, beside), *self._processes(groups))]
+            weighed_terms = [
+                *(self._weighed(PooledTerm(name), evidence) for name, evidence in candidate_evidence.items()),
+                *self._measured(requests),
+            ]
+            likeliest_by_key: dict[str, Weighed] = {}
+            for weighed in sorted(weighed_terms, key=lambda weighed: -weighed.net):
+                if weighed.gain > 0 and self._is_possible(weighed):
+                    likeliest_by_key.setdefault(weighed.term.key, weighed)
+            self._known[key] = list(likeliest_by_key.values())
         return self._known[key]
 
     def _lines(self, groups: Mapping[str, Array], beside: Sequence[Tested]) -> list[Tested]:
         """Waves near the likeliest order of each family, of the likeliest families."""
-        orders, lines = order_grid(self._options), []
+        orders = order_grid(self._options)
+        lines = []
         for key in self._tried.families:
             net = groups[key] - self._tried.cost_of_waves(orders)
-            for one in beside:
-                if isinstance(one, PooledTerm) and one.key == key and one.order is not None:
-                    net[np.abs(orders - one.order) < self._options.same_line] = -np.inf
+            for term in beside:
+                if isinstance(term, PooledTerm) and term.key == key and term.order is not None:
+                    net[np.abs(orders - term.order) < self._options.same_line] = -np.inf
             lines.append((float(net.max()), key, float(orders[np.argmax(net)])))
-        found: list[Tested] = []
+        waves: list[Tested] = []
         for net, key, order in sorted(lines, reverse=True)[: self._options.lines]:
             near = order + self._options.order_step * _FINER if net > 0 else np.zeros(0)
             likely = {max(round(order), 1.0), *near[near >= self._options.engine.lowest_order].tolist()}
-            found += [PooledTerm(key, float(one)) for one in sorted(likely)] if net > 0 else []
-        return found
+            waves += [PooledTerm(key, float(wave_order)) for wave_order in sorted(likely)] if net > 0 else []
+        return waves
 
     def _processes(self, groups: Mapping[str, Array]) -> list[Tested]:
         """Processes of the likeliest quantities and pairs of them, with every kernel."""
         screened = zip((*self._tried.singles, *self._tried.pairs), (*groups[SPLINES], *groups[CUBICS]), strict=True)
-        nets = [(gain - self._tried.cost(one), one) for one, gain in screened]
+        nets = [(gain - self._tried.cost(process), process) for process, gain in screened]
         close = [pair for pair in nets if pair[0] > self._least - self._options.engine.close]
         likely = sorted(close, key=lambda pair: -pair[0])[: self._options.processes]
-        return [kernel for _, one in likely for kernel in self._tried.with_every_kernel(one)]
+        return [kernel for _, process in likely for kernel in self._tried.with_every_kernel(process)]
 
     # -------------------------------------------------------------- measured in every arm
 
     def _beside_others(self, terms: Sequence[Tested]) -> list[Weighed]:
-        return self._measured([(one, tuple(other for other in terms if other != one)) for one in terms])
+        return self._measured(
+            [(term, tuple(other_term for other_term in terms if other_term != term)) for term in terms]
+        )
 
-    def _measured(self, asked: Sequence[Asked]) -> list[Weighed]:
-        columns = zip(*self._reduced.evidence(asked), strict=True) if asked else ()
-        return [self._weighed(term, column) for (term, _), column in zip(asked, columns, strict=True)]
+    def _measured(self, requests: Sequence[Asked]) -> list[Weighed]:
+        columns = zip(*self._reduced.evidence(requests), strict=True) if requests else ()
+        return [self._weighed(term, column) for (term, _), column in zip(requests, columns, strict=True)]
 
     def _weighed(self, term: Tested, evidence: Sequence[Evidence | None]) -> Weighed:
         return weigh(term, evidence, self._options.engine.confounded, self._tried.cost(term))
 
-    def _is_possible(self, one: Weighed) -> bool:
+    def _is_possible(self, weighed: Weighed) -> bool:
         """Whether the mean is not far outside what the named effect can be, as far as that matters."""
-        candidate = self._tried.candidate(one.term)
+        candidate = self._tried.candidate(weighed.term)
         lower, upper = np.array(candidate.lower), np.array(candidate.upper)
-        if one.net < 0 or np.isinf([lower, upper]).all():
+        if weighed.net < 0 or np.isinf([lower, upper]).all():
             return True
-        hierarchy = fitted(one.likelihoods(candidate.typical))
+        hierarchy = fitted(weighed.likelihoods(candidate.typical))
         assert hierarchy is not None  # what too few arms show has no evidence
         limit = self._options.engine.impossible * np.hypot(hierarchy.std, hierarchy.between)
         mean = hierarchy.mean
         return bool(((mean > lower - limit) & (mean < upper + limit)).all())
 
 
-def _is_same(one: Tested, other: Tested, width: float) -> bool:
+def _is_same(first: Tested, second: Tested, width: float) -> bool:
     """Whether two terms are one, or waves that are one line, or processes of the same drivers."""
-    orders = [term.order for term in (one, other) if isinstance(term, PooledTerm) and term.order is not None]
-    return one.key == other.key and (len(orders) < 2 or abs(orders[0] - orders[1]) < width)
+    orders = [term.order for term in (first, second) if isinstance(term, PooledTerm) and term.order is not None]
+    return first.key == second.key and (len(orders) < 2 or abs(orders[0] - orders[1]) < width)

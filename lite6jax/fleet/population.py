@@ -62,17 +62,19 @@ class TypeEffect:
         Those of an outlier are of its recording alone; the others are estimates of empirical Bayes.
         """
         usual = iter(zip(*self.hierarchy.shrunken(), strict=True))
-        found: list[tuple[Array, Array] | None] = []
-        for arm, one in enumerate(self.selected.evidence):
+        estimates: list[tuple[Array, Array] | None] = []
+        for arm, arm_evidence in enumerate(self.selected.evidence):
             if arm in self.outliers:
-                assert one is not None
-                covariance = scaled_inverse(one.information + np.eye(len(one.score)) / self.selected.variance)
-                value = covariance @ one.score
+                assert arm_evidence is not None
+                covariance = scaled_inverse(
+                    arm_evidence.information + np.eye(len(arm_evidence.score)) / self.selected.variance
+                )
+                value = covariance @ arm_evidence.score
             else:
                 value, covariance = next(usual)
             std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-            found.append(None if one is None else (value, std))
-        return found
+            estimates.append(None if arm_evidence is None else (value, std))
+        return estimates
 
 
 @final
@@ -123,7 +125,8 @@ class Population:
         }
 
     def _named(self, term: Tested) -> dict[str, Any]:
-        candidate, further = self.tried.candidate(term), dict[str, Any]()
+        candidate = self.tried.candidate(term)
+        further = dict[str, Any]()
         if isinstance(term, Process):
             further = {"component": term.component, "kernel": term.kernel}
         elif term.order is not None:
@@ -156,12 +159,12 @@ class Population:
             {
                 "file": self.members[self.used[arm]].file,
                 "parameters": {
-                    name: {"value": float(found[0][i]), "std": float(found[1][i])} for i, name in enumerate(names)
+                    name: {"value": float(estimate[0][i]), "std": float(estimate[1][i])} for i, name in enumerate(names)
                 },
                 "outlier_p_value": effect.outliers.get(arm),
             }
-            for arm, found in enumerate(effect.estimates())
-            if found is not None
+            for arm, estimate in enumerate(effect.estimates())
+            if estimate is not None
         ]
         document["rivals"] = [{**self._named(term), "log_likelihood_gap": gap} for term, gap in selected.rivals]
         return document
@@ -169,7 +172,7 @@ class Population:
 
 def _interval(hierarchy: Hierarchy, number: int) -> dict[str, Any]:
     """A mean with its standard deviation and its 95 % interval."""
-    value, std, half = (float(each[number]) for each in (hierarchy.mean, hierarchy.std, hierarchy.half_width))
+    value, std, half = (float(statistic[number]) for statistic in (hierarchy.mean, hierarchy.std, hierarchy.half_width))
     return {"mean": value, "std": std, "interval_95": [value - half, value + half]}
 
 
@@ -178,9 +181,9 @@ def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
     further = [driver_of(phrase).discrete for phrase in process.drivers[1:]]
     if not all(further):
         return {}
-    low, high, *others = process.bounds
+    low, high, *further_bounds = process.bounds
     at = np.linspace(low, high, POINTS)
-    values = np.stack([at, *(np.full(POINTS, upper) for upper in others[1::2])])
+    values = np.stack([at, *(np.full(POINTS, upper) for upper in further_bounds[1::2])])
     B = process.functions(values)
     std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, hierarchy.covariance, B), 0.0))
     mean = hierarchy.mean @ B
@@ -191,7 +194,7 @@ def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
 def diagnose_population(
     arm: str,
     members: Sequence[Member],
-    tried: Tried,
+    candidate_terms: Tried,
     reduced: Reduced,
     progress: Callable[[int], object] = lambda effects: None,
 ) -> Population:
@@ -200,30 +203,34 @@ def diagnose_population(
     Args:
         arm: the name of the nominal arm.
         members: all recordings.
-        tried: all that they are tested for.
+        candidate_terms: all that they are tested for.
         reduced: the recordings that are used, in their order.
         progress: called with the number of effects at each round of the search.
     """
-    found = Search(reduced, tried, progress).selected()
-    effects = [_effect(one, tried.candidate(one.term), len(found), reduced.options) for one in found]
-    return Population(arm, tuple(members), tuple(effects), tried, reduced.options)
+    selected = Search(reduced, candidate_terms, progress).selected()
+    effects = [
+        _effect(weighed, candidate_terms.candidate(weighed.term), len(selected), reduced.options)
+        for weighed in selected
+    ]
+    return Population(arm, tuple(members), tuple(effects), candidate_terms, reduced.options)
 
 
 def _effect(selected: Weighed, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
     evidence = selected.evidence
-    kept, outliers = list(range(len(evidence))), dict[int, float]()
+    included = list(range(len(evidence)))
+    outliers = dict[int, float]()
     hierarchy = fitted(selected.likelihoods(candidate.typical))
     assert hierarchy is not None, "an effect was selected that too few arms show"
-    shown = sum(one is not None for one in evidence)
+    shown = sum(arm_evidence is not None for arm_evidence in evidence)
     while shown - len(outliers) >= options.fewest_arms:
-        p_values = [hierarchy.outlier_p_value(i) for i in range(len(kept))]
-        most = int(np.argmin(p_values))
-        p = min(p_values[most] * shown * effects, 1.0)
+        p_values = [hierarchy.outlier_p_value(i) for i in range(len(included))]
+        farthest = int(np.argmin(p_values))
+        p = min(p_values[farthest] * shown * effects, 1.0)
         if p >= options.engine.level:
             break
-        outliers[kept.pop(most)] = p
-        rest = fitted(hierarchy.arms.without(most))
-        assert rest is not None
-        hierarchy = rest
+        outliers[included.pop(farthest)] = p
+        refitted = fitted(hierarchy.arms.without(farthest))
+        assert refitted is not None
+        hierarchy = refitted
     return TypeEffect(selected, candidate, hierarchy, outliers)

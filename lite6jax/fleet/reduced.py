@@ -44,10 +44,10 @@ def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], num
     """Columns `(…, row, sample)`, of unit noise, as those of all `number` readings: white, zero at samples that are not
     fitted. Readings of the prior come after all samples."""
     white = noise.whitened(columns) * training
-    *which, rows, samples = white.shape
-    found = np.zeros((*which, number))
-    found[..., : rows * samples] = white.reshape(*which, rows * samples)
-    return found
+    *leading, rows, samples = white.shape
+    stacked = np.zeros((*leading, number))
+    stacked[..., : rows * samples] = white.reshape(*leading, rows * samples)
+    return stacked
 
 
 class Heading(NamedTuple):
@@ -180,8 +180,8 @@ class ReducedArm:
             models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
             smoothing = None
             if "smoothing" in file:
-                rate, cutoff, every = map(float, file["smoothing"])
-                smoothing = LowPass(rate, cutoff, int(every), file["runs"], file["kept"])
+                rate, cutoff, decimation = map(float, file["smoothing"])
+                smoothing = LowPass(rate, cutoff, int(decimation), file["runs"], file["kept"])
             return cls(
                 heading=_heading(file["heading"]),
                 columns=file["columns"].astype(float),
@@ -201,11 +201,11 @@ class ReducedArm:
 
     @cached_property
     def _values(self) -> dict[str, Array]:
-        return dict(zip((one.driver.phrase for one in self.heading.quantities), self.values, strict=True))
+        return dict(zip((quantity.driver.phrase for quantity in self.heading.quantities), self.values, strict=True))
 
     @cached_property
     def _places(self) -> dict[tuple[str, str], Array]:
-        return dict(zip((one[:2] for one in self.heading.places), self.places, strict=True))
+        return dict(zip((place[:2] for place in self.heading.places), self.places, strict=True))
 
     def columns_of(self, term: Tested) -> Array:
         """`(number, reading)`; none where the recording cannot show the term."""
@@ -234,7 +234,7 @@ class ReducedArm:
 
     def _functions(self, process: Process) -> Array:
         """`(function, sample)`, as the measurements show them."""
-        return self._seen(process.functions(np.stack([self._values[one] for one in process.drivers]), self.run))
+        return self._seen(process.functions(np.stack([self._values[phrase] for phrase in process.drivers]), self.run))
 
     def _seen(self, values: Array) -> Array:
         """Values `(…, moment)` as the measurements show them, `(…, sample)`."""
@@ -270,11 +270,13 @@ class ReducedArm:
         columns = self.columns_of(term)
         projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
         # what is confounded with the model is rounding, in the score and in the information alike
-        least, length = options.engine.confounded, np.where(norms > 0, norms, 1.0)
+        threshold = options.engine.confounded
+        length = np.where(norms > 0, norms, 1.0)
         C = projected @ projected.T / np.outer(length, length)
-        seen = np.diagonal(C) > least
-        eigenvalues, V = np.linalg.eigh(np.where(np.outer(seen, seen), C, 0.0))
-        V, eigenvalues = np.where(seen[:, None], V, 0.0)[:, eigenvalues > least], eigenvalues[eigenvalues > least]
+        unconfounded = np.diagonal(C) > threshold
+        eigenvalues, V = np.linalg.eigh(np.where(np.outer(unconfounded, unconfounded), C, 0.0))
+        V = np.where(unconfounded[:, None], V, 0.0)[:, eigenvalues > threshold]
+        eigenvalues = eigenvalues[eigenvalues > threshold]
         if not eigenvalues.size:
             return None
         per_block = self._by_block(projected * self.left)
@@ -285,19 +287,24 @@ class ReducedArm:
 
     def scan(self, processes: Sequence[Process], options: PoolingOptions) -> Scan:
         """What the recording says of all candidates, of all waves, and of functions that processes are screened by."""
-        named = {one.key: self.evidence(PooledTerm(one.key), options) for one in self.heading.candidates}
+        candidate_evidence = {
+            candidate.key: self.evidence(PooledTerm(candidate.key), options) for candidate in self.heading.candidates
+        }
         groups = {family.key: self._spectrum(family, options) for family in self.heading.families}
         for kernel in SCREENED:
             groups[kernel] = self._screened(
-                [one for one in processes if one.kernel == kernel], SCREENED[kernel], options
+                [process for process in processes if process.kernel == kernel], SCREENED[kernel], options
             )
-        return Scan(named, groups, float(self.left @ self.left), self.freedom)
+        return Scan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
 
     def _spectrum(self, family: Candidate, options: PoolingOptions) -> Screened:
         """Of the waves of a family."""
-        orders, place = order_grid(options), self._place_of(family)
-        acting, white = place.any(1), self.noise.white
-        noise, site = replace(self.noise, groups=self.noise.groups[acting]), place[acting]
+        orders = order_grid(options)
+        place = self._place_of(family)
+        acting = place.any(1)
+        white = self.noise.white
+        noise = replace(self.noise, groups=self.noise.groups[acting])
+        site = place[acting]
         # autocorrelated noise mixes samples: then rows do not add up before waves are multiplied
         measured = self._over_rows(place) if white else (1.0, self._measured[:, acting].reshape(-1, site.size))
         score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 2, 2))
@@ -315,15 +322,17 @@ class ReducedArm:
         """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
         groups, size = len(processes), len(roots[0])
         score, information = np.zeros((groups, size)), np.zeros((groups, size, size))
-        functions, members = dict[tuple[str, ...], Array](), dict[tuple[str, str], list[int]]()
-        for k, one in enumerate(processes):
-            if self._has(one):
-                members.setdefault((one.site, one.component), []).append(k)
-                if one.drivers not in functions:
-                    functions[one.drivers] = self._functions(one)
-        for where, own in members.items():
-            f, measured = np.stack([functions[processes[k].drivers] for k in own]), self._over_rows(self._places[where])
-            score[own], information[own] = _equations(f, *measured, options.engine.confounded)
+        functions = dict[tuple[str, ...], Array]()
+        members = dict[tuple[str, str], list[int]]()
+        for k, process in enumerate(processes):
+            if self._has(process):
+                members.setdefault((process.site, process.component), []).append(k)
+                if process.drivers not in functions:
+                    functions[process.drivers] = self._functions(process)
+        for where, group_indices in members.items():
+            f = np.stack([functions[processes[k].drivers] for k in group_indices])
+            measured = self._over_rows(self._places[where])
+            score[group_indices], information[group_indices] = _equations(f, *measured, options.engine.confounded)
         sums = np.zeros((3, groups, len(roots)))
         for k, R in enumerate(roots):
             varying = R[:, 1:]  # without the constant, which is larger than all else
@@ -355,18 +364,19 @@ def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:
     """bᵀ G⁺ b and the rank of G, `(…,)` each, of scores `(…, number)` and information `(…, number, number)`."""
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), np.finfo(float).tiny))
     eigenvalues, V = np.linalg.eigh(information / (size[..., None] * size[..., None, :]))
-    kept = eigenvalues > _ROUNDING
+    used = eigenvalues > _ROUNDING
     along = np.einsum("...ij,...i->...j", V, score / size)
-    return np.sum(np.where(kept, along**2 / np.where(kept, eigenvalues, 1.0), 0.0), -1), np.sum(kept, -1, dtype=float)
+    return np.sum(np.where(used, along**2 / np.where(used, eigenvalues, 1.0), 0.0), -1), np.sum(used, -1, dtype=float)
 
 
 def _equations(functions: Array, weight: Array | float, measured: Array, confounded: float) -> tuple[Array, Array]:
     """Score `(group, number)` and information of functions `(group, number, sample)`, zero of what is confounded."""
     along = functions @ measured.T
-    own, inside = (functions * weight) @ functions.swapaxes(1, 2), along[..., 1:]
-    information = own - inside @ inside.swapaxes(1, 2)
-    seen = np.diagonal(information, axis1=1, axis2=2) > confounded * np.diagonal(own, axis1=1, axis2=2)
-    return np.where(seen, -along[..., 0], 0.0), np.where(seen[:, :, None] & seen[:, None], information, 0.0)
+    gram = (functions * weight) @ functions.swapaxes(1, 2)
+    inside = along[..., 1:]
+    information = gram - inside @ inside.swapaxes(1, 2)
+    shown = np.diagonal(information, axis1=1, axis2=2) > confounded * np.diagonal(gram, axis1=1, axis2=2)
+    return np.where(shown, -along[..., 0], 0.0), np.where(shown[:, :, None] & shown[:, None], information, 0.0)
 
 
 def read_heading(path: Path) -> Heading:
@@ -376,10 +386,10 @@ def read_heading(path: Path) -> Heading:
 
 
 def _heading(stored: NDArray[np.uint8]) -> Heading:
-    found = msgspec.msgpack.decode(stored.tobytes(), type=Heading)
-    if found.version != Heading._field_defaults["version"]:
+    heading = msgspec.msgpack.decode(stored.tobytes(), type=Heading)
+    if heading.version != Heading._field_defaults["version"]:
         raise ValueError("another version")
-    return found
+    return heading
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from lite6jax.fleet.terms import Candidate, Place, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
 
 
-def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
+def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     """The linear model of a diagnosed recording.
 
     The noise model is that of the diagnosis. Findings that are tested where recordings are pooled are part of the
@@ -25,52 +25,60 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     out. Masses are those declared: their uncertainty matters beside effects of loads alone. Waves and processes of
     torques pass the filter that the torques have passed.
     """
-    problem, engine, fit, smoothing = found.problem, found.options.engine, found.fit, None
-    if isinstance(found, TorqueDiagnosis):
-        what, data, joints = "torques", found.problem.data, found.problem.rows
+    problem = diagnosis.problem
+    engine = diagnosis.options.engine
+    fit = diagnosis.fit
+    smoothing = None
+    if isinstance(diagnosis, TorqueDiagnosis):
+        domain, data, joints = "torques", diagnosis.problem.data, diagnosis.problem.rows
         arm, settings, smoothing = data.arm, data.recording.settings, data.filter
-        smoothing = replace(smoothing, kept=smoothing.kept[found.problem.chosen])
-        named = [effect for effect in problem.candidates if effect.linear]
+        smoothing = replace(smoothing, kept=smoothing.kept[diagnosis.problem.chosen])
+        candidates = [effect for effect in problem.candidates if effect.linear]
     else:
-        what, joints = "poses", found.problem.motion.dof
-        arm, settings = found.problem.arm, found.problem.recording.settings
-        fit = replace(fit, training=fit.training & ~found.outliers)
-        named = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
-    named = [effect for effect in named if not effect.periodic]
+        domain, joints = "poses", diagnosis.problem.motion.dof
+        arm, settings = diagnosis.problem.arm, diagnosis.problem.recording.settings
+        fit = replace(fit, training=fit.training & ~diagnosis.outliers)
+        candidates = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
+    candidates = [effect for effect in candidates if not effect.periodic]
     test = score_test(problem, fit, engine)
-    test = test.beside([not _is_pooled(one, named, problem) for one in fit.terms.terms])
+    test = test.beside([not _is_pooled(term, candidates, problem) for term in fit.terms.terms])
     terms, values = test.fit.terms, test.fit.values
     unit = 1 / test.scale[problem.groups][:, None]
-    columns = unit * problem.columns(named, beside=(terms, values))
+    columns = unit * problem.columns(candidates, beside=(terms, values))
     quantities = problem.quantities
     components = problem.components if quantities else ()
-    units = [problem.process(one, quantities[:1], "line", 1.0).coordinates[0].unit for one in components]
-    phrases = {one.driver.phrase for one in quantities}
+    units = [problem.process(component, quantities[:1], "line", 1.0).coordinates[0].unit for component in components]
+    phrases = {quantity.driver.phrase for quantity in quantities}
     waves = [family.term(1.0) for family in problem.periodic if family.whole]  # of a slide, along its own stroke
-    sites = {one.site for one in components}  # a point on the last axis does not show the turns of its joint
+    # a point on the last axis does not show the turns of its joint
+    sites = {component.site for component in components}
     return ReducedArm(
         heading=Heading(
             about={
-                "what": what,
+                "what": domain,
                 "arm": arm.name,
                 "joints": joints,
                 "rows": problem.samples,
                 "date": settings.date,
-                "verdict": found.verdict,
+                "verdict": diagnosis.verdict,
             },
-            found=tuple((one.effect.label, one.p_value) for one in found.findings),
-            candidates=tuple(_candidate(effect, _key(effect), problem) for effect in named),
+            found=tuple((finding.effect.label, finding.p_value) for finding in diagnosis.findings),
+            candidates=tuple(_candidate(effect, _key(effect), problem) for effect in candidates),
             families=tuple(
                 _candidate(wave, f"waves:{wave.site}", problem)
                 for wave in waves
                 if isinstance(wave, Effect) and wave.drivers[0].phrase in phrases and wave.site in sites
             ),
-            places=tuple(Place(one.site, one.name, unit) for one, unit in zip(components, units, strict=True)),
+            places=tuple(
+                Place(component.site, component.name, unit) for component, unit in zip(components, units, strict=True)
+            ),
             quantities=tuple(map(Varied.of, quantities)),
         ),
         columns=readings(columns, fit.noise, fit.training, test.residual.size),
-        places=np.array([one.column * unit for one in components]).reshape(-1, problem.rows, problem.samples),
-        values=np.array([one.values for one in quantities]).reshape(len(quantities), -1),
+        places=np.array([component.column * unit for component in components]).reshape(
+            -1, problem.rows, problem.samples
+        ),
+        values=np.array([quantity.values for quantity in quantities]).reshape(len(quantities), -1),
         run=problem.every_run,
         noise=fit.noise,
         training=fit.training,
@@ -81,27 +89,29 @@ def reduced(found: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     )
 
 
-def _is_pooled(term: Term, named: Sequence[Effect], problem: PoseProblem | TorqueProblem) -> bool:
+def _is_pooled(term: Term, candidates: Sequence[Effect], problem: PoseProblem | TorqueProblem) -> bool:
     """Whether a term is tested where recordings are pooled: a name, a wave of a whole angle, or a process."""
     if term.nonparametric:
-        kernel, own = getattr(term, "kernel", ""), {term.site, ""}
-        known = {one.driver.phrase: one.own for one in problem.quantities}
+        kernel = getattr(term, "kernel", "")
+        sites = {term.site, ""}
+        sites_of = {quantity.driver.phrase: quantity.own for quantity in problem.quantities}
         if kernel in PAIRS:
-            return all(own & known.get(driver.phrase, frozenset()) for driver in term.drivers)
+            return all(sites & sites_of.get(driver.phrase, frozenset()) for driver in term.drivers)
         return kernel in SINGLE
     if term.periodic:
         return isinstance(term, Effect) and not slides(term) and getattr(term, "order", None) is not None
-    return term in named
+    return term in candidates
 
 
 def _key(effect: Effect) -> str:
     """Name and fields, such as `joint_coupling:joint=2,source_joint=3`."""
-    given = ",".join(f"{field.name}={getattr(effect, field.name)}" for field in fields(effect))
-    return f"{effect.name}:{given}"
+    field_values = ",".join(f"{field.name}={getattr(effect, field.name)}" for field in fields(effect))
+    return f"{effect.name}:{field_values}"
 
 
 def _candidate(effect: Effect, key: str, problem: PoseProblem | TorqueProblem) -> Candidate:
-    numbers, limits = effect.coordinates, problem.limits(effect)
+    numbers = effect.coordinates
+    limits = problem.limits(effect)
     return Candidate(
         key=key,
         effect=effect.name,

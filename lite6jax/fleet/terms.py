@@ -164,8 +164,8 @@ class Varied(NamedTuple):
     @classmethod
     def of(cls, quantity: Quantity) -> "Varied":
         """What a recording says of one of its quantities."""
-        few = np.quantile(quantity.values, np.linspace(0, 1, 5), method="nearest")
-        return cls(quantity.driver, tuple(few.tolist()), quantity.own, quantity.only)
+        quantiles = np.quantile(quantity.values, np.linspace(0, 1, 5), method="nearest")
+        return cls(quantity.driver, tuple(quantiles.tolist()), quantity.own, quantity.only)
 
 
 @final
@@ -182,23 +182,27 @@ class Tried:
     def __init__(self, recordings: Iterable[Any], options: EngineOptions) -> None:
         """What one of the recordings can be tested for at least, by their headings."""
         self.named, self.families, self._options = dict[str, Candidate](), dict[str, Candidate](), options
-        places, varied = dict[Place, None](), dict[str, Quantity]()
-        for one in recordings:
-            self.named |= {each.key: each for each in one.candidates if each.key not in self.named}
-            self.families |= {each.key: each for each in one.families if each.key not in self.families}
-            places |= dict.fromkeys(one.places)
-            for driver, few, own, only in one.quantities:
-                known = varied.setdefault(driver.phrase, Quantity(driver, np.zeros(0), own, only))
-                varied[driver.phrase] = known._replace(values=np.concatenate([known.values, few]))
+        places = dict[Place, None]()
+        varied = dict[str, Quantity]()
+        for heading in recordings:
+            self.named |= {
+                candidate.key: candidate for candidate in heading.candidates if candidate.key not in self.named
+            }
+            self.families |= {family.key: family for family in heading.families if family.key not in self.families}
+            places |= dict.fromkeys(heading.places)
+            for driver, sample_values, sites, only in heading.quantities:
+                quantity = varied.setdefault(driver.phrase, Quantity(driver, np.zeros(0), sites, only))
+                varied[driver.phrase] = quantity._replace(values=np.concatenate([quantity.values, sample_values]))
         self._places, self._place_of = tuple(places), {phrase: k for k, phrase in enumerate(varied)}
-        self.components = tuple(Component(one.site, one.name, np.zeros((0, 0))) for one in places)
+        self.components = tuple(Component(place.site, place.name, np.zeros((0, 0))) for place in places)
         self.quantities, self.candidates, self.shaped = tuple(varied.values()), tuple(self.named.values()), ()
         self._scan = Scan(cast(Problem, self), options)  # of a problem, costs need no more than is here
 
     @cached_property
     def singles(self) -> tuple[Process, ...]:
         """Splines of each quantity at each component where it can act."""
-        count, may_act = range(len(self.quantities)), self._scan.may_act
+        count = range(len(self.quantities))
+        may_act = self._scan.may_act
         return tuple(
             self._process(place, SPLINES, k) for place in self._places for k in count if may_act(place.site, k)
         )
@@ -206,18 +210,20 @@ class Tried:
     @cached_property
     def pairs(self) -> tuple[Process, ...]:
         """Products of two cubics of each pair of a site's own quantities, one of few values last."""
-        found = []
+        processes = []
         for place in self._places:
-            own = sorted(self._scan.own[place.site], key=lambda k: self._scan.discrete[k])
-            pairs = ((j, k) for n, j in enumerate(own) for k in own[n + 1 :])
-            found += [self._process(place, CUBICS, *pair) for pair in pairs if self._scan.may_act(place.site, *pair)]
-        return tuple(found)
+            indices = sorted(self._scan.own[place.site], key=lambda k: self._scan.discrete[k])
+            pairs = ((j, k) for n, j in enumerate(indices) for k in indices[n + 1 :])
+            processes += [
+                self._process(place, CUBICS, *pair) for pair in pairs if self._scan.may_act(place.site, *pair)
+            ]
+        return tuple(processes)
 
     def with_every_kernel(self, process: Process) -> list[Process]:
         """The processes of the same quantities at the same component."""
-        which = tuple(self._place_of[phrase] for phrase in process.drivers)
-        names = SINGLE if len(which) == 1 else PAIRS
-        return [replace(process, kernel=name) for name in names if self._scan.suits(name, which)]
+        quantity_indices = tuple(self._place_of[phrase] for phrase in process.drivers)
+        names = SINGLE if len(quantity_indices) == 1 else PAIRS
+        return [replace(process, kernel=name) for name in names if self._scan.suits(name, quantity_indices)]
 
     def candidate(self, term: Tested) -> Candidate:
         """A term as a report names it."""
@@ -237,7 +243,7 @@ class Tried:
         """Of a wave of each order `(order,)` of one family."""
         return self._options.prior.cost("wave") + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
-    def _process(self, place: Place, kernel: str, *which: int) -> Process:
-        own = [self.quantities[k] for k in which]
-        bounds = tuple(bound for one in own for bound in one.bounds)
-        return Process(*place, tuple(one.driver.phrase for one in own), bounds, kernel)
+    def _process(self, place: Place, kernel: str, *indices: int) -> Process:
+        quantities = [self.quantities[k] for k in indices]
+        bounds = tuple(bound for quantity in quantities for bound in quantity.bounds)
+        return Process(*place, tuple(quantity.driver.phrase for quantity in quantities), bounds, kernel)

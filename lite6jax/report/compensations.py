@@ -25,16 +25,16 @@ _SHOWN = 0.05
 _ROWS_NAMED = 8
 
 
-def compensation_columns(found: Compensation) -> dict[str, NDArray]:
+def compensation_columns(compensation: Compensation) -> dict[str, NDArray]:
     """Column name to values: a motion for `predict`, and for each target whether it is reached, its error and why."""
-    columns: dict[str, NDArray] = dict(found.recording.columns())
-    columns["ok"] = found.reached.astype(int)
-    columns["position_error_mm"] = 1e3 * found.position_error
-    if found.orientation_error is not None:
-        columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
-    columns |= deviation_columns(found)
-    sliding = found.recording.sliding
-    columns["reason"] = np.array([reason_text(reason, sliding) for reason in found.reason], object)
+    columns: dict[str, NDArray] = dict(compensation.recording.columns())
+    columns["ok"] = compensation.reached.astype(int)
+    columns["position_error_mm"] = 1e3 * compensation.position_error
+    if compensation.orientation_error is not None:
+        columns["orientation_error_deg"] = np.rad2deg(compensation.orientation_error)
+    columns |= deviation_columns(compensation)
+    sliding = compensation.recording.sliding
+    columns["reason"] = np.array([reason_text(reason, sliding) for reason in compensation.reason], object)
     return columns
 
 
@@ -51,32 +51,39 @@ def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
 
 
 def compensation_report(
-    found: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
+    compensation: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
 ) -> Iterator[RenderableType]:
     """What a terminal shows of a compensation: which targets are reached, why others are not, and how accurately."""
-    hit = int(found.reached.sum())
-    facts = {"found": found, "model": model, "frame": frame, "hit": hit, "missed": len(found.reached) - hit}
+    hit = int(compensation.reached.sum())
+    facts = {
+        "found": compensation,
+        "model": model,
+        "frame": frame,
+        "hit": hit,
+        "missed": len(compensation.reached) - hit,
+    }
     yield screen.unbroken(source)
     yield from (fill(_SAID["targets"], facts), "", fill(_SAID["reached"], facts))
-    texts = np.array([reason_text(reason, model.sliding) for reason in found.reason], object)
-    yield from _groups(found, texts, ~found.reached)
-    if texts[found.reached].any():
+    texts = np.array([reason_text(reason, model.sliding) for reason in compensation.reason], object)
+    yield from _groups(compensation, texts, ~compensation.reached)
+    if texts[compensation.reached].any():
         yield "Reached, but to be noted:"
-        yield from _groups(found, texts, found.reached)
-    if found.correction is not None and hit:
+        yield from _groups(compensation, texts, compensation.reached)
+    if compensation.correction is not None and hit:
         scales, units = joint_units(model.sliding, model.dof)
-        moved, named = scales * np.abs(found.correction[found.reached]), ", ".join(dict.fromkeys(units))
+        moved = scales * np.abs(compensation.correction[compensation.reached])
+        unit_names = ", ".join(dict.fromkeys(units))
         rows = ((name, *map(fixed, of(moved, axis=0))) for name, of in (("median", np.median), ("max", np.max)))
         yield ""
         # rather wrap the name than cut numbers short
         joints = (f"q{joint}" for joint in range(1, model.dof + 1))
-        yield listing(f"correction of the joints ({named})", *joints, rows=rows, wrapped=[0])
-    yield from screen.notes([*found.notes, *([fill(_SAID["omitted"], facts)] if found.omitted else [])])
-    if found.position_std is None or found.outside is None:
+        yield listing(f"correction of the joints ({unit_names})", *joints, rows=rows, wrapped=[0])
+    yield from screen.notes([*compensation.notes, *([fill(_SAID["omitted"], facts)] if compensation.omitted else [])])
+    if compensation.position_std is None or compensation.outside is None:
         yield from screen.notes([NO_BARS])
     else:
-        yield outside_sentence(int(found.outside.sum()), len(found.outside), "target")
-        std = found.position_std[found.reached]
+        yield outside_sentence(int(compensation.outside.sum()), len(compensation.outside), "target")
+        std = compensation.position_std[compensation.reached]
         yield from say(
             _SAID["deviations"],
             facts,
@@ -88,25 +95,28 @@ def compensation_report(
         yield from ("", fill(_SAID["expected"], {"before": before, "after": after}))
 
 
-def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
+def _groups(compensation: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
     """A line per reason, with the rows and the largest error."""
     reasons = Counter(text for text in texts[chosen] if text)
     for reason, _ in reasons.most_common(_ROWS_NAMED):
         rows = np.flatnonzero(chosen & (texts == reason))
-        named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
+        row_numbers = ", ".join(str(compensation.recording.row[k]) for k in rows[:_ROWS_NAMED])
         more = ", …" if len(rows) > _ROWS_NAMED else ""
-        yield screen.indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
-    if rest := reasons.total() - sum(n for _, n in reasons.most_common(_ROWS_NAMED)):
-        yield screen.indented(f"and {rest} more, which are in the file")
+        yield screen.indented(
+            f"{reason}: row{'' if len(rows) == 1 else 's'} {row_numbers}{more}{_missed(compensation, rows)}"
+        )
+    if further_rows := reasons.total() - sum(n for _, n in reasons.most_common(_ROWS_NAMED)):
+        yield screen.indented(f"and {further_rows} more, which are in the file")
 
 
-def _missed(found: Compensation, rows: NDArray) -> str:
+def _missed(compensation: Compensation, rows: NDArray) -> str:
     """The largest error; rows without a target have none."""
-    largest, errors = [], (found.position_error, found.orientation_error)
-    for each, (scale, unit), least in zip(errors, SCREEN.values(), REACHED, strict=True):
-        most = 0.0 if each is None else float(np.nan_to_num(each[rows]).max())
-        if most > least:
-            largest.append(f"{number(scale * most)} {unit}")
+    largest = []
+    errors = (compensation.position_error, compensation.orientation_error)
+    for error, (scale, unit), tolerance in zip(errors, SCREEN.values(), REACHED, strict=True):
+        worst = 0.0 if error is None else float(np.nan_to_num(error[rows]).max())
+        if worst > tolerance:
+            largest.append(f"{number(scale * worst)} {unit}")
     return f", with errors up to {' and '.join(largest)}" if largest else ""
 
 
@@ -121,19 +131,19 @@ def frame_of_stations(document: Mapping[str, Any]) -> str:
         return ""
     files = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
     first = files[0] if files else "the first recording"
-    others = ", ".join(files[1:]) or "another"
+    other_files = ", ".join(files[1:]) or "another"
     return (
         f"Poses are in the sensor's frame of {first}; with --register they are in that of the motion's own poses, such "
-        f"as those of {others}."
+        f"as those of {other_files}."
     )
 
 
-def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
+def outside_warning(compensation: Compensation, model: DiagnosedArm) -> str:
     """Which targets leave the recorded range, and by how much; empty where none does."""
-    if found.outside is None or model.uncertainty is None or not found.outside.any():
+    if compensation.outside is None or model.uncertainty is None or not compensation.outside.any():
         return ""
     lower, upper = model.uncertainty.recorded.joints.T
-    q = found.joint_position[found.outside]
+    q = compensation.joint_position[compensation.outside]
     scales, units = joint_units(model.sliding, model.dof)
     beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
     joints = [
@@ -141,16 +151,20 @@ def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
         for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
         if excess > _SHOWN
     ]
-    return fill(_SAID["beyond"], {"rows": found.recording.row[found.outside].tolist(), "joints": joints})
+    return fill(_SAID["beyond"], {"rows": compensation.recording.row[compensation.outside].tolist(), "joints": joints})
 
 
-def registration_report(found: Registration) -> Iterator[RenderableType]:
+def registration_report(registration: Registration) -> Iterator[RenderableType]:
     """The frames that were fitted, and the remaining errors."""
-    turned = None if found.turned is None else np.sqrt(np.mean(np.sum(found.turned[found.kept] ** 2, 1)))
-    facts = {"found": found, "turned": turned, "outliers": int(np.sum(~found.kept))}
+    turned = (
+        None
+        if registration.turned is None
+        else np.sqrt(np.mean(np.sum(registration.turned[registration.kept] ** 2, 1)))
+    )
+    facts = {"found": registration, "turned": turned, "outliers": int(np.sum(~registration.kept))}
     yield from say(_SAID["registered"], facts)
     table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
-    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
+    for name, T in (("sensor to base", registration.T_sensor_base), ("flange to tool", registration.T_flange_tool)):
         row = frames.row_from_transform(T) * np.repeat([scale for scale, _ in SCREEN.values()], 3)
         table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
     yield table

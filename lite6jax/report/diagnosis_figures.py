@@ -64,66 +64,67 @@ _LOWEST = 1e-4
 
 def figure_names(domains: Sequence[Domain]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
-    first, *others = ([*_DRAWN[domain], *([] if domain == "tracking" else ["findings"])] for domain in domains)
-    return [*first, *(PREFIX + name for names in others for name in names)]
+    first, *other_domains = ([*_DRAWN[domain], *([] if domain == "tracking" else ["findings"])] for domain in domains)
+    return [*first, *(PREFIX + name for names in other_domains for name in names)]
 
 
 def drawings(
-    found: DomainDiagnosis[Any], title: str, document: Mapping[str, Any] | None = None
+    diagnosis: DomainDiagnosis[Any], title: str, document: Mapping[str, Any] | None = None
 ) -> Iterator[tuple[str, Figure]]:
     """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
-    for name, draw in _DRAWN[found.domain].items():
-        if name != "spectra" or found.recording.motion != "static":
-            yield name, draw(found, title)
-    if found.findings and found.domain != "tracking":
-        yield "findings", finding_figure(found, title, order=None if document is None else ranking.order(document))
-    for torques in found.parts[1:]:
-        own = None if document is None else document["torques"]
-        yield from ((PREFIX + name, figure) for name, figure in drawings(torques, title, own))
+    for name, draw in _DRAWN[diagnosis.domain].items():
+        if name != "spectra" or diagnosis.recording.motion != "static":
+            yield name, draw(diagnosis, title)
+    if diagnosis.findings and diagnosis.domain != "tracking":
+        yield "findings", finding_figure(diagnosis, title, order=None if document is None else ranking.order(document))
+    for torques in diagnosis.parts[1:]:
+        torque_document = None if document is None else document["torques"]
+        yield from ((PREFIX + name, figure) for name, figure in drawings(torques, title, torque_document))
 
 
 # ------------------------------------------------------------------ of poses
 
 
-def error_by_joint(found: Diagnosis, title: str) -> Figure:
+def error_by_joint(diagnosis: Diagnosis, title: str) -> Figure:
     """Held-out position error against each joint, before and after."""
-    kept = ~found.outliers & np.isfinite(found.before) & np.isfinite(found.after)
-    q, stages = np.asarray(found.problem.motion.joint_position)[:, kept].T, []
-    for name, errors in (("before", found.before[kept]), ("after", found.after[kept])):
+    usable = ~diagnosis.outliers & np.isfinite(diagnosis.before) & np.isfinite(diagnosis.after)
+    q = np.asarray(diagnosis.problem.motion.joint_position)[:, usable].T
+    stages = []
+    for name, errors in (("before", diagnosis.before[usable]), ("after", diagnosis.after[usable])):
         rms = 1e3 * float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
         stages.append((q, errors, f"{name}: {rms:.3g} mm RMS, held out"))
     title = f"{title}: held-out position error before and after"
-    return errors_over_joints(stages, found.problem.arm.sliding, title, share=_THIN)
+    return errors_over_joints(stages, diagnosis.problem.arm.sliding, title, share=_THIN)
 
 
 @rc_context(FRAMED)
-def explained_map(found: Diagnosis, title: str) -> Figure:
+def explained_map(diagnosis: Diagnosis, title: str) -> Figure:
     """The share of the variance left by the nuisance that a process of each driver explains at each site.
 
     Colours end at the largest share: on an arm whose error has many causes, none alone explains much of it.
     """
-    table = evidence_map.explained_shares(found)
+    table = evidence_map.explained_shares(diagnosis)
     rows, columns = len(table.sites), len(table.drivers)
-    known = table.shares[np.isfinite(table.shares)]
-    most = max(100 * float(known.max(initial=0.0)), _LEAST_SCALE)
+    finite = table.shares[np.isfinite(table.shares)]
+    largest = max(100 * float(finite.max(initial=0.0)), _LEAST_SCALE)
     figure = blank(3.5 + 1.35 * columns, 2.2 + 0.45 * rows)
     panel = figure.subplots()
     percent = np.ma.masked_invalid(100 * table.shares)
-    colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=most, aspect="auto", interpolation="nearest")
+    colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=largest, aspect="auto", interpolation="nearest")
     panel.set_facecolor("#eeeeee")
     for (i, j), share in np.ndenumerate(table.shares):
         text, colour = "–", GREY
         if np.isfinite(share):
-            text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
+            text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * largest else "white"
         panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
     panel.set_xticks(range(columns), [_COLUMNS.get(name, name) for name in table.drivers])
     panel.set_yticks(range(rows), list(map(spaced, table.sites)))
     panel.set(xlabel="driver", ylabel="site")
     panel.tick_params(length=0)
-    figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
+    figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(largest)} %")
     return titled(figure, f"{title}: explained variance by site and driver")
 
 
@@ -133,9 +134,9 @@ def _percent(share: float) -> str:
 
 
 @rc_context(STYLE)
-def order_spectrum(found: Diagnosis, title: str) -> Figure:
+def order_spectrum(diagnosis: Diagnosis, title: str) -> Figure:
     """What a harmonic of each order of each joint explains, before and after."""
-    spectra = evidence_map.joint_spectra(found)
+    spectra = evidence_map.joint_spectra(diagnosis)
     figure, panels = panels_in_rows(max(len(spectra), 1), shared=True)
     for panel, joint in zip(panels, spectra, strict=False):
         _draw_spectrum(panel, joint)
@@ -144,9 +145,9 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
         return figure
     panels[0].set_ylim(max(3.0 * max(float(joint.noise.max()) for joint in spectra), 1e-3), 150)
     panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    for name, colour in _STAGES[: 2 if found.findings else 1]:
+    for name, colour in _STAGES[: 2 if diagnosis.findings else 1]:
         panels[0].plot([], [], color=colour, linewidth=2.5, label=name)
-    level = f"exceeded by noise in one of {1 / found.options.engine.level:.0f} recordings"
+    level = f"exceeded by noise in one of {1 / diagnosis.options.engine.level:.0f} recordings"
     panels[0].plot([], [], ":", color="black", linewidth=1.8, label=level)
     if any(joint.harmonics for joint in spectra):
         panels[0].plot([], [], "--", color="black", linewidth=1.8, label="order found")
@@ -160,8 +161,8 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     panel.set_ylim(1e-3, 150)  # of all panels together below; a spectrum of zeros has no limits of its own
     for (_, colour), spectrum in zip(_STAGES, (joint.before, joint.after), strict=True):
         if spectrum is not None:
-            many = len(spectrum.orders) > 3000
-            panel.plot(spectrum.orders, 100 * spectrum.shares, color=colour, linewidth=1.4, zorder=3, rasterized=many)
+            dense = len(spectrum.orders) > 3000
+            panel.plot(spectrum.orders, 100 * spectrum.shares, color=colour, linewidth=1.4, zorder=3, rasterized=dense)
     at = (joint.after or joint.before).orders
     panel.plot(at, 100 * joint.noise, color="black", linestyle=":", linewidth=1.8, zorder=4)
     if not joint.observed:
@@ -188,16 +189,18 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
 
 
 @rc_context(STYLE)
-def torque_error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
+def torque_error_by_joint(diagnosis: TorqueDiagnosis, title: str) -> Figure:
     """Held-out errors of each joint, before and after, beside the standard deviation of what was measured."""
-    kept = found.problem.valid
-    spread = np.maximum(np.std(found.problem.measured[:, kept], axis=1), _LOWEST)
+    valid = diagnosis.problem.valid
+    spread = np.maximum(np.std(diagnosis.problem.measured[:, valid], axis=1), _LOWEST)
     at = np.arange(1, len(spread) + 1)
     figure = blank(4.0 + 1.5 * len(at), 5.4)
     panel = figure.subplots()
     lowest = float(spread.min())
-    for side, (name, colour, errors) in enumerate((("before", BEFORE, found.before), ("after", AFTER, found.after))):
-        rms = np.maximum(np.sqrt(np.mean(errors[:, kept] ** 2, 1)), _LOWEST)
+    for side, (name, colour, errors) in enumerate(
+        (("before", BEFORE, diagnosis.before), ("after", AFTER, diagnosis.after))
+    ):
+        rms = np.maximum(np.sqrt(np.mean(errors[:, valid] ** 2, 1)), _LOWEST)
         lowest = min(lowest, float(rms.min()))
         bars = panel.bar(at + (side - 0.5) * _WIDTH, rms, _WIDTH, color=colour, label=f"{name}, held out", zorder=3)
         panel.bar_label(bars, [f"{value:.2g}" for value in rms], padding=2, fontsize=12)
@@ -206,10 +209,10 @@ def torque_error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
     panel.set_yscale("log")
     panel.set_ylim(0.4 * lowest, 2.5 * max(panel.get_ylim()[1] / 2.5, spread.max()))
     panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    exerted = _exerted(found)
-    both = sorted({unit for _, unit in exerted}, reverse=True)  # Nm before N
-    panel.set(xlabel="joint", ylabel=f"torque error ({' or '.join(both)} RMS)", xticks=at)
-    if len(both) > 1:
+    exerted = _exerted(diagnosis)
+    units = sorted({unit for _, unit in exerted}, reverse=True)  # Nm before N
+    panel.set(xlabel="joint", ylabel=f"torque error ({' or '.join(units)} RMS)", xticks=at)
+    if len(units) > 1:
         panel.set_xticks(at, [f"{joint} ({unit})" for joint, (_, unit) in enumerate(exerted, 1)])
     panel.grid(visible=False, axis="x")
     legend_below(figure, panel, 3)
@@ -217,9 +220,9 @@ def torque_error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def over_time(found: TorqueDiagnosis, title: str) -> Figure:
+def over_time(diagnosis: TorqueDiagnosis, title: str) -> Figure:
     """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
-    (time, torques), exerted = evidence_map.torques_over_time(found), _exerted(found)
+    (time, torques), exerted = evidence_map.torques_over_time(diagnosis), _exerted(diagnosis)
     styles: tuple[dict[str, Any], ...] = (
         {"color": "black", "linewidth": 3.5, "alpha": 0.35},
         {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"},
@@ -229,18 +232,19 @@ def over_time(found: TorqueDiagnosis, title: str) -> Figure:
     for j, panel in enumerate(panels):
         for (name, torque), style in zip(torques.items(), styles, strict=True):
             panel.plot(time, torque[j], label=name, **style)
-        what, unit = exerted[j]
-        panel.set(xlabel="time (s)", ylabel=f"{what} of joint {j + 1} ({unit})")
+        effort, unit = exerted[j]
+        panel.set(xlabel="time (s)", ylabel=f"{effort} of joint {j + 1} ({unit})")
         panel.xaxis.set_major_locator(MaxNLocator(5))
     legend_below(figure, panels[0], 3)
     return titled(figure, f"{title}: measured and modelled torques")
 
 
 @rc_context(STYLE)
-def friction(found: TorqueDiagnosis, title: str) -> Figure:
+def friction(diagnosis: TorqueDiagnosis, title: str) -> Figure:
     """The torque that the model without friction leaves at each joint over its velocity, and the friction found."""
-    joints, exerted = evidence_map.joint_frictions(found), _exerted(found)
-    scales, angles = joint_units(found.problem.data.arm.sliding, len(joints))
+    joints = evidence_map.joint_frictions(diagnosis)
+    exerted = _exerted(diagnosis)
+    scales, angles = joint_units(diagnosis.problem.data.arm.sliding, len(joints))
     figure, panels = panels_in_rows(len(joints), wide=True)
     for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
         dots(panel, scales[j] * joint.velocity, joint.partial, GREY)
@@ -251,8 +255,10 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
             panel.margins(y=0.15)
             place: dict[str, Any] = {"ha": "center", "va": "top", "transform": panel.transAxes}
             panel.text(0.5, 0.99, "no friction over velocity found", color="#5c5c5c", **place)
-        what, unit = exerted[j]
-        panel.set(xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})")
+        effort, unit = exerted[j]
+        panel.set(
+            xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{effort} left at joint {j + 1} ({unit})"
+        )
         panel.xaxis.set_major_locator(MaxNLocator(5))
     panels[0].plot([], [], ".", color=GREY, markersize=8, label="measured, less the model without friction")
     panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")
@@ -261,9 +267,9 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def spectra(found: TorqueDiagnosis, title: str) -> Figure:
+def spectra(diagnosis: TorqueDiagnosis, title: str) -> Figure:
     """Power spectra of the recorded velocities and torques, without spikes, and where the low passes cut them."""
-    data = found.problem.data
+    data = diagnosis.problem.data
     slides = bool(data.arm.sliding)
     of_velocity, of_torque = ("(rad/s or m/s)²/Hz", "Nm²/Hz or N²/Hz") if slides else ("(rad/s)²/Hz", "Nm²/Hz")
     frequency, velocity = filtering.spectra(data.recording.velocities().T, data.recorded)
@@ -282,9 +288,9 @@ def spectra(found: TorqueDiagnosis, title: str) -> Figure:
     return titled(figure, f"{title}: spectra, and what the low passes leave")
 
 
-def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
+def _exerted(diagnosis: TorqueDiagnosis) -> list[tuple[str, str]]:
     """Of each joint what its motor exerts, and the unit."""
-    return [(_EXERTED[unit], unit) for unit in torque_units(found.problem.data.arm.sliding, found.problem.rows)]
+    return [(_EXERTED[unit], unit) for unit in torque_units(diagnosis.problem.data.arm.sliding, diagnosis.problem.rows)]
 
 
 # ------------------------------------------------------------------ of findings
@@ -311,7 +317,7 @@ _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "sc
 
 @rc_context(STYLE)
 def finding_figure(
-    found: DomainDiagnosis[Any],
+    diagnosis: DomainDiagnosis[Any],
     title: str,
     chosen: Sequence[int] | None = None,
     order: Sequence[int] | None = None,
@@ -319,17 +325,17 @@ def finding_figure(
     """Each finding's curve with its 95 % band, over its partial residuals.
 
     Args:
-        found: with findings.
+        diagnosis: with findings.
         title: of the figure.
         chosen: places of findings, from 0; all where not given.
         order: places of all findings in the order in which they are numbered; theirs where not given.
     """
-    order = range(len(found.findings)) if order is None else order
+    order = range(len(diagnosis.findings)) if order is None else order
     places = order if chosen is None else chosen
-    curves = [curve for k in places for curve in partial_residuals.finding_curves(found, k)]
+    curves = [curve for k in places for curve in partial_residuals.finding_curves(diagnosis, k)]
     (figure, panels), binned = panels_in_rows(len(curves), wide=True), False
     for panel, curve in zip(panels, curves, strict=True):
-        effect = found.findings[curve.finding].effect
+        effect = diagnosis.findings[curve.finding].effect
         binned |= _draw(panel, curve, isinstance(effect, Unnamed))
         number = order.index(curve.finding) + 1
         name = "unnamed effect" if effect.nonparametric else effect_name(effect.name)
@@ -354,23 +360,23 @@ def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
     x_scale, across, angle = _across(curve)
     y_scale, up = _up(curve, unnamed)
     panel.set(xlabel=across, ylabel=up)
-    x, seen, at = x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at
+    x, partial, at = x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at
     fitted, std, binned = y_scale * curve.curve, y_scale * curve.std, False
     discrete = curve.quantity is not None and curve.quantity.discrete
-    dots(panel, x, seen, GREY)
+    dots(panel, x, partial, GREY)
     if curve.scattered:
         panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
     else:
         panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
         bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
-        many = bins > BINS
-        panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)
-        centre, middle, error = medians(x, seen, 3 if discrete else bins)
+        crowded = bins > BINS
+        panel.plot(at, fitted, color=AFTER, linewidth=1.5 if crowded else 2.5, zorder=4)
+        centre, middle, error = medians(x, partial, 3 if discrete else bins)
         centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
-        size, cap = (3, 0) if many else (5, 3)
+        size, cap = (3, 0) if crowded else (5, 3)
         panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
         binned = bool(np.isfinite(middle).any())
-    inner = np.percentile(seen, (1, 99)) if len(seen) else np.zeros(2)
+    inner = np.percentile(partial, (1, 99)) if len(partial) else np.zeros(2)
     low, high = min(0.0, float(inner[0]), float(fitted.min())), max(0.0, float(inner[1]), float(fitted.max()))
     margin = 0.1 * (high - low or 1.0)
     panel.set_ylim(low - margin, high + margin)
@@ -423,15 +429,17 @@ _SHOWN = 0.2
 
 
 @rc_context(STYLE)
-def tracking_over_time(found: TrackingDiagnosis, title: str) -> Figure:
+def tracking_over_time(diagnosis: TrackingDiagnosis, title: str) -> Figure:
     """Errors of held-out rollouts of each joint in a part of the recording, before and after."""
-    problem = found.problem
-    time = np.asarray(found.recording.time)
+    problem = diagnosis.problem
+    time = np.asarray(diagnosis.recording.time)
     rows = np.arange(max(int(_SHOWN * len(time)), 2))
     figure, axes = panels_in_rows(problem.rows)
     for j, axis in enumerate(axes):
         for name, color in _STAGES:
-            axis.plot(time[rows], 1e3 * getattr(found, name)[j, rows], color=color, lw=1, label=name if not j else None)
+            axis.plot(
+                time[rows], 1e3 * getattr(diagnosis, name)[j, rows], color=color, lw=1, label=name if not j else None
+            )
         axis.set(xlabel="time (s)", ylabel=f"joint {j + 1} (mrad)")
     figure.legend(loc="outside lower center", frameon=False, ncols=2)
     return titled(figure, f"{title}: errors of held-out rollouts")

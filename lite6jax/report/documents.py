@@ -34,15 +34,15 @@ from lite6jax.report.compensations import reason_text
 from lite6jax.report.words import STATISTICS
 
 
-def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
+def text(content: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
     """A document as JSON, with the files that the command wrote, or None; a number that is not finite is null."""
     files = {} if written is None else {"written": [str(path) for path in written]}
-    return json.dumps(_plain({**found, **files}), indent=1, allow_nan=False)
+    return json.dumps(_plain({**content, **files}), indent=1, allow_nan=False)
 
 
-def line(found: Mapping[str, Any]) -> str:
+def line(content: Mapping[str, Any]) -> str:
     """A document as JSON on one line."""
-    return json.dumps(_plain(found), allow_nan=False)
+    return json.dumps(_plain(content), allow_nan=False)
 
 
 _FIELDS: dict[type, tuple[str, str]] = {
@@ -84,27 +84,27 @@ A key may be followed by `=` and the attribute that it holds. `_more` adds what 
 
 
 @singledispatch
-def _more(found: Any) -> dict[str, Any]:
+def _more(result: Any) -> dict[str, Any]:
     """What a document has beside attributes of the result."""
     return {}
 
 
-def document(found: Any) -> dict[str, Any]:
+def document(result: Any) -> dict[str, Any]:
     """The document of a result.
 
     Raises:
         TypeError: a class that has none.
     """
-    if isinstance(found, Identification):
-        return found.to_dict()
-    if isinstance(found, list):  # possible causes of an error of a calibration
-        return {"schema": "lite6jax/check/1", "causes": found}
-    if not has_document(type(found)):
-        raise TypeError(f"{type(found).__name__} has no document in lite6jax.report.documents; add its fields")
-    schema, fields = _FIELDS[type(found)]
+    if isinstance(result, Identification):
+        return result.to_dict()
+    if isinstance(result, list):  # possible causes of an error of a calibration
+        return {"schema": "lite6jax/check/1", "causes": result}
+    if not has_document(type(result)):
+        raise TypeError(f"{type(result).__name__} has no document in lite6jax.report.documents; add its fields")
+    schema, fields = _FIELDS[type(result)]
     pairs = (field.partition("=") for field in fields.split())
-    values = {key: attrgetter(attribute or key)(found) for key, _, attribute in pairs}
-    return {"schema": f"lite6jax/{schema}/1", **values, **_more(found)}
+    values = {key: attrgetter(attribute or key)(result) for key, _, attribute in pairs}
+    return {"schema": f"lite6jax/{schema}/1", **values, **_more(result)}
 
 
 def has_document(kind: type) -> bool:
@@ -113,47 +113,50 @@ def has_document(kind: type) -> bool:
 
 
 @_more.register
-def _solution(found: Solution) -> dict[str, Any]:
-    chain = found.form.chain
-    deviation = [None] * chain.size if found.standard_deviation is None else found.standard_deviation
+def _solution(solution: Solution) -> dict[str, Any]:
+    chain = solution.form.chain
+    deviation = [None] * chain.size if solution.standard_deviation is None else solution.standard_deviation
     columns = {
-        "name": chain.names, "unit": chain.units, "value": found.parameters, "std": deviation, "free": found.free,
-        "determined": found.determined, "prior_share": found.prior_share,
+        "name": chain.names, "unit": chain.units, "value": solution.parameters, "std": deviation, "free": solution.free,
+        "determined": solution.determined, "prior_share": solution.prior_share,
     }  # fmt: skip
-    return {"result": found.result.name.lower(), "parameters": list(_rows(**columns))}
+    return {"result": solution.result.name.lower(), "parameters": list(_rows(**columns))}
 
 
 @_more.register
-def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    moved, turned = (np.sqrt(np.mean(each**2, 0)) for each in (found.position, found.orientation))
+def _sensitivity(sensitivity: Sensitivity) -> dict[str, Any]:
+    moved, turned = (np.sqrt(np.mean(movement**2, 0)) for movement in (sensitivity.position, sensitivity.orientation))
     parameters = _rows(
-        name=found.names, unit=found.units, tolerance=found.tolerance, per_unit=found.per_unit, position_rms_m=moved,
-        orientation_rms_rad=turned, share=found.share,
+        name=sensitivity.names, unit=sensitivity.units, tolerance=sensitivity.tolerance, per_unit=sensitivity.per_unit,
+        position_rms_m=moved, orientation_rms_rad=turned, share=sensitivity.share,
     )  # fmt: skip
-    expected = float(np.sqrt(np.mean(found.expected_error**2)))
+    expected = float(np.sqrt(np.mean(sensitivity.expected_error**2)))
     return {"expected_position_rms_m": expected, "parameters": list(parameters)}
 
 
 @_more.register
-def _comparison(found: Comparison) -> dict[str, Any]:
-    form = found.arm.form
-    parameters = _rows(name=form.names, unit=form.units, difference=found.difference.T, std=found.spread)
-    distances = [{key: float(statistic(own)) for key, statistic in STATISTICS} for own in found.from_nominal]
+def _comparison(comparison: Comparison) -> dict[str, Any]:
+    form = comparison.arm.form
+    parameters = _rows(name=form.names, unit=form.units, difference=comparison.difference.T, std=comparison.spread)
+    distances = [
+        {key: float(statistic(distance)) for key, statistic in STATISTICS} for distance in comparison.from_nominal
+    ]
     return {"parameters": list(parameters), "from_nominal_m": distances}
 
 
 @_more.register
-def _compensation(found: Compensation) -> dict[str, Any]:
-    missed, sliding = np.flatnonzero(~found.reached), found.recording.sliding
+def _compensation(compensation: Compensation) -> dict[str, Any]:
+    missed = np.flatnonzero(~compensation.reached)
+    sliding = compensation.recording.sliding
     not_reached = _rows(
-        row=found.recording.row[missed],
-        reason=[reason_text(found.reason[k], sliding) for k in missed],
-        position_error_m=found.position_error[missed],
+        row=compensation.recording.row[missed],
+        reason=[reason_text(compensation.reason[k], sliding) for k in missed],
+        position_error_m=compensation.position_error[missed],
     )
     return {
-        "targets": len(found.reached),
-        "reached": int(found.reached.sum()),
-        "outside": None if found.outside is None else int(found.outside.sum()),
+        "targets": len(compensation.reached),
+        "reached": int(compensation.reached.sum()),
+        "outside": None if compensation.outside is None else int(compensation.outside.sum()),
         "not_reached": list(not_reached),
     }
 
@@ -165,12 +168,12 @@ def _rows(**columns: Any) -> Iterator[dict[str, Any]]:
 
 def _errors(errors: Errors) -> dict[str, float]:
     """Mean, median, 95th percentile, maximum and root mean square of errors."""
-    found: dict[str, float] = {}
+    summary: dict[str, float] = {}
     for name, unit, values in (("position", "m", errors.position), ("orientation", "rad", errors.orientation)):
         if values is not None:
-            found |= {f"{name}_{key}_{unit}": float(statistic(values)) for key, statistic in STATISTICS}
-            found[f"{name}_rms_{unit}"] = float(np.sqrt(np.mean(values**2)))
-    return found
+            summary |= {f"{name}_{key}_{unit}": float(statistic(values)) for key, statistic in STATISTICS}
+            summary[f"{name}_rms_{unit}"] = float(np.sqrt(np.mean(values**2)))
+    return summary
 
 
 def of_folder(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -185,7 +188,7 @@ def of_folder(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
             **{name: row[name] or "" for name in ("quality", "arm")},
             **{name: row[name] or 0 for name in ("joints", "samples", "steps")},
             "parameters": {name: value for name, value in row.items() if name not in fixed and value is not None},
-            **{part: each if row["arm"] else None for part, each in zip(ERRORS, errors, strict=True)},
+            **{part: error if row["arm"] else None for part, error in zip(ERRORS, errors, strict=True)},
         }
 
     return {"schema": "lite6jax/folder/1", "files": list(map(file, rows))}
@@ -197,7 +200,7 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def prediction_document(
-    found: Prediction | TorquePrediction | TrackedMotion, registration: Registration | None
+    prediction: Prediction | TorquePrediction | TrackedMotion, registration: Registration | None
 ) -> dict[str, Any]:
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
@@ -206,9 +209,9 @@ def prediction_document(
         fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
     return {
         "schema": "lite6jax/prediction/1",
-        "rows": len(found.empty),
-        "empty_rows": int(found.empty.sum()),
-        "outside": None if found.outside is None else int(found.outside.sum()),
+        "rows": len(prediction.empty),
+        "empty_rows": int(prediction.empty.sum()),
+        "outside": None if prediction.outside is None else int(prediction.outside.sum()),
         "registration": fitted,
     }
 

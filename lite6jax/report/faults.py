@@ -39,7 +39,8 @@ def fault_name(code: str) -> str:
 
 def fault_statement(fault: DataFault) -> str:
     """What is wrong, by how much, how it was corrected, and the remedy."""
-    texts, numbers = _FAULTS.get(fault.code, {}), fault.numbers
+    texts = _FAULTS.get(fault.code, {})
+    numbers = fault.numbers
     if "found" in texts and not ("clause" in texts and "added_rad" in numbers and fault.code in POSE_FAULTS):
         return _fill(texts["found"], numbers, rows=fault.rows)
     if "clause" not in texts:
@@ -53,13 +54,14 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
     groups: dict[str, list[DataFault]] = {}
     for number, fault in enumerate(faults):
         groups.setdefault(str(fault.numbers) if fault.code in _MISMATCHES else str(number), []).append(fault)
-    said = []
+    sentences = []
     for group in groups.values():
-        names, text = ", ".join(fault_name(fault.code) for fault in group), _TEXTS["no_mismatch"]
+        names = ", ".join(fault_name(fault.code) for fault in group)
+        text = _TEXTS["no_mismatch"]
         if group[0].code not in _MISMATCHES:
             text = _FAULTS.get(group[0].code, {}).get("ruled_out")
-        said.append(f"{names}: none was found." if text is None else _fill(text, group[0].numbers, names=names))
-    return said
+        sentences.append(f"{names}: none was found." if text is None else _fill(text, group[0].numbers, names=names))
+    return sentences
 
 
 def is_granted(fault: DataFault) -> bool:
@@ -67,14 +69,14 @@ def is_granted(fault: DataFault) -> bool:
     return fault.code == "arm_deviation" and fault.numbers.get("reason") == "granted"
 
 
-def check_report(path: str | Path, found: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
+def check_report(path: str | Path, check: "Sequence[Cause] | RecordingCheck") -> Iterator[RenderableType]:
     """A line for each possible cause of an error, with a mark before those to be removed first."""
     yield unbroken(str(path))
-    causes = found if isinstance(found, Sequence) else found.causes
-    if not isinstance(found, Sequence):
-        yield from (_line(True, "Note", note) for note in found.notes)
-        yield from fault_lines(found.faults)
-        yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
+    causes = check if isinstance(check, Sequence) else check.causes
+    if not isinstance(check, Sequence):
+        yield from (_line(True, "Note", note) for note in check.notes)
+        yield from fault_lines(check.faults)
+        yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(check.ruled_out))
     for cause in causes:
         yield _line(cause.suspicious, _TEXTS["causes"][cause.code]["name"], cause_statement(cause))
 
@@ -120,28 +122,28 @@ def _frame(rotation: Sequence[float], translation: Sequence[float]) -> str:
     axis = vector / angle if angle > 0 else vector
     main = int(np.argmax(np.abs(axis)))
     about = f"about {'xyz'[main]}" if abs(axis[main]) > 0.999 else f"about ({', '.join(f'{a:.2f}' for a in axis)})"
-    said = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
+    placement = f": the base is turned by {np.rad2deg(angle):.4g} deg {about} in it"
     if np.linalg.norm(shift) > 2e-3:
-        said += f" and stands at ({', '.join(milli(x, 4) for x in shift)}) mm"
+        placement += f" and stands at ({', '.join(milli(x, 4) for x in shift)}) mm"
     if about == "about z" and abs(angle - np.pi) < 0.02:
-        said += ", as base_link and base of Universal Robots are to each other"
-    return said
+        placement += ", as base_link and base of Universal Robots are to each other"
+    return placement
 
 
 def _mark(array: str, column: int | None, value: float | None, unit: str) -> str:
     """What stands in the place of a measurement."""
     axis = "" if column is None else "xyz"[column - 1] if array == "position" else f"joint {column}"
     if value is None:
-        what = "joints" if array == "joint_position" else "coordinates" if array == "position" else "torques"
-        return f"all {what} are those of another row"
+        quantities = "joints" if array == "joint_position" else "coordinates" if array == "position" else "torques"
+        return f"all {quantities} are those of another row"
     of_joints = f"the torque of {axis}" if axis and array not in ("joint_position", "position") else axis
-    what = {"joint_position": "joints", "position": "coordinates"}.get(array, "torques")
+    quantities = {"joint_position": "joints", "position": "coordinates"}.get(array, "torques")
     shown = f"{value:.6g} {unit}"
     if unit == "rad" and value:
         shown += f" ({np.rad2deg(value):.6g} deg)"
     if unit == "m" and value:
         shown += f" ({1e3 * value:.6g} mm)"
-    return f"{of_joints} is {shown}" if axis else f"all {what} are {shown}"
+    return f"{of_joints} is {shown}" if axis else f"all {quantities} are {shown}"
 
 
 def _table_name(table: str) -> str:

@@ -117,7 +117,7 @@ def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tupl
     columns = min(count, 4 if count > 6 else 3)
     width, height = 3.0 + 3.0 / columns, 3.2
     if wide:
-        columns, width, height = next(layout for most, layout in _WIDE if count <= most)
+        columns, width, height = next(layout for panel_limit, layout in _WIDE if count <= panel_limit)
     rows = -(-count // columns)
     figure = blank(width * columns, height * rows + 1.0)
     panels = figure.subplots(rows, columns, sharey=shared, squeeze=False).ravel()
@@ -155,11 +155,11 @@ def legend_below(figure: Figure, panel: Axes, columns: int) -> None:
 def dots(panel: Axes, x: Array, y: Array, color: str, zorder: float = 2) -> None:
     """Draws samples `(sample,)` as dots, evenly thinned where there are many; the fewer, the larger and more opaque."""
     crowded = np.log(max(len(x), 1) / _SEPARATE) / np.log(_CROWDED / _SEPARATE)
-    few = 1 - float(np.clip(crowded, 0, 1))
+    sparseness = 1 - float(np.clip(crowded, 0, 1))
     shown = spread_rows(len(x), _MOST_POINTS)
     panel.plot(
-        x[shown], y[shown], ".", color=color, markersize=5 + 5 * few, alpha=0.35 + 0.45 * few, markeredgewidth=0,
-        rasterized=True, zorder=zorder,
+        x[shown], y[shown], ".", color=color, markersize=5 + 5 * sparseness, alpha=0.35 + 0.45 * sparseness,
+        markeredgewidth=0, rasterized=True, zorder=zorder,
     )  # fmt: skip
 
 
@@ -197,7 +197,8 @@ def errors_over_joints(
     joints = stages[0][0].shape[1]
     scales, units = joint_units(sliding, joints)
     figure, panels = panels_in_rows(joints, shared=True)
-    styles, line = list(zip(stages, (BEFORE, AFTER), (2, 3), strict=True)), False
+    styles = list(zip(stages, (BEFORE, AFTER), (2, 3), strict=True))
+    line = False
     for joint, panel in enumerate(panels):
         for (q, errors, _), colour, zorder in styles:
             dots(panel, scales[joint] * q[:, joint], 1e3 * errors, colour, zorder)
@@ -226,15 +227,16 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
     stages = []
     for name, errors in (("nominal", solution.nominal_errors), (f"fitted, {where}", solution.checked)):
         sizes = (1e3 * errors.position_rms, 1e3 * float(errors.position.max()))
-        rms, most = (f"{size:.1e}" if 0 < size < 1e-3 else f"{size:#.3g}" for size in sizes)
-        stages.append((errors.joint_position, errors.position, f"{name}: {rms} mm RMS, {most} mm at most"))
+        rms, largest = (f"{size:.1e}" if 0 < size < 1e-3 else f"{size:#.3g}" for size in sizes)
+        stages.append((errors.joint_position, errors.position, f"{name}: {rms} mm RMS, {largest} mm at most"))
     return errors_over_joints(stages, solution.arm.sliding, title)
 
 
 @rc_context(STYLE)
 def parameter_differences(comparison: Comparison, title: str) -> Figure:
     """The difference of each arm's parameters from nominal: lengths in the upper panel, angles in the lower."""
-    form, count = comparison.arm.form, len(comparison.names)
+    form = comparison.arm.form
+    count = len(comparison.names)
     units = np.array(form.units)
     figure = blank(12.0, 8.4)
     for panel, (unit, (scale, shown)) in zip(figure.subplots(2, 1), SCREEN.items(), strict=True):
@@ -289,16 +291,17 @@ def _short(name: str, k: int) -> str:
 @rc_context(STYLE)
 def verification_figure(verification: Verification, title: str) -> Figure:
     """The position difference from the controller against each joint, in nm, µm or mm."""
-    q, position = np.rad2deg(verification.joint_position), verification.position
-    most = float(position.max())
-    scale, unit = (1e9, "nm") if most < 1e-6 else (1e6, "µm") if most < 1e-3 else (1e3, "mm")
+    q = np.rad2deg(verification.joint_position)
+    position = verification.position
+    largest = float(position.max())
+    scale, unit = (1e9, "nm") if largest < 1e-6 else (1e6, "µm") if largest < 1e-3 else (1e3, "mm")
     figure, panels = panels_in_rows(q.shape[1], shared=True)
     for joint, panel in enumerate(panels):
         dots(panel, q[:, joint], scale * position, AFTER)
-        if 2 * most > GATE_M:
+        if 2 * largest > GATE_M:
             panel.axhline(scale * GATE_M, color="black", linewidth=1.5)
     label_joints(panels, ["deg"] * len(panels), f"difference ({unit})")
-    panels[0].set_ylim(0, 1.08 * scale * most or 1.0)
+    panels[0].set_ylim(0, 1.08 * scale * largest or 1.0)
     return titled(figure, f"{title}: controller's forward kinematics against the calibration")
 
 
@@ -306,9 +309,9 @@ def verification_figure(verification: Verification, title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def deviations(found: "Identification", title: str) -> Figure:
+def deviations(identification: "Identification", title: str) -> Figure:
     """The predicted standard deviation of each parameter against its tolerance: lengths, angles, then effects."""
-    d = found.determination
+    d = identification.determination
     effect = np.array([":" in name for name in d.names])
     units = np.array(d.units)
     groups = [(f" ({shown})", scale, (units == unit) & ~effect) for unit, (scale, shown) in SCREEN.items()]
@@ -319,7 +322,8 @@ def deviations(found: "Identification", title: str) -> Figure:
         typical = d.scale[chosen] if effect[chosen].all() else np.ones(chosen.sum())
         values = scale * d.standard_deviation[chosen] / typical
         tolerance = float(scale * (d.scale[chosen] / typical)[0])
-        free, at = d.free[chosen], np.arange(len(values))
+        free = d.free[chosen]
+        at = np.arange(len(values))
         shown = np.append(values[free], tolerance)
         low = 0.3 * float(shown.min())
         panel.bar(at[free], values[free] - low, bottom=low, width=0.7, color=AFTER)
@@ -341,35 +345,36 @@ def deviations(found: "Identification", title: str) -> Figure:
 
 
 @rc_context(STYLE)
-def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
+def accuracy_by_count(plan: "Plan | DiscriminationPlan", title: str) -> Figure:
     """Accuracy, or distance between two models, against the number of poses: designed and drawn at random."""
     from lite6jax.design.poses import Plan
 
-    figure, what = blank(9.0, 5.4), f"{found.count} poses"
+    figure = blank(9.0, 5.4)
+    subject = f"{plan.count} poses"
     panel = figure.subplots()
-    if isinstance(found, Plan):
-        shown = slice(0, min(2 * found.count, found.random_accuracy.shape[1]))
-        random = 1e3 * found.random_accuracy[:, shown]
+    if isinstance(plan, Plan):
+        shown = slice(0, min(2 * plan.count, plan.random_accuracy.shape[1]))
+        random = 1e3 * plan.random_accuracy[:, shown]
         low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
         at = np.arange(1, len(middle) + 1)
-        there = np.isfinite(middle)
+        finite = np.isfinite(middle)
         # infinite for draws that do not determine all parameters
-        high = np.where(np.isfinite(high), high, middle[there].max())
-        panel.fill_between(at[there], low[there], high[there], color=BEFORE, alpha=0.2, linewidth=0)
-        panel.plot(at[there], middle[there], "--", color=BEFORE, linewidth=2.5, label="random, median and 90 %")
-        designed = 1e3 * found.accuracy
+        high = np.where(np.isfinite(high), high, middle[finite].max())
+        panel.fill_between(at[finite], low[finite], high[finite], color=BEFORE, alpha=0.2, linewidth=0)
+        panel.plot(at[finite], middle[finite], "--", color=BEFORE, linewidth=2.5, label="random, median and 90 %")
+        designed = 1e3 * plan.accuracy
         panel.set_yscale("log")
         label = "predicted positions over the workspace\n(mm, one std. deviation)"
     else:
-        designed = found.distance
-        low, middle, high = np.quantile(found.random_distance, (0.05, 0.5, 0.95))
+        designed = plan.distance
+        low, middle, high = np.quantile(plan.random_distance, (0.05, 0.5, 0.95))
         panel.errorbar(
-            [found.count], [middle], [[middle - low], [high - middle]], fmt="s", color=BEFORE, capsize=5,
+            [plan.count], [middle], [[middle - low], [high - middle]], fmt="s", color=BEFORE, capsize=5,
             markersize=8, label="random, median and 90 %",
         )  # fmt: skip
         label = "distance between the models\n(standard deviations)"
-        what += f" to discriminate between {found.rivals[0]} and {found.rivals[1]}"
-    count = np.arange(1, found.count + 1)
+        subject += f" to discriminate between {plan.rivals[0]} and {plan.rivals[1]}"
+    count = np.arange(1, plan.count + 1)
     determined = np.isfinite(designed)
     panel.plot(count[determined], designed[determined], "-", color=AFTER, linewidth=2.5)
     panel.plot(count[-1], designed[-1], "o", color=AFTER, markersize=9)
@@ -377,14 +382,14 @@ def accuracy_by_count(found: "Plan | DiscriminationPlan", title: str) -> Figure:
     panel.set(xlabel="poses", ylabel=label)
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(frameon=False)
-    return titled(figure, f"{title}: {what}")
+    return titled(figure, f"{title}: {subject}")
 
 
 @rc_context(STYLE)
-def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
+def sensitivity_by_joint(sensitivity: "Sensitivity", title: str) -> Figure:
     """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
-    middles, means = found.by_joint()
-    scales, units = joint_units(found.sliding, len(middles))
+    middles, means = sensitivity.by_joint()
+    scales, units = joint_units(sensitivity.sliding, len(middles))
     # those whose share depends on where the arm is: what moves the flange alike everywhere is a straight line
     order = np.argsort(-np.nanmax(means, (0, 1)), kind="stable")[:_MOST_CURVES]
     figure, panels = panels_in_rows(len(middles), shared=True)
@@ -392,7 +397,7 @@ def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
         for k, (i, colour, marker) in enumerate(zip(order, OKABE_ITO, MARKERS, strict=False)):
             panel.plot(
                 scales[j] * middles[j], 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
-                markevery=(k, 6), markersize=6, label=found.names[i],
+                markevery=(k, 6), markersize=6, label=sensitivity.names[i],
             )  # fmt: skip
     label_joints(panels, units, "flange moves (mm)\nper tolerance")
     panels[0].set_ylim(bottom=0)
@@ -401,43 +406,45 @@ def sensitivity_by_joint(found: "Sensitivity", title: str) -> Figure:
 
 
 @rc_context(FRAMED)
-def sensitivity_over_workspace(found: "Sensitivity", title: str) -> Figure:
+def sensitivity_over_workspace(sensitivity: "Sensitivity", title: str) -> Figure:
     """The expected error of an arm as assembled, over the plane of its reach, and each parameter's share of it."""
-    across, up, expected = found.over_workspace()
+    across, up, expected = sensitivity.over_workspace()
     figure = blank(12.0, 5.6)
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
-    image = left.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
-    left.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
-    figure.colorbar(image, ax=left, label="expected error, RMS (mm)")
-    order = np.argsort(-found.share, kind="stable")[:12][::-1]
-    right.barh(np.arange(len(order)), 100 * found.share[order], color=AFTER)
-    right.axvline(100 / len(found.names), color="black", linestyle="--", linewidth=1.5)
-    right.text(100 / len(found.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom")
-    right.set_yticks(np.arange(len(order)), [found.names[i] for i in order])
-    right.set(xlabel="share of the mean squared error (%)")
-    right.spines[["top", "right"]].set_visible(False)
+    workspace_axes, share_axes = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    image = workspace_axes.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
+    workspace_axes.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
+    figure.colorbar(image, ax=workspace_axes, label="expected error, RMS (mm)")
+    order = np.argsort(-sensitivity.share, kind="stable")[:12][::-1]
+    share_axes.barh(np.arange(len(order)), 100 * sensitivity.share[order], color=AFTER)
+    share_axes.axvline(100 / len(sensitivity.names), color="black", linestyle="--", linewidth=1.5)
+    share_axes.text(
+        100 / len(sensitivity.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom"
+    )
+    share_axes.set_yticks(np.arange(len(order)), [sensitivity.names[i] for i in order])
+    share_axes.set(xlabel="share of the mean squared error (%)")
+    share_axes.spines[["top", "right"]].set_visible(False)
     return titled(figure, f"{title}: where the error of assembly is largest, and its sources")
 
 
 @rc_context(STYLE)
-def designed_motion(found: "TorquePlan", title: str) -> Figure:
+def designed_motion(plan: "TorquePlan", title: str) -> Figure:
     """Joint positions over time; below, standard deviations: designed and random."""
     figure = blank(11.0, 8.4)
     upper, lower = figure.subplots(2, 1)
-    scales, units = joint_units(found.room.arm.sliding, found.room.arm.dof)
-    for joint, q in enumerate(np.asarray(found.motion.q)):
+    scales, units = joint_units(plan.room.arm.sliding, plan.room.arm.dof)
+    for joint, q in enumerate(np.asarray(plan.motion.q)):
         colour = OKABE_ITO[joint % len(OKABE_ITO)]
-        upper.plot(found.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
+        upper.plot(plan.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
     upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
     upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    base, scale = found.identification.model.base, found.identification.model.base_scale
-    random = np.array([other.standard_deviation for other in found.random]) / scale
+    base, scale = plan.identification.model.base, plan.identification.model.base_scale
+    random = np.array([identification.standard_deviation for identification in plan.random]) / scale
     low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
     at = np.arange(len(base))
-    there = np.isfinite(high)
-    lower.vlines(at[there], low[there], high[there], color=BEFORE, alpha=0.4, linewidth=5)
+    finite = np.isfinite(high)
+    lower.vlines(at[finite], low[finite], high[finite], color=BEFORE, alpha=0.4, linewidth=5)
     lower.plot(at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %")
-    designed = found.identification.standard_deviation / scale
+    designed = plan.identification.standard_deviation / scale
     lower.plot(at, np.where(np.isfinite(designed), designed, np.nan), "o", color=AFTER, label="designed")
     lower.set_yscale("log")
     lower.set_xticks(at, [item.name for item in base], rotation=90, fontsize=8)

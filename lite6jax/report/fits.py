@@ -76,7 +76,8 @@ def recording_read(recording: Recording, solution: Solution) -> Iterator[Rendera
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
     """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
-    chain, recorded = solution.form.chain, recording is not None
+    chain = solution.form.chain
+    recorded = recording is not None
     facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
     yield from ("", fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked))
     yield from filter(None, [quality_statement(solution.quality.to_dict())])
@@ -128,13 +129,13 @@ def parameter_tables(chain: HayatiForm | SixParameterForm, cell: Callable[[str, 
     `cell` gives the text of a parameter by its name and its column's; the form may have none of the name.
     """
     if isinstance(chain, HayatiForm):
-        given = set(chain.names)
-        base = [name for name in SIX if f"base_{name}" in given]
+        chain_names = set(chain.names)
+        base = [name for name in SIX if f"base_{name}" in chain_names]
         yield listing("base", *base, rows=[("", *(cell(f"base_{name}", name) for name in base))])
         yield ""
         joints = range(1, chain.dof + 1)
         all_columns = ("theta_off", "d", "a", "b", "alpha", "beta")
-        columns = [name for name in all_columns if any(f"{name}{joint}" in given for joint in joints)]
+        columns = [name for name in all_columns if any(f"{name}{joint}" in chain_names for joint in joints)]
         names = [[f"{name}{joint}" for name in columns] for joint in joints]
     else:
         columns = list(SIX)
@@ -182,7 +183,8 @@ def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
     deviation, names = solution.standard_deviation, solution.form.names
     for title, prefix, T in parts:
         yield f"{title} (mm, deg); below each number its standard deviation"
-        table, cells = listing(*SIX), []
+        table = listing(*SIX)
+        cells = []
         table.columns[0].justify = "right"
         for k, (value, axis) in enumerate(zip(frames.row_from_transform(T), TWIST_NAMES, strict=True)):
             i, (scale, _) = names.index(f"{prefix}_{axis}"), SCREEN["m" if k < 3 else "rad"]
@@ -233,16 +235,18 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
         yield f"Data fault: {fault_statement(fault)}{rows}"
     yield from ruled_out_statements(fault for fault in solution.ruled_out if is_granted(fault))
     groups: dict[tuple[str, ...], list[str]] = {}
-    for each in solution.held:
-        groups.setdefault(each.carried_by, []).append(each.name)
+    for parameter in solution.held:
+        groups.setdefault(parameter.carried_by, []).append(parameter.name)
     if groups:
         yield "Held at their start, because these data do not identify them:"
     for carried_by, names in groups.items():
         reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
         yield f"  {', '.join(names)}: {reason}"
     if (noise := solution.noise) is not None:
-        told = [] if noise.declared is None else zip(noise.declared, SCREEN.values(), strict=True)
-        declared = ", ".join(f"{number(scale * value)} {unit}" for value, (scale, unit) in told if value is not None)
+        declared_noise = [] if noise.declared is None else zip(noise.declared, SCREEN.values(), strict=True)
+        declared = ", ".join(
+            f"{number(scale * value)} {unit}" for value, (scale, unit) in declared_noise if value is not None
+        )
         facts = {"noise": noise, "ratio": noise.over_declared, "above": ABOVE_NOISE}
         yield fill(_TEXTS["noise"], facts, declared="" if noise.over_declared is None else declared)
     low = np.flatnonzero(solution.outlying)
@@ -266,16 +270,19 @@ def comparison_report(comparison: "Comparison", width: int) -> Iterator[Renderab
     shown = range(arms) if 32 + 9 * arms <= width else ()
     rows = []
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
-        scale, named = SCREEN[unit]
+        scale, shown_unit = SCREEN[unit]
         spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
         if largest >= SHOWS_AS_ZERO:
-            own = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
-            rows.append((name, named, *own, f"{spread:.4f}", f"{largest:.4f}"))
+            differences = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
+            rows.append((name, shown_unit, *differences, f"{spread:.4f}", f"{largest:.4f}"))
     yield "Hayati parameters minus nominal"
     yield listing("", "", *(str(k + 1) for k in shown), "std", "largest", rows=rows)
     scale = np.array([SCREEN[unit][0] for unit in form.units])
-    equal = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
-    lengths, squares = np.array([unit == "m" for unit in form.units]), (scale * comparison.spread) ** 2
+    equal = [
+        name for name, largest in zip(form.names, scale * comparison.largest, strict=True) if largest < SHOWS_AS_ZERO
+    ]
+    lengths = np.array([unit == "m" for unit in form.units])
+    squares = (scale * comparison.spread) ** 2
     length, angle = (np.sqrt(np.mean(squares[chosen])) for chosen in (lengths, ~lengths))
     yield from ("", *say(_TEXTS["comparison"]["spread"], {"equal": equal, "length": length, "angle": angle}))
     if arms <= _MOST_PAIRS:

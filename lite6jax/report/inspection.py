@@ -31,7 +31,9 @@ _MANY = 3
 _SHOWN = 8
 """Columns that are left out and named."""
 
-KEYS: Mapping[str, tuple[str, str]] = {key: (one["meaning"], one["example"]) for key, one in _TEXTS["keys"].items()}
+KEYS: Mapping[str, tuple[str, str]] = {
+    key: (entry["meaning"], entry["example"]) for key, entry in _TEXTS["keys"].items()
+}
 """The keys of `recording` in a sidecar: what each means, and an example."""
 
 _NOISES: Mapping[str, tuple[str, ...]] = {
@@ -47,33 +49,33 @@ _NOISES: Mapping[str, tuple[str, ...]] = {
 """The keys of the noise of each kind of block and of reading."""
 
 
-def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
+def inspection_report(inspection: Inspection, path: str) -> Iterator[RenderableType]:
     """What each column means, how sure that is, and why."""
-    used = len({column for block in found.blocks for column in block.columns} | set(found.given))
-    unused = len(found.unused) + len(found.texts)
+    used = len({column for block in inspection.blocks for column in block.columns} | set(inspection.given))
+    unused = len(inspection.unused) + len(inspection.texts)
     yield unbroken(path)
-    yield from (fill(_TEXTS["rows"], {"found": found, "used": used, "unused": unused}), "")
+    yield from (fill(_TEXTS["rows"], {"found": inspection, "used": used, "unused": unused}), "")
     recognised: dict[str, str] = {}
-    for block in found.blocks:
+    for block in inspection.blocks:
         yield indented(statement(block))
         recognised |= block.renamed()
-    for own, (quantity, unit) in found.announced.items():
-        facts = {"own": own, "quantity": _TEXTS["readings"][quantity], "name": found.given[own]}
+    for column, (quantity, unit) in inspection.announced.items():
+        facts = {"own": column, "quantity": _TEXTS["readings"][quantity], "name": inspection.given[column]}
         yield indented(fill(_TEXTS["announced"], facts, sure="" if unit is None else _sure(unit)))
-    for own, name in found.given.items():
-        if recognised.get(own) != name and own not in found.announced:
-            yield indented(f"{own}: {name}, {'by name' if own == name else 'as given'}.")
-    for own, why in found.denied.items():
-        yield indented(f"{own}: {_TEXTS['denied'][why]}, so it is not used.")
-    rest = [name for name in (*found.unused, *found.texts) if name not in found.denied]
-    if rest:
-        yield indented(f"Not used: {_listed(rest)}.")
+    for column, name in inspection.given.items():
+        if recognised.get(column) != name and column not in inspection.announced:
+            yield indented(f"{column}: {name}, {'by name' if column == name else 'as given'}.")
+    for column, why in inspection.denied.items():
+        yield indented(f"{column}: {_TEXTS['denied'][why]}, so it is not used.")
+    unread = [name for name in (*inspection.unused, *inspection.texts) if name not in inspection.denied]
+    if unread:
+        yield indented(f"Not used: {_listed(unread)}.")
     yield ""
-    for source in found.sources if len(found.sources) > 1 else ():
+    for source in inspection.sources if len(inspection.sources) > 1 else ():
         yield f"{source_statement(source)}{' It is taken.' if source.taken else ''}"
-    yield arm_statement(found)
-    yield from [_TEXTS["computed"]] if found.computed else []
-    yield f"Motion: {found.motion[0]}; {found.motion[1]}."
+    yield arm_statement(inspection)
+    yield from [_TEXTS["computed"]] if inspection.computed else []
+    yield f"Motion: {inspection.motion[0]}; {inspection.motion[1]}."
 
 
 def no_angles(joints: Block) -> str:
@@ -84,8 +86,9 @@ def no_angles(joints: Block) -> str:
         "columns": _columns(joints.columns),
         "wrong": _TEXTS["angles"][reason],
         "unit": _TEXTS["units"][unit],
-        "ways": [_column_option(own, f"q{k}_{unit}") for k, own in enumerate(joints.columns, 1)],
-        "fine": [spelled("q", 1, other) for other in units_of("q") if other in FINE - {unit}] * (reason == "whole"),
+        "ways": [_column_option(column, f"q{k}_{unit}") for k, column in enumerate(joints.columns, 1)],
+        "fine": [spelled("q", 1, alternative) for alternative in units_of("q") if alternative in FINE - {unit}]
+        * (reason == "whole"),
     }
     return fill(_TEXTS["no_angles"], facts)
 
@@ -96,23 +99,23 @@ def source_statement(source: Pose) -> str:
     return fill(_TEXTS["source"], {"computed": source.computed, "error": source.error, **more})
 
 
-def choice_of_pose(found: Inspection) -> str:
+def choice_of_pose(inspection: Inspection) -> str:
     """Several poses of which none is taken, and how to say which is meant."""
-    roles: list[Role | None] = [source.role for source in found.sources]
+    roles: list[Role | None] = [source.role for source in inspection.sources]
     keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
     ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
-    ignored = (_column_option(name, IGNORED) for name in found.sources[0].columns)
+    ignored = (_column_option(name, IGNORED) for name in inspection.sources[0].columns)
     ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
-    said = list(map(source_statement, found.sources))
-    return fill(_TEXTS["poses"], {"count": len(said), "said": said, "ways": ways})
+    descriptions = list(map(source_statement, inspection.sources))
+    return fill(_TEXTS["poses"], {"count": len(descriptions), "said": descriptions, "ways": ways})
 
 
-def choice_of_motors(found: Inspection) -> str:
+def choice_of_motors(inspection: Inspection) -> str:
     """More motors than the arm has joints, and how to say which are meant."""
-    arm, motors = found.arm, found.motors
+    arm, motors = inspection.arm, inspection.motors
     assert arm is not None
     names = arm.joint_names or [f"q{k + 1}" for k in range(arm.dof)]
-    ways = list(map(_column_option, motors[0], found.joint_columns))
+    ways = list(map(_column_option, motors[0], inspection.joint_columns))
     facts = {"count": sum(map(len, motors)), "motors": list(map(_columns, motors)), "arm": arm, "names": names}
     return fill(_TEXTS["motors"], facts, ways=ways)
 
@@ -124,7 +127,8 @@ def _column_option(name: str, meaning: str) -> str:
 
 def statement(block: Block) -> str:
     """A block in one or two sentences."""
-    form, unit = block.form, block.unit.choice if block.unit else ""
+    form = block.form
+    unit = block.unit.choice if block.unit else ""
     if block.unit and unit:
         unit = _TEXTS["units"].get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         unit = f"{'in ' if form is None else ''}{unit} ({_sure(block.unit)})"
@@ -160,28 +164,28 @@ def _kind(block: Block) -> str:
 def _sure(decision: Decision) -> str:
     n = dict(decision.numbers)
     if decision.reason == "kinematics":
-        other = min(n["others"].values(), default=None)
-        n["ratio"] = None if other is None else other / max(n["error"], 1e-12)
+        next_error = min(n["others"].values(), default=None)
+        n["ratio"] = None if next_error is None else next_error / max(n["error"], 1e-12)
     return f"{decision.sure}: {fill(_TEXTS['reasons'][decision.reason], n)}"
 
 
-def arm_statement(found: Inspection) -> str:
+def arm_statement(inspection: Inspection) -> str:
     """Which arm it is, and how well its nominal kinematics agree."""
-    name = found.arm and found.arm.name
+    name = inspection.arm and inspection.arm.name
     return fill(
         _TEXTS["arm"],
         {
             "name": name,
-            "tried": "; ".join(f"{other}: {1e3 * error:.3g} mm" for other, error in found.arms[:4]),
-            "compared": bool(found.arms),
-            "missed": found.arm and found.error > ScreeningOptions().suspect_reach * found.arm.reach,
-            "error": found.error,
-            "others": "; ".join(f"{other} to {1e3 * error:.3g} mm" for other, error in found.arms[1:3]),
+            "tried": "; ".join(f"{arm_name}: {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[:4]),
+            "compared": bool(inspection.arms),
+            "missed": inspection.arm and inspection.error > ScreeningOptions().suspect_reach * inspection.arm.reach,
+            "error": inspection.error,
+            "others": "; ".join(f"{arm_name} to {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[1:3]),
         },
     )
 
 
-def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> str:
+def sidecar_text(inspection: Inspection, settings: Mapping[str, Any], table: str) -> str:
     """The YAML of a table's sidecar with every key and what it means; keys without a value are commented out.
 
     `settings` are the keys of `recording` that are known, as plain YAML values.
@@ -191,14 +195,14 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
         "# docs/reference/recordings.md has all columns and keys. A line that begins with # is not in force.",
         "",
     ]
-    if found.columns:
-        lines += _column_lines(found)
-    of = {*found.readings, *(["readings"] if found.readings else ())}
-    if found.of("tau") is not None or found.of("current") is not None:
+    if inspection.columns:
+        lines += _column_lines(inspection)
+    of = {*inspection.readings, *(["readings"] if inspection.readings else ())}
+    if inspection.of("tau") is not None or inspection.of("current") is not None:
         of.add("torques")
-    if found.of("cmd") is not None:
+    if inspection.of("cmd") is not None:
         of.add("commands")
-    if found.of("position") is not None or any(name.startswith("x_") for name in found.given.values()):
+    if inspection.of("position") is not None or any(name.startswith("x_") for name in inspection.given.values()):
         of.add("poses")
     lines.append("recording:" if settings else "recording: {}  # nothing is declared yet")
     for key, (meaning, example) in KEYS.items():
@@ -211,24 +215,24 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
     return "\n".join(lines) + "\n"
 
 
-def _column_lines(found: Inspection) -> list[str]:
+def _column_lines(inspection: Inspection) -> list[str]:
     lines = ["# What each column is: its name in the table, then what it holds and its unit; `ignore` for nothing."]
     lines.append("columns:")
-    told = dict(found.columns)
-    for block in found.blocks:
+    meanings = dict(inspection.columns)
+    for block in inspection.blocks:
         lines += _wrapped(statement(block))
-        in_file = [found.in_file.get(own, own) for own in block.columns]
-        lines += [_entry(own, told.pop(own)) for own in in_file if own in told]
-    rest = {own: name for own, name in told.items() if name != IGNORED}
-    unused = {own: name for own, name in told.items() if name == IGNORED}
-    for comment, entries in (("As given.", rest), ("Not used.", unused)):
+        in_file = [inspection.in_file.get(column, column) for column in block.columns]
+        lines += [_entry(column, meanings.pop(column)) for column in in_file if column in meanings]
+    as_given = {column: name for column, name in meanings.items() if name != IGNORED}
+    unused = {column: name for column, name in meanings.items() if name == IGNORED}
+    for comment, entries in (("As given.", as_given), ("Not used.", unused)):
         if entries:
-            lines += [f"  # {comment}", *(_entry(own, name) for own, name in entries.items())]
+            lines += [f"  # {comment}", *(_entry(column, name) for column, name in entries.items())]
     return [*lines, ""]
 
 
-def _entry(own: str, name: str) -> str:
-    dumped = yaml.safe_dump({own: name}, allow_unicode=True, width=1 << 20, default_flow_style=False).rstrip("\n")
+def _entry(column: str, name: str) -> str:
+    dumped = yaml.safe_dump({column: name}, allow_unicode=True, width=1 << 20, default_flow_style=False).rstrip("\n")
     return "\n".join(f"  {line}" for line in dumped.split("\n"))
 
 
@@ -247,52 +251,57 @@ def _columns(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= _MANY else f"{names[0]} … {names[-1]}"
 
 
-def _listed(names: Sequence[str], most: int = 8) -> str:
-    return ", ".join(repr(name[:40]) for name in names[:most]) + (
-        f" and {len(names) - most} more" if len(names) > most else ""
+def _listed(names: Sequence[str], limit: int = 8) -> str:
+    return ", ".join(repr(name[:40]) for name in names[:limit]) + (
+        f" and {len(names) - limit} more" if len(names) > limit else ""
     )
 
 
-def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
+def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
     """What is still unknown, and the command that follows."""
-    q, tau, current, position = map(found.of, ("q", "tau", "current", "position"))
+    q, tau, current, position = map(inspection.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
-    timed = found.of("time") is not None or any(name.startswith("time") for name in found.given.values())
+    timed = inspection.of("time") is not None or any(name.startswith("time") for name in inspection.given.values())
     noises = list(_NOISES["tau"]) if tau is not None or current is not None else []
-    for measured in ("position", "rotation") if position is not None and not found.computed else ():
-        noises += _NOISES[measured] if found.of(measured) is not None else ()
-    noises += [key for kind in found.readings for key in _NOISES[kind]]
-    matrix = found.of("rotation")
+    for measured in ("position", "rotation") if position is not None and not inspection.computed else ():
+        noises += _NOISES[measured] if inspection.of(measured) is not None else ()
+    noises += [key for kind in inspection.readings for key in _NOISES[kind]]
+    matrix = inspection.of("rotation")
     matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
     transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
-    alone = position is None and tau is None and current is None and not found.given
-    tracked = alone and q is not None and found.of("cmd") is not None
+    alone = position is None and tau is None and current is None and not inspection.given
+    tracked = alone and q is not None and inspection.of("cmd") is not None
     nothing = alone and not tracked
     noises += ["joint_noise_rad"] if tracked else []
     facts = {
         "doubtful": [
             _kind(block).lower()
-            for block in found.blocks
-            if "assumed" in [one.sure for one in (block.unit, block.form) if one] or _commanded(block)
+            for block in inspection.blocks
+            if "assumed" in [decision.sure for decision in (block.unit, block.form) if decision] or _commanded(block)
         ],
         "q_commanded": q is not None and _commanded(q) and "joint_source" not in settings,
         "tau_commanded": tau is not None and _commanded(tau) and "torque_source" not in settings,
         "as_current": tau and efforts and _column_option(tau.columns[0], f"current{tau.joints[0]}_A"),
         "currents": tau is None and current is not None and "torque_constant_Nm_per_A" not in settings,
-        "computed": found.computed,
+        "computed": inspection.computed,
         "said": settings.get("pose_source", "unknown"),
-        "of_controller": any(one.taken and one.role == "controller" for one in found.sources),
-        "turned": matrix and [_column_option(own, name) for own, name in zip(matrix.columns, transposed, strict=True)],
+        "of_controller": any(
+            pose_source.taken and pose_source.role == "controller" for pose_source in inspection.sources
+        ),
+        "turned": matrix
+        and [_column_option(column, name) for column, name in zip(matrix.columns, transposed, strict=True)],
         "deviations": [
-            _column_option(own, f"{name}_{unit_of(own) or 'mm'}")
-            for own, name in zip(found.unclear_deviations, DEVIATION, strict=False)
+            _column_option(column, f"{name}_{unit_of(column) or 'mm'}")
+            for column, name in zip(inspection.unclear_deviations, DEVIATION, strict=False)
         ],
         "noises": [key for key in noises if key not in settings],
         "announced": settings["pose_source"] if settings.get("pose_source") in READINGS_OF else "",
         "nothing": nothing,
-        "readings": [(source, own, _TEXTS["readings"][quantity]) for source, own, quantity in found.likely_readings],
+        "readings": [
+            (source, column, _TEXTS["readings"][quantity]) for source, column, quantity in inspection.likely_readings
+        ],
         "tracked": tracked,
-        "untimed": "" if position or timed or not (tau or current or tracked) else _named_time(found.unused),
+        "untimed": "" if position or timed or not (tau or current or tracked) else _named_time(inspection.unused),
     }
     yield from say(_TEXTS["next"], facts)
     if not nothing:
@@ -310,24 +319,24 @@ def _named_time(unused: Sequence[str]) -> str:
 # ------------------------------------------------------------------ what was joined to one table
 
 
-def describe_joined_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
+def describe_joined_files(joined_files: JoinedFiles, joints: str, poses: str) -> list[str]:
     """How the joints of one file and the poses of another were joined."""
-    clocks = found.clocks
-    facts: dict[str, Any] = {"found": found, "clocks": clocks, "pairing": found.pairing}
-    facts |= {"joints": joints, "poses": poses, "names": found.names}
-    if found.names is not None:
-        facts["alone"] = [_named(names) for names in found.names.alone]
+    clocks = joined_files.clocks
+    facts: dict[str, Any] = {"found": joined_files, "clocks": clocks, "pairing": joined_files.pairing}
+    facts |= {"joints": joints, "poses": poses, "names": joined_files.names}
+    if joined_files.names is not None:
+        facts["alone"] = [_named(names) for names in joined_files.names.alone]
     if clocks is not None:
-        facts["offset"] = clocks.offset + found.start
+        facts["offset"] = clocks.offset + joined_files.start
         facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
-    said = _sentences("joined", facts)
-    if found.joined is not None:
-        said += said_of(found.joined, found.unit)
-    said.append(fill(_TEXTS["joined_rows"], found._asdict()))
-    if found.left_out:
-        shown = ", ".join(found.left_out[:_SHOWN]) + (", …" if len(found.left_out) > _SHOWN else "")
-        said.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
-    return said
+    sentences = _sentences("joined", facts)
+    if joined_files.joined is not None:
+        sentences += said_of(joined_files.joined, joined_files.unit)
+    sentences.append(fill(_TEXTS["joined_rows"], joined_files._asdict()))
+    if joined_files.left_out:
+        shown = ", ".join(joined_files.left_out[:_SHOWN]) + (", …" if len(joined_files.left_out) > _SHOWN else "")
+        sentences.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
+    return sentences
 
 
 def _named(names: Sequence[str]) -> str:
@@ -336,38 +345,44 @@ def _named(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + more
 
 
-def describe_solved_joints(found: WithJoints, arm: str) -> list[str]:
+def describe_solved_joints(solved: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
-    facts = {"count": len(found.path.reached), "missing": int(np.sum(~found.path.reached))}
-    return _sentences("solved", {**facts, "source": found.file.source, "arm": arm, "branches": found.path.branches})
+    facts = {"count": len(solved.path.reached), "missing": int(np.sum(~solved.path.reached))}
+    return _sentences("solved", {**facts, "source": solved.file.source, "arm": arm, "branches": solved.path.branches})
 
 
-def describe_pairs(found: SolvedPairs, arm: str) -> list[str]:
+def describe_pairs(pairs: SolvedPairs, arm: str) -> list[str]:
     """How pairs of poses became joints and poses."""
-    facts = {"inverted": found.inverted, "errors": found.errors, "solved": found.solved}
-    return [*describe_solved_joints(found.solved, arm), *_sentences("pairs", facts)]
+    facts = {"inverted": pairs.inverted, "errors": pairs.errors, "solved": pairs.solved}
+    return [*describe_solved_joints(pairs.solved, arm), *_sentences("pairs", facts)]
 
 
-def describe_named_columns(found: NamedColumns) -> list[str]:
+def describe_named_columns(named_columns: NamedColumns) -> list[str]:
     """Whose numbers cells name."""
-    facts = {"by": _columns(found.by), "words": _named(found.words), "ordered": bool(found.in_file)}
+    facts = {
+        "by": _columns(named_columns.by),
+        "words": _named(named_columns.words),
+        "ordered": bool(named_columns.in_file),
+    }
     return _sentences("named", facts)
 
 
-def describe_points(found: Points, taken: str) -> list[str]:
-    """How rows of points became rows of states; `taken` is the one point whose position is read, or none."""
-    counts = dict(zip(found.labels, found.counts, strict=True))
-    states = len(next(iter(found.columns.values())))
-    facts = {"by": found.by, "labels": _named(found.labels), "count": len(found.labels), "states": states}
-    return _sentences("points", {**facts, "taken": taken, "seen": counts.get(taken), "whole": min(found.counts)})
+def describe_points(points: Points, measured_point: str) -> list[str]:
+    """How rows of points became rows of states; `measured_point` is the one point whose position is read, or none."""
+    counts = dict(zip(points.labels, points.counts, strict=True))
+    states = len(next(iter(points.columns.values())))
+    facts = {"by": points.by, "labels": _named(points.labels), "count": len(points.labels), "states": states}
+    return _sentences(
+        "points", {**facts, "taken": measured_point, "seen": counts.get(measured_point), "whole": min(points.counts)}
+    )
 
 
-def describe_reflectors(found: WithPose) -> list[str]:
+def describe_reflectors(with_pose: WithPose) -> list[str]:
     """How points became a pose."""
-    names = ", ".join(point[0] for point in found.points[:4]) + (", …" if len(found.points) > 4 else "")
-    lost = int(np.sum(~found.pose.rows)) - found.pose.outlying
-    mm = 1e3 if found.unit == "m" else 1.0
-    return _sentences("reflectors", {"pose": found.pose, "names": names, "lost": lost, "mm": mm})
+    names = ", ".join(point[0] for point in with_pose.points[:4]) + (", …" if len(with_pose.points) > 4 else "")
+    lost = int(np.sum(~with_pose.pose.rows)) - with_pose.pose.outlying
+    mm = 1e3 if with_pose.unit == "m" else 1.0
+    return _sentences("reflectors", {"pose": with_pose.pose, "names": names, "lost": lost, "mm": mm})
 
 
 def _sentences(name: str, facts: Mapping[str, Any]) -> list[str]:

@@ -34,11 +34,12 @@ _TEXTS = read_texts("screens.yaml")
 
 def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     """The effects by domain, a paragraph each."""
-    texts, domains = _TEXTS["effects"], {effect.domain for effect in effects}
+    texts = _TEXTS["effects"]
+    domains = {effect.domain for effect in effects}
     for domain, title in texts["domains"].items():
         if domain in domains:
             yield from (title, "")
-            for effect in (each for each in effects if each.domain == domain):
+            for effect in (listed for listed in effects if listed.domain == domain):
                 yield effect.name
                 yield from map(indented, say(texts["each"], {"e": effect}))
             yield ""
@@ -48,8 +49,8 @@ def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
 def prior_report(entries: Document) -> Iterator[RenderableType]:
     """The prior probabilities of explanations, as `Prior.entries`."""
     rows = (
-        (name, f"{one['probability']:.3g}", f"{one['cost']:.1f}", f"{one['meaning']} ({one['why']})")
-        for name, one in entries.items()
+        (name, f"{entry['probability']:.3g}", f"{entry['cost']:.1f}", f"{entry['meaning']} ({entry['why']})")
+        for name, entry in entries.items()
     )
     yield listing("explanation", "probability", "cost (nats)", "of what", rows=rows, left=[3], wrapped=[3])
     yield from ("", *say(_TEXTS["effects"]["prior"], {}))
@@ -121,7 +122,8 @@ _DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_ver
 def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
     """Position errors by type of arm, and a line for each file without a usable fit; rows are looked at once."""
     groups: dict[tuple[str, str], list[tuple[bool, float, float]]] = {}
-    bad, count = list[str](), 0
+    bad = list[str]()
+    count = 0
     for count, row in enumerate(rows, 1):  # noqa: B007 (their number)
         if row["arm"]:
             errors = (1e3 * row[f"{part}_position_max_m"] for part in ("nominal", "checked"))
@@ -146,7 +148,7 @@ def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]
     for column in table.columns[:2]:
         column.overflow = "fold"
     table.columns[1].min_width = len("unexplained")
-    found: list[str] = []
+    findings: list[str] = []
     for row in done:
         for domain, verdict, unit, scale in _DOMAINS:
             if row[verdict] is None:
@@ -156,11 +158,13 @@ def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]
             name = row["file"] if domain == "poses" or row["verdict"] is None else ""
             table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
         if row["findings"]:
-            found.append(f"{row['file']}: " + "; ".join(f"{each['effect']} {each['site']}" for each in row["findings"]))
+            findings.append(
+                f"{row['file']}: " + "; ".join(f"{finding['effect']} {finding['site']}" for finding in row["findings"])
+            )
     yield from (table, _TEXTS["diagnoses"]) if done else ()
-    yield from headed("Findings:", found)
-    left = [row["message"] for row in rows if row["result"] != DIAGNOSED]
-    yield from headed(f"{len(left)} of {len(rows)} recordings were not diagnosed:", left)
+    yield from headed("Findings:", findings)
+    undiagnosed = [row["message"] for row in rows if row["result"] != DIAGNOSED]
+    yield from headed(f"{len(undiagnosed)} of {len(rows)} recordings were not diagnosed:", undiagnosed)
 
 
 def _with_file(file: str, message: str) -> str:
@@ -191,24 +195,24 @@ def population_report(document: Document) -> Iterator[RenderableType]:
         yield from ("", f"{k}. {capital(_title(effect))}: {chance(effect['p_value'])}, found {found_by}.")
         if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
             table = listing("", "mean", "95 % interval", "between arms", "unit")
-            for name, each in effect["parameters"].items():
-                mean, *others = (
-                    quantity(name, {"value": value, "std": each["std"]})
-                    for value in (each["mean"], *each["interval_95"], each["between_std"])
+            for name, estimate in effect["parameters"].items():
+                mean, *further_quantities = (
+                    quantity(name, {"value": value, "std": estimate["std"]})
+                    for value in (estimate["mean"], *estimate["interval_95"], estimate["between_std"])
                 )
-                low, high, between = (other.value for other in others)
+                low, high, between = (statistic.value for statistic in further_quantities)
                 table.add_row(mean.name, mean.value, f"{low} to {high}", between, mean.unit)
             yield Padding(table, (0, 0, 0, 3))
         yield from (indented(line, 3) for line in _remarks(effect))
-    own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
+    pooled_effects = {f"{effect['effect']}:{effect['site']}" for effect in effects}
     alone = [
         f"{member['file']}: {', '.join(labels)}"
         for member in pooled
-        if (labels := [one["label"] for one in member["found_alone"] if one["label"] not in own])
+        if (labels := [finding["label"] for finding in member["found_alone"] if finding["label"] not in pooled_effects])
     ]
     yield from headed("Found in one recording and not in the type:", alone)
-    left = [_with_file(member["file"], member["reason"]) for member in members if not member["used"]]
-    yield from headed(f"{counted(len(left), 'recording')} of {len(members)} not pooled:", left)
+    unpooled = [_with_file(member["file"], member["reason"]) for member in members if not member["used"]]
+    yield from headed(f"{counted(len(unpooled), 'recording')} of {len(members)} not pooled:", unpooled)
     yield ""
 
 
@@ -223,12 +227,12 @@ def _remarks(effect: Document) -> Iterator[str]:
     yield from say(texts["remarks"], facts)
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
-            numbers = [quantity(name, each) for name, each in arm["parameters"].items()]
+            numbers = [quantity(name, estimate) for name, estimate in arm["parameters"].items()]
             yield fill(texts["differs"], facts, arm=arm, numbers=numbers)
     if near := [_title(rival) for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]:
         yield fill(texts["near"], {"near": near})
 
 
 def _shown(name: str, value: float) -> str:
-    found = quantity(name, {"value": value, "std": 0.0})
-    return f"{number(float(found.value))} {found.unit}"
+    readable = quantity(name, {"value": value, "std": 0.0})
+    return f"{number(float(readable.value))} {readable.unit}"

@@ -38,7 +38,7 @@ _DPI = 120
 
 
 def diagnosis_page(
-    found: DomainDiagnosis[Any],
+    diagnosis: DomainDiagnosis[Any],
     document: Document,
     source: str | None = None,
     figures: Mapping[str, Figure] | None = None,
@@ -47,28 +47,31 @@ def diagnosis_page(
     """The page, HTML; of both domains one after the other.
 
     Args:
-        found: the diagnosis, of which the figures of single findings are drawn.
+        diagnosis: the diagnosis, of which the figures of single findings are drawn.
         document: as in its JSON file, with statements; all text is made from it.
         source: the recording's name, of any characters; that of the diagnosis where not given.
         figures: those of `diagnosis_figures.drawings`; drawn where not given.
         files: for commands to copy; without them there are none, and without a source the recording's where it is one.
     """
-    recorded = found.recording.source
+    recorded = diagnosis.recording.source
     if source is None and storage.exists(recorded):
         files = files or Files(Path(recorded))
     source = recorded if source is None else source
-    figures = dict(drawings(found, Path(source).name, document)) if figures is None else figures
-    pictures = [_pictures(found, document, figures)]
-    for torques in found.parts[1:]:
-        own = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
-        pictures.append(_pictures(torques, document["torques"], own))
+    figures = dict(drawings(diagnosis, Path(source).name, document)) if figures is None else figures
+    pictures = [_pictures(diagnosis, document, figures)]
+    for torques in diagnosis.parts[1:]:
+        torque_figures = {
+            name.removeprefix(PREFIX): figure for name, figure in figures.items() if name.startswith(PREFIX)
+        }
+        pictures.append(_pictures(torques, document["torques"], torque_figures))
     parts = parts_of(document, files, pictures=pictures)
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 
 
-def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
+def _pictures(diagnosis: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
-    torques, order = is_of_torques(document), ranking.order(document)
+    torques = is_of_torques(document)
+    order = ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     if is_of_tracking(document):
@@ -76,20 +79,20 @@ def _pictures(found: DomainDiagnosis[Any], document: Document, figures: Mapping[
     for finding in statements.findings_of(document):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
         if torques:
-            what = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
+            subject = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
         else:
             name = "effect" if finding["effect"] == "unnamed" else finding["effect"].replace("_", " ")
-            what = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
-        caption = f"{what} beside the partial residuals: those of the whole model without it."
-        drawn[f"finding{finding['rank']}"] = _picture(finding_figure(found, "", [finding["place"]], order), caption)
+            subject = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
+        caption = f"{subject} beside the partial residuals: those of the whole model without it."
+        drawn[f"finding{finding['rank']}"] = _picture(finding_figure(diagnosis, "", [finding["place"]], order), caption)
     return drawn
 
 
 def _picture(figure: Figure, caption: str) -> Picture:
-    held = BytesIO()
+    buffer = BytesIO()
     with rc_context(STYLE):
-        figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
-    data = "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    data = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
     return Picture(data, caption, sum(panel.get_visible() for panel in figure.axes) == 1)
 
 
@@ -120,7 +123,8 @@ def write_certificate(document: Document, path: str | Path, overwrite: bool = Fa
     Raises:
         InputError: as `storage.write_atomically`.
     """
-    figure, day = certificate(document), document["date"]
+    figure = certificate(document)
+    day = document["date"]
     made = None if day is None else datetime.fromisoformat(day)
     metadata = {"Creator": "lite6jax", "Producer": "lite6jax", "CreationDate": made}
 
@@ -163,13 +167,14 @@ def certificate(document: Document) -> Figure:
             [("text", line) for e in document.get("inputs", ()) for line in (f"{e['role']}: {e['file']}", e["sha256"])],
         ),
     ]
-    held = StringIO()
-    console = Console(file=held, width=_CHARACTERS, highlight=False, markup=False, emoji=False)
+    buffer = StringIO()
+    console = Console(file=buffer, width=_CHARACTERS, highlight=False, markup=False, emoji=False)
     for part in show_sections(sections):
         console.print(part)
-    figure, y = Figure(figsize=(_WIDTH, _HEIGHT)), _HEIGHT - _MARGIN
+    figure = Figure(figsize=(_WIDTH, _HEIGHT))
+    y = _HEIGHT - _MARGIN
     titles = {f"{section.title}:" for section in sections}
-    for line in held.getvalue().strip("\n").split("\n"):
+    for line in buffer.getvalue().strip("\n").split("\n"):
         if line.strip() and y > _MARGIN / 2:
             weight = "bold" if line.strip() in titles else "normal"
             style: dict[str, Any] = {"size": _SIZE, "weight": weight, "family": "monospace", "parse_math": False}
@@ -179,9 +184,10 @@ def certificate(document: Document) -> Figure:
 
 
 def _subject(document: Document) -> list[tuple[str, str]]:
-    torques, known = is_of_torques(document), read_texts("diagnosis.yaml")["instruments"]
+    torques = is_of_torques(document)
+    instruments = read_texts("diagnosis.yaml")["instruments"]
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
-    instrument = document["instrument"] or known.get(document["source"], "not stated")
+    instrument = document["instrument"] or instruments.get(document["source"], "not stated")
     noise = next(iter(document["noise"]["declared"].values()))
     if noise is not None:
         shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
@@ -197,12 +203,14 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
-    torques, findings, lines = is_of_torques(document), statements.findings_of(document), []
+    torques = is_of_torques(document)
+    findings = statements.findings_of(document)
+    lines = []
     for finding in findings[:_MOST]:
         numbers = finding.get("peak_to_peak", finding["parameters"])
-        said = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        said.append(f"moves {finding['contribution']} RMS")
-        lines.append(f"{finding['rank']}. {finding['title']}: {'; '.join(said)}")
+        parts = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
+        parts.append(f"moves {finding['contribution']} RMS")
+        lines.append(f"{finding['rank']}. {finding['title']}: {'; '.join(parts)}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")
     return lines or ["None."]
@@ -211,9 +219,9 @@ def _findings(document: Document) -> list[str]:
 def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
     """The 95 % interval of a number in the unit in which it is read; one that was chosen has none."""
     value, std = estimate["value"], estimate["std"]
-    named = {"named": NAMED_OF_TORQUES} if torques else {}
+    special_units = {"named": NAMED_OF_TORQUES} if torques else {}
     middle, *ends = (
-        quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **named) for side in (0, -1, 1)
+        quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **special_units) for side in (0, -1, 1)
     )
     between = f" [{ends[0].value}, {ends[1].value}]" if std else ""
     return f"{middle.name} {middle.value}{between} {middle.unit}".rstrip()

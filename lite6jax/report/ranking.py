@@ -46,7 +46,9 @@ def units(document: Document) -> tuple[str, ...]:
 
 def fill_about(text: str, document: Document, **more: object) -> str:
     """A text of `templates/diagnosis.yaml` about a document, and `more` numbers."""
-    torques, near, declared = is_of_torques(document), document["nearest"], document["noise"]["declared"]
+    torques = is_of_torques(document)
+    near = document["nearest"]
+    declared = document["noise"]["declared"]
     of_controller = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
     missing = [f"no {name.replace('_', '_noise_')}" for name, size in declared.items() if size is None]
     about: dict[str, object] = {
@@ -129,8 +131,8 @@ def shares(document: Document) -> list[float]:
 
 def order(document: Document) -> list[int]:
     """Places of the findings, from 0, the largest share of the error before first."""
-    found = shares(document)
-    return sorted(range(len(found)), key=lambda k: -found[k])
+    finding_shares = shares(document)
+    return sorted(range(len(finding_shares)), key=lambda k: -finding_shares[k])
 
 
 def contribution(document: Document, finding: Entry) -> str:
@@ -159,7 +161,9 @@ def corrected_faults(document: Document) -> list[Entry]:
 
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
-    findings, torques, texts = detailed(document), is_of_torques(document), read_texts("diagnosis.yaml")
+    findings = detailed(document)
+    torques = is_of_torques(document)
+    texts = read_texts("diagnosis.yaml")
     if findings:
         main = findings[order(document)[0]]
         measure = _main(document, main)
@@ -176,14 +180,14 @@ def headline(document: Document) -> str:
             of_arm=not torques and all(remedy_of(finding).of_arm for finding in findings),
         )
     sizes = (measure.size_of(document["before"][measure.error]) for measure in measures_of(document))
-    said = fill_about(texts["nothing_found"], document, error=f"{' and '.join(sizes)} RMS")
+    sentence = fill_about(texts["nothing_found"], document, error=f"{' and '.join(sizes)} RMS")
     faults = corrected_faults(document)
     if not faults:
-        return capital(said)
+        return capital(sentence)
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))
     have = "a fault" if len(names) == 1 else f"{len(names)} faults"
-    these = "this" if len(faults) == 1 else "these"
-    return f"The data have {have} ({', '.join(names)}); with {these} corrected, {said}"
+    pronoun = "this" if len(faults) == 1 else "these"
+    return f"The data have {have} ({', '.join(names)}); with {pronoun} corrected, {sentence}"
 
 
 def _error_at(errors: Entry, document: Document, measure: Measure, finding: Entry) -> float:
@@ -219,50 +223,61 @@ def actions(document: Document) -> list[tuple[list[int], str]]:
     findings = detailed(document)
     for rank, k in enumerate(order(document), 1):
         ranks.setdefault(remedy_of(findings[k]).action, []).append(rank)
-    return [(held, action) for action, held in ranks.items()]
+    return [(finding_ranks, action) for action, finding_ranks in ranks.items()]
 
 
 def steps(document: Document, files: Files) -> list[Step]:
     """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
-    recording, findings, torques = files.recording, detailed(document), is_of_torques(document)
-    named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
-    own = ["--effects", str(files.effects)] if files.effects is not None else []
-    known, table = _known(document, own), recording.suffix.lower() in suffixes.WRITTEN_TABLES
-    beside = lambda end: named.with_name(f"{recording.stem}_{end}")  # noqa: E731
+    recording = files.recording
+    findings = detailed(document)
+    torques = is_of_torques(document)
+    diagnosis_path = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
+    effects_option = ["--effects", str(files.effects)] if files.effects is not None else []
+    readable = _known(document, effects_option)
+    table = recording.suffix.lower() in suffixes.WRITTEN_TABLES
+    beside = lambda end: diagnosis_path.with_name(f"{recording.stem}_{end}")  # noqa: E731
     play = any(finding["effect"] == "joint_backlash" for finding in findings)
     side = ["--approach", "1"] if play else []
-    shown = [] if recording.parent in (named.parent, Path()) else [recording]  # where `view` finds it
-    compensated = not torques and known and table and any(remedy_of(finding).of_arm for finding in findings)
+    shown = [] if recording.parent in (diagnosis_path.parent, Path()) else [recording]  # where `view` finds it
+    compensated = not torques and readable and table and any(remedy_of(finding).of_arm for finding in findings)
     geometry = not torques and any(remedy_of(finding).of_geometry for finding in findings)
     offered: list[tuple[bool, str, list[Any]]] = [
-        (files.diagnosis is None, "keep this diagnosis", ["diagnose", recording, *own, "--out", named]),
         (
-            torques and bool(findings) and known and table,
-            "torques of this motion, for a feed-forward; give a motion of your own in its place",
-            ["predict", named, recording, *own, "--out", beside("predicted.csv")],
+            files.diagnosis is None,
+            "keep this diagnosis",
+            ["diagnose", recording, *effects_option, "--out", diagnosis_path],
         ),
         (
-            torques and bool(findings) and known,
+            torques and bool(findings) and readable and table,
+            "torques of this motion, for a feed-forward; give a motion of your own in its place",
+            ["predict", diagnosis_path, recording, *effects_option, "--out", beside("predicted.csv")],
+        ),
+        (
+            torques and bool(findings) and readable,
             "the arm with what was found, for a simulator",
-            ["convert", named, beside("arm.urdf"), *own],
+            ["convert", diagnosis_path, beside("arm.urdf"), *effects_option],
         ),
         (
             compensated,
             "joint positions that reach these poses; give a table of your own targets in their place",
-            ["compensate", named, recording, *side, *own, "--out", beside("compensated.csv")],
+            ["compensate", diagnosis_path, recording, *side, *effects_option, "--out", beside("compensated.csv")],
         ),
         (geometry, "recalibrate", ["fit", recording, "--geometry", "free", "--out", beside("table.json")]),
         (
-            known and not recording.is_dir() and find_format(recording) is not None,
+            readable and not recording.is_dir() and find_format(recording) is not None,
             "the arm and its errors in the browser",
-            ["view", named, *shown, *own],
+            ["view", diagnosis_path, *shown, *effects_option],
         ),
-        (True, "a certificate, one page", ["report", named, "--certificate", named.with_suffix(".pdf")]),
+        (
+            True,
+            "a certificate, one page",
+            ["report", diagnosis_path, "--certificate", diagnosis_path.with_suffix(".pdf")],
+        ),
     ]
-    return [Step(purpose, command_line(*line)) for wanted, purpose, line in offered if wanted]
+    return [Step(purpose, command_line(*line)) for applies, purpose, line in offered if applies]
 
 
-def _known(document: Document, own: Sequence[str]) -> bool:
+def _known(document: Document, effects_option: Sequence[str]) -> bool:
     """Whether the model can be read, which effects of the user's own take their file for."""
-    known = TORQUE_EFFECTS if is_of_torques(document) else POSE_EFFECTS
-    return bool(own) or all(finding["effect"] in known for finding in document["findings"])
+    catalogue = TORQUE_EFFECTS if is_of_torques(document) else POSE_EFFECTS
+    return bool(effects_option) or all(finding["effect"] in catalogue for finding in document["findings"])

@@ -30,8 +30,8 @@ class Remedy(NamedTuple):
 
 OF_POSES, OF_TORQUES = (
     {
-        effect: Remedy(one["cause"], one["action"], "sensor" not in one, "geometry" in one)
-        for effect, one in remedies.items()
+        effect: Remedy(entry["cause"], entry["action"], "sensor" not in entry, "geometry" in entry)
+        for effect, entry in remedies.items()
     }
     for remedies in (read_texts("remedies.yaml")[domain] for domain in ("poses", "torques"))
 )
@@ -47,20 +47,22 @@ _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sen
 
 def remedy_of(entry: Entry) -> Remedy:
     """The remedy of a finding with its `domain`, that of a user's own effect where neither catalogue has it."""
-    torques, exerted = entry["domain"] == "torques", _exerted(entry)
-    found = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
+    torques = entry["domain"] == "torques"
+    exerted = _exerted(entry)
+    remedy = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
     if not torques and entry["site"] in ("sensor", "clock"):
-        return found._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else found.action)
+        return remedy._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else remedy.action)
     if exerted == "force":
         for of_turn, of_slide in _OF_SLIDE.items():
-            found = found._replace(cause=found.cause.replace(of_turn, of_slide))
-            found = found._replace(action=found.action.replace(of_turn, of_slide))
-    return found._replace(action=found.action.replace("{exerted}", exerted))
+            remedy = remedy._replace(cause=remedy.cause.replace(of_turn, of_slide))
+            remedy = remedy._replace(action=remedy.action.replace(of_turn, of_slide))
+    return remedy._replace(action=remedy.action.replace("{exerted}", exerted))
 
 
 def cause_of(entry: Entry) -> str:
     """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
-    parameters, torques = entry.get("parameters", {}), entry["domain"] == "torques"
+    parameters = entry.get("parameters", {})
+    torques = entry["domain"] == "torques"
     if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
         mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))
         at = ", ".join(f"{1e3 * value:.0f}" for value in center)
@@ -95,15 +97,16 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
     What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
     """
     rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
-    kept, seen = [], [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
+    distinct = []
+    driver_sets = [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
     for rival in rivals:
         if rival["effect"] == "unnamed":
             drivers = set(drivers_of(rival))
-            if any(drivers > fewer for fewer in seen):
+            if any(drivers > fewer for fewer in driver_sets):
                 continue
-            seen.append(drivers)
-        kept.append(rival)
-    return kept
+            driver_sets.append(drivers)
+        distinct.append(rival)
+    return distinct
 
 
 def place_of(site: str) -> str:
@@ -125,11 +128,12 @@ _MOST_PLACES = 3
 
 def effect_title(entry: Entry) -> str:
     """An effect in words, such as "joint harmonic of order 2 at joint1"."""
-    site, where = entry["site"], entry.get("where", {})
+    site = entry["site"]
+    where = entry.get("where", {})
     if entry["effect"] == "unnamed" and "driver" in entry:
         driver = entry["driver"].removesuffix(f" of {spaced(site)}")
-        own = driver != entry["driver"] and " and " not in driver
-        of = f"its {driver}" if own else f"the {with_articles(entry['driver'])}"
+        at_site = driver != entry["driver"] and " and " not in driver
+        of = f"its {driver}" if at_site else f"the {with_articles(entry['driver'])}"
         return f"unnamed effect at {site}{component(where or entry)} as a function of {of}"
     return f"{effect_name(entry['effect'])}{detail(entry)} at {site}"
 
@@ -139,10 +143,13 @@ def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:
     numbers: dict[str, dict[str, list[int]]] = {}
     for entry in entries:
         kind = entry["site"].rstrip("0123456789")
-        held = numbers.setdefault(effect_name(entry["effect"]), {}).setdefault(kind, [])
-        held += [int(entry["site"].removeprefix(kind))] if entry["site"] != kind else []
+        indices = numbers.setdefault(effect_name(entry["effect"]), {}).setdefault(kind, [])
+        indices += [int(entry["site"].removeprefix(kind))] if entry["site"] != kind else []
     return [
-        (name, ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(held))) for kind, held in kinds.items()))
+        (
+            name,
+            ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(indices))) for kind, indices in kinds.items()),
+        )
         for name, kinds in numbers.items()
     ]
 
@@ -177,10 +184,10 @@ def drivers_of(entry: Entry) -> Sequence[str]:
 
 def with_articles(driver: str) -> str:
     """The phrases of several drivers, an article before each but the first; those of one quantity together."""
-    one, _, other = driver.partition(" and ")
+    first, _, second = driver.partition(" and ")
     for of in (" of joint ", " of link "):
-        (quantity, _, place), (same, _, further) = one.partition(of), other.partition(of)
-        if further and quantity == same:
+        (quantity, _, place), (second_quantity, _, further) = first.partition(of), second.partition(of)
+        if further and quantity == second_quantity:
             return f"{quantity}{of.rstrip()}s {place} and {further}"
     return driver.replace(" and ", " and the ")
 

@@ -59,8 +59,8 @@ from lite6jax.storage import check_writable, write_atomically
 Columns = dict[str, Any]
 
 
-def _unregistered(what: str, result: Any, *_: object) -> Any:
-    raise TypeError(f"{type(result).__name__} has no function of {what} in {__name__}; register one")
+def _unregistered(operation: str, result: Any, *_: object) -> Any:
+    raise TypeError(f"{type(result).__name__} has no function of {operation} in {__name__}; register one")
 
 
 describe = singledispatch(partial(_unregistered, "describe"))
@@ -80,9 +80,10 @@ _TEXTS = read_texts("results.yaml")
 _MOST_FINDINGS = 4
 
 
-def _fill(name: str, found: Any, notes: Sequence[str] = (), **facts: object) -> Description:
+def _fill(name: str, result: Any, notes: Sequence[str] = (), **facts: object) -> Description:
     """The texts of a kind of result, filled with it and with these facts."""
-    texts, facts = _TEXTS[name], {"found": found, "errors": _errors, **facts}
+    texts = _TEXTS[name]
+    facts = {"found": result, "errors": _errors, **facts}
     return Description(fill(texts["title"], facts), tuple(say(texts["said"], facts)), tuple(notes))
 
 
@@ -92,151 +93,179 @@ def _errors(errors: Errors) -> str:
     return f"{number(1e3 * errors.position_rms)} mm RMS{shown}"
 
 
-def _outside(found: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
-    outside = found.outside
+def _outside(result: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
+    outside = result.outside
     return _TEXTS["unsaid"] if outside is None else outside_sentence(int(outside.sum()), len(outside), "row")
 
 
 @describe.register
-def _recording(found: Recording) -> Description:
-    scales, units = joint_units(found.sliding, found.dof)
-    span = scales * np.ptp(found.joint_position, axis=0)
-    least, most = (f"{span[joint]:.0f} {units[joint]}" for joint in (np.argmin(span), np.argmax(span)))
-    extent = [] if found.position is None else [f"{x:.3f}" for x in np.ptp(found.position, axis=0)]
-    runs, measured = 1 + int(np.count_nonzero(np.diff(found.run))), fits.what_is_measured(found)
-    return _fill("recording", found, found.notes, measured=measured, runs=runs, least=least, most=most, extent=extent)
+def _recording(recording: Recording) -> Description:
+    scales, units = joint_units(recording.sliding, recording.dof)
+    span = scales * np.ptp(recording.joint_position, axis=0)
+    least_span, largest_span = (f"{span[joint]:.0f} {units[joint]}" for joint in (np.argmin(span), np.argmax(span)))
+    extent = [] if recording.position is None else [f"{x:.3f}" for x in np.ptp(recording.position, axis=0)]
+    runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
+    measured = fits.what_is_measured(recording)
+    return _fill(
+        "recording",
+        recording,
+        recording.notes,
+        measured=measured,
+        runs=runs,
+        least=least_span,
+        most=largest_span,
+        extent=extent,
+    )
 
 
 @describe.register
-def _solution(found: Solution) -> Description:
+def _solution(solution: Solution) -> Description:
     return _fill(
         "solution",
-        found,
-        found.notes,
-        data="calibration" if found.noise is None else "recording",
-        noise=found.noise,
-        quality=faults.quality_statement(found.quality.to_dict()),
-        held=[each.name for each in found.held],
-        unsure=[found.form.names[k] for k in np.flatnonzero(found.free & ~found.determined)],
+        solution,
+        solution.notes,
+        data="calibration" if solution.noise is None else "recording",
+        noise=solution.noise,
+        quality=faults.quality_statement(solution.quality.to_dict()),
+        held=[parameter.name for parameter in solution.held],
+        unsure=[solution.form.names[k] for k in np.flatnonzero(solution.free & ~solution.determined)],
     )
 
 
 @describe.register
-def _fleet(found: FleetSolution) -> Description:
-    good = found.result == Result.CONVERGED
-    position = found.position_rms[good]
-    said = _fill("fleet", found, position=position, median=np.median(position) if len(position) else 0.0)
-    failed = (
-        f"For {counted(int((found.result == code).sum()), 'arm')} the fit {Result(code).message}."
-        for code in sorted(set(found.result[~good].tolist()))
+def _fleet(fleet_solution: FleetSolution) -> Description:
+    good = fleet_solution.result == Result.CONVERGED
+    position = fleet_solution.position_rms[good]
+    description = _fill(
+        "fleet", fleet_solution, position=position, median=np.median(position) if len(position) else 0.0
     )
-    return said._replace(sentences=(*said.sentences, *failed))
+    failed = (
+        f"For {counted(int((fleet_solution.result == code).sum()), 'arm')} the fit {Result(code).message}."
+        for code in sorted(set(fleet_solution.result[~good].tolist()))
+    )
+    return description._replace(sentences=(*description.sentences, *failed))
 
 
 def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Description:
     """The sentences of a terminal's report, without its tables and headings; its notes apart."""
-    said = [part for part in report if isinstance(part, str) and part.endswith(".")]
-    notes = [line.removeprefix("Note: ") for line in said if line.startswith("Note: ")]
-    return Description(title, (*before, *(line for line in said if not line.startswith("Note: "))), tuple(notes))
+    sentences = [part for part in report if isinstance(part, str) and part.endswith(".")]
+    notes = [line.removeprefix("Note: ") for line in sentences if line.startswith("Note: ")]
+    return Description(title, (*before, *(line for line in sentences if not line.startswith("Note: "))), tuple(notes))
 
 
 @describe.register
-def _comparison(found: Comparison) -> Description:
+def _comparison(comparison: Comparison) -> Description:
     return _as_shown(
-        f"Comparison of {len(found.names)} arms, {found.arm.name}", fits.comparison_report(found, width=80)
+        f"Comparison of {len(comparison.names)} arms, {comparison.arm.name}",
+        fits.comparison_report(comparison, width=80),
     )
 
 
 @describe.register
-def _sensitivity(found: Sensitivity) -> Description:
-    return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(found, ""))
+def _sensitivity(sensitivity: Sensitivity) -> Description:
+    return _as_shown("Sensitivity of the flange to the tolerances", study.sensitivity_report(sensitivity, ""))
 
 
 @describe.register
-def _registration(found: Registration) -> Description:
-    return _as_shown("Registration of sensor and tool", registration_report(found))
+def _registration(registration: Registration) -> Description:
+    return _as_shown("Registration of sensor and tool", registration_report(registration))
 
 
 @describe.register
-def _identification(found: Identification) -> Description:
-    name = found.experiment.arm.name
-    return _as_shown(f"Identifiability, {name}", study.identification_report(found, name, drawn=False))
+def _identification(identification: Identification) -> Description:
+    name = identification.experiment.arm.name
+    return _as_shown(f"Identifiability, {name}", study.identification_report(identification, name, drawn=False))
 
 
 @describe.register
-def _plan(found: Plan | DiscriminationPlan) -> Description:
-    chosen = f"{counted(found.count, 'pose')} of {counted(found.candidates, 'candidate')} {be(found.count)} chosen."
-    report = study.plan_report(found) if isinstance(found, Plan) else study.discrimination_report(found)
-    return _as_shown(f"Poses to record, {found.experiment.arm.name}", report, chosen)
+def _plan(plan: Plan | DiscriminationPlan) -> Description:
+    chosen = f"{counted(plan.count, 'pose')} of {counted(plan.candidates, 'candidate')} {be(plan.count)} chosen."
+    report = study.plan_report(plan) if isinstance(plan, Plan) else study.discrimination_report(plan)
+    return _as_shown(f"Poses to record, {plan.experiment.arm.name}", report, chosen)
 
 
 @describe.register
-def _prediction(found: Prediction) -> Description:
-    std = np.zeros(1) if found.position_std is None else np.sqrt(np.nansum(found.position_std**2, 1))
-    facts = {"empty": int(found.empty.sum()), "median": np.median(std), "most": std.max()}
-    return _fill("prediction", found, outside=_outside(found), **facts)
+def _prediction(prediction: Prediction) -> Description:
+    std = np.zeros(1) if prediction.position_std is None else np.sqrt(np.nansum(prediction.position_std**2, 1))
+    facts = {"empty": int(prediction.empty.sum()), "median": np.median(std), "most": std.max()}
+    return _fill("prediction", prediction, outside=_outside(prediction), **facts)
 
 
 @describe.register
-def _torque_prediction(found: TorquePrediction) -> Description:
-    units = torque_units(found.sliding, found.torque.shape[1])
-    largest = each_with_unit(np.nanmax(np.abs(found.torque), 0).tolist(), units)
-    std = None if found.std is None else each_with_unit(np.nanmedian(found.std, 0).tolist(), units)
-    return _fill("torques", found, largest=largest, deviations=std, outside=_outside(found))
+def _torque_prediction(prediction: TorquePrediction) -> Description:
+    units = torque_units(prediction.sliding, prediction.torque.shape[1])
+    largest = each_with_unit(np.nanmax(np.abs(prediction.torque), 0).tolist(), units)
+    std = None if prediction.std is None else each_with_unit(np.nanmedian(prediction.std, 0).tolist(), units)
+    return _fill("torques", prediction, largest=largest, deviations=std, outside=_outside(prediction))
 
 
 @describe.register
-def _tracked_motion(found: TrackedMotion) -> Description:
-    rows, joints = found.position.shape
-    said = f"Joints {', '.join(map(str, range(1, joints + 1)))} in {counted(rows, 'row')}, rolled out from commands."
-    return Description("Predicted joints", (said, _outside(found)))
+def _tracked_motion(tracked: TrackedMotion) -> Description:
+    rows, joints = tracked.position.shape
+    sentence = (
+        f"Joints {', '.join(map(str, range(1, joints + 1)))} in {counted(rows, 'row')}, rolled out from commands."
+    )
+    return Description("Predicted joints", (sentence, _outside(tracked)))
 
 
 @describe.register
-def _compensation(found: Compensation) -> Description:
-    hit, largest = int(found.reached.sum()), ""
-    most = float(np.nanmax(found.position_error[found.reached])) if hit else 0.0
-    if found.correction is not None:
-        scales, units = joint_units(found.recording.sliding, found.correction.shape[1])
-        largest = each_with_unit((scales * np.nanmax(np.abs(found.correction), 0)).tolist(), units)
-    return _fill("compensation", found, found.notes, hit=hit, most=most, largest=largest, outside=_outside(found))
+def _compensation(compensation: Compensation) -> Description:
+    hit = int(compensation.reached.sum())
+    largest = ""
+    largest_error = float(np.nanmax(compensation.position_error[compensation.reached])) if hit else 0.0
+    if compensation.correction is not None:
+        scales, units = joint_units(compensation.recording.sliding, compensation.correction.shape[1])
+        largest = each_with_unit((scales * np.nanmax(np.abs(compensation.correction), 0)).tolist(), units)
+    return _fill(
+        "compensation",
+        compensation,
+        compensation.notes,
+        hit=hit,
+        most=largest_error,
+        largest=largest,
+        outside=_outside(compensation),
+    )
 
 
 @describe.register
-def _tracking_diagnosis(found: TrackingDiagnosis) -> Description:
-    document = found.to_dict()
-    said = [tracking.headline(document), tracking.verdict_statement(document), *tracking.cautions(document)]
-    said += [tracking.finding_statement(finding) for finding in tracking.ranked(document)[:_MOST_FINDINGS]]
+def _tracking_diagnosis(diagnosis: TrackingDiagnosis) -> Description:
+    document = diagnosis.to_dict()
+    sentences = [tracking.headline(document), tracking.verdict_statement(document), *tracking.cautions(document)]
+    sentences += [tracking.finding_statement(finding) for finding in tracking.ranked(document)[:_MOST_FINDINGS]]
     title = f"Diagnosis of how a {document['model']['arm']} follows its commands"
-    return Description(title, tuple(said), tuple(tracking.what_to_record(document)))
+    return Description(title, tuple(sentences), tuple(tracking.what_to_record(document)))
 
 
 @describe.register
-def _diagnosis(found: DomainDiagnosis) -> Description:
-    document = found.to_dict()
+def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
+    document = diagnosis.to_dict()
     findings = statements.findings_of(document)
-    hidden, stages = len(findings) - _MOST_FINDINGS, (document["before"], document["after"])
-    if found.domain == "torques":
-        start, units = "torque errors of the joints are", ranking.units(document)
+    hidden = len(findings) - _MOST_FINDINGS
+    stages = (document["before"], document["after"])
+    if diagnosis.domain == "torques":
+        start = "torque errors of the joints are"
+        units = ranking.units(document)
         sizes = [each_with_unit(stage["heldout_torque_rms_by_joint_Nm"], units) for stage in stages]
     else:
         start = "position error is"
         sizes = [f"{number(1e3 * stage['heldout_position_rms_m'])} mm" for stage in stages]
-    left = f"{sizes[1]} RMS with these effects and " if findings else ""
+    after_effects = f"{sizes[1]} RMS with these effects and " if findings else ""
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     notes = [*statements.say_about(document, "assumptions"), *statements.what_to_record(document)]
-    what, beside = "the torques of " if found.domain == "torques" else "", []
-    for part in found.parts[1:]:
-        what, other = "the poses and torques of ", describe(part)
-        beside = [*other.sentences, *map(statements.agreement_statement, document["shared"])]
-        notes += other.notes
-    said = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
-    said += [finding["statement"] for finding in findings[:_MOST_FINDINGS]]
-    said += [f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`."] if hidden > 0 else []
-    said += [f"The held-out {start} {left}{sizes[0]} RMS with the model of the arm alone."]
-    said += [f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}."] if faults else []
-    said += statements.say_about(document, "refusal") if "torques_refused" in document else []
-    return Description(f"Diagnosis of {what}a {document['model']['arm']}", (*said, *beside), tuple(notes))
+    subject = "the torques of " if diagnosis.domain == "torques" else ""
+    beside = []
+    for part in diagnosis.parts[1:]:
+        subject = "the poses and torques of "
+        torque_description = describe(part)
+        beside = [*torque_description.sentences, *map(statements.agreement_statement, document["shared"])]
+        notes += torque_description.notes
+    sentences = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
+    sentences += [finding["statement"] for finding in findings[:_MOST_FINDINGS]]
+    sentences += [f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`."] if hidden > 0 else []
+    sentences += [f"The held-out {start} {after_effects}{sizes[0]} RMS with the model of the arm alone."]
+    sentences += [f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}."] if faults else []
+    sentences += statements.say_about(document, "refusal") if "torques_refused" in document else []
+    return Description(f"Diagnosis of {subject}a {document['model']['arm']}", (*sentences, *beside), tuple(notes))
 
 
 # ------------------------------------------------------------------ figures
@@ -246,31 +275,31 @@ _MARKED = {"outside": "outside what was recorded", "outlier": "outlier"}
 """Columns that are not zero in rows that have another colour, and what these are."""
 
 
-def _over_rows(matching: str, what: str) -> Callable[[PublicResult, str], Figure | None]:
+def _over_rows(matching: str, subject: str) -> Callable[[PublicResult, str], Figure | None]:
     """How the columns of a table that match an expression are drawn, a panel each, in mm and deg, if there are any."""
 
     @rc_context(STYLE)
-    def drawn(found: PublicResult, title: str) -> Figure | None:
-        table = tabulate(found)
+    def drawn(result: PublicResult, title: str) -> Figure | None:
+        table = tabulate(result)
         columns = [column for column in table if re.fullmatch(matching, column)]
         if not columns:
             return None
-        row = found.row if isinstance(found, Recording) else np.arange(1, len(table[columns[0]]) + 1)
+        row = result.row if isinstance(result, Recording) else np.arange(1, len(table[columns[0]]) + 1)
         marked = next((name for name in _MARKED if name in table), "")
-        other = np.asarray(table.get(marked, np.zeros(len(row)))) > 0
+        marked_rows = np.asarray(table.get(marked, np.zeros(len(row)))) > 0
         figure, axes = panels_in_rows(len(columns), wide=len(columns) == 1)
         for axis, column in zip(axes, columns, strict=True):
             of, _, unit = column.rpartition("_")
             scale, shown = SCREEN.get(unit, (1.0, unit))
-            for rows, color in ((~other, AFTER), (other, BEFORE)):
+            for rows, color in ((~marked_rows, AFTER), (marked_rows, BEFORE)):
                 dots(axis, row[rows].astype(float), scale * np.asarray(table[column])[rows], color)
-            across = "arm" if isinstance(found, FleetSolution) else "row"
+            across = "arm" if isinstance(result, FleetSolution) else "row"
             axis.set(xlabel=across, ylabel=f"{of.replace('_', ' ')} ({shown})")
             axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        if other.any():
+        if marked_rows.any():
             axes[0].plot([], [], "o", color=BEFORE, label=_MARKED[marked])
             figure.legend(loc="outside lower center", frameon=False)
-        return titled(figure, f"{title}: {what}")
+        return titled(figure, f"{title}: {subject}")
 
     return drawn
 
@@ -297,20 +326,20 @@ _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure | None]]] = {
 """The figures of each kind of result by name; a figure is None where the result lacks what it shows."""
 
 
-def _draw(found: Any, title: str) -> Figures:
-    own = type(found).__name__
-    if isinstance(found, Recording):
-        own = Path(found.source).name
-    elif isinstance(found, Solution):
-        own = found.arm.name if found.recording is None else Path(found.recording.source).name
-    elif isinstance(found, Comparison):
-        own = f"{len(found.names)} × {found.arm.name}"
-        title = title and f"{title}: {own}"
-    elif isinstance(found, Sensitivity):
-        own = "Tolerances"
-    elif isinstance(found, Identification | Plan | DiscriminationPlan):
-        own = found.experiment.arm.name
-    drawn = {name: figure(found, title or own) for name, figure in _FIGURES[type(found)].items()}
+def _draw(result: Any, title: str) -> Figures:
+    default_title = type(result).__name__
+    if isinstance(result, Recording):
+        default_title = Path(result.source).name
+    elif isinstance(result, Solution):
+        default_title = result.arm.name if result.recording is None else Path(result.recording.source).name
+    elif isinstance(result, Comparison):
+        default_title = f"{len(result.names)} × {result.arm.name}"
+        title = title and f"{title}: {default_title}"
+    elif isinstance(result, Sensitivity):
+        default_title = "Tolerances"
+    elif isinstance(result, Identification | Plan | DiscriminationPlan):
+        default_title = result.experiment.arm.name
+    drawn = {name: figure(result, title or default_title) for name, figure in _FIGURES[type(result)].items()}
     return Figures({name: figure for name, figure in drawn.items() if figure is not None})
 
 
@@ -319,8 +348,10 @@ for kind in _FIGURES:
 
 
 @draw.register
-def _draw_diagnosis(found: DomainDiagnosis, title: str) -> Figures:
-    return Figures(diagnosis_figures.drawings(found, title or Path(found.recording.source).name, found.to_dict()))
+def _draw_diagnosis(diagnosis: DomainDiagnosis, title: str) -> Figures:
+    return Figures(
+        diagnosis_figures.drawings(diagnosis, title or Path(diagnosis.recording.source).name, diagnosis.to_dict())
+    )
 
 
 # ------------------------------------------------------------------ tables
@@ -328,12 +359,12 @@ def _draw_diagnosis(found: DomainDiagnosis, title: str) -> Figures:
 
 tabulate.register(Compensation, compensation_columns)
 for kind in (Recording, Prediction, TorquePrediction, TrackedMotion):
-    tabulate.register(kind, lambda found: found.columns())
+    tabulate.register(kind, lambda result: result.columns())
 
 
 @tabulate.register
-def _parameter_table(found: Solution | Identification | Sensitivity) -> Columns:
-    rows = document(found)["parameters"]
+def _parameter_table(result: Solution | Identification | Sensitivity) -> Columns:
+    rows = document(result)["parameters"]
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
@@ -353,39 +384,44 @@ def _fleet_table(fleet: FleetSolution) -> Columns:
 
 
 @tabulate.register
-def _comparison_table(found: Comparison) -> Columns:
-    form = found.arm.form
-    columns: Columns = {"arm": list(found.names), "from_nominal_max_m": found.from_nominal.max(1)}
-    return columns | {f"{n}_{u}": v for n, u, v in zip(form.names, form.units, found.difference.T, strict=True)}
+def _comparison_table(comparison: Comparison) -> Columns:
+    form = comparison.arm.form
+    columns: Columns = {"arm": list(comparison.names), "from_nominal_max_m": comparison.from_nominal.max(1)}
+    return columns | {f"{n}_{u}": v for n, u, v in zip(form.names, form.units, comparison.difference.T, strict=True)}
 
 
 @tabulate.register
-def _plan_table(found: Plan | DiscriminationPlan) -> Columns:
-    joints, sliding = found.joint_position.T, found.experiment.arm.sliding
+def _plan_table(plan: Plan | DiscriminationPlan) -> Columns:
+    joints, sliding = plan.joint_position.T, plan.experiment.arm.sliding
     columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
-    accuracy = {"position_std_m": found.accuracy} if isinstance(found, Plan) else {"distance": found.distance}
+    accuracy = {"position_std_m": plan.accuracy} if isinstance(plan, Plan) else {"distance": plan.distance}
     return columns | accuracy
 
 
 @tabulate.register
-def _registration_table(found: Registration) -> Columns:
-    columns: Columns = dict(zip(("dx_m", "dy_m", "dz_m"), found.missed.T, strict=True))
-    if found.turned is not None:
-        columns |= dict(zip(("drx_rad", "dry_rad", "drz_rad"), found.turned.T, strict=True))
-    return {**columns, "distance_m": found.distance, "weight": found.weight, "outlier": ~found.kept}
+def _registration_table(registration: Registration) -> Columns:
+    columns: Columns = dict(zip(("dx_m", "dy_m", "dz_m"), registration.missed.T, strict=True))
+    if registration.turned is not None:
+        columns |= dict(zip(("drx_rad", "dry_rad", "drz_rad"), registration.turned.T, strict=True))
+    return {
+        **columns,
+        "distance_m": registration.distance,
+        "weight": registration.weight,
+        "outlier": ~registration.kept,
+    }
 
 
 _PARAMETER = ("of", "finding", "effect", "site", "driver", "parameter", "value", "std", "p_value")
 
 
 @tabulate.register
-def _diagnosis_table(found: DomainDiagnosis) -> Columns:
+def _diagnosis_table(diagnosis: DomainDiagnosis) -> Columns:
     """A row for each parameter of each finding; findings are numbered from 1."""
     rows = [
         (part.domain, number, finding.effect.name, finding.effect.site, driver, name, *estimate, finding.p_value)
-        for part in found.parts
+        for part in diagnosis.parts
         for number, finding in enumerate(part.findings, 1)
-        for driver in (", ".join(each.phrase for each in finding.effect.drivers) or "none",)
+        for driver in (", ".join(effect_driver.phrase for effect_driver in finding.effect.drivers) or "none",)
         for name, estimate in finding.parameters.items()
     ]
     return {name: [row[k] for row in rows] for k, name in enumerate(_PARAMETER)}
@@ -416,19 +452,19 @@ def _write_solution(solution: Solution, path: Path, overwrite: bool) -> Path:
 
 
 @write.register
-def _write_diagnosis(found: DomainDiagnosis, path: Path, overwrite: bool) -> Path:
+def _write_diagnosis(diagnosis: DomainDiagnosis, path: Path, overwrite: bool) -> Path:
     """As `lite6jax diagnose --out` and `--report` write them: what `read_model` reads, and a page."""
     suffix = path.suffix.lower()
-    _check_suffix(found, path, (".json", ".html", *suffixes.WRITTEN_TABLES))
+    _check_suffix(diagnosis, path, (".json", ".html", *suffixes.WRITTEN_TABLES))
     if suffix in suffixes.WRITTEN_TABLES:
-        return _write(found, path, overwrite)
+        return _write(diagnosis, path, overwrite)
     check_writable(path, overwrite)
-    stated = statements.with_statements(found.to_dict())
-    shown = document_text(stated) if suffix == ".json" else diagnosis_page(found, stated)
+    stated = statements.with_statements(diagnosis.to_dict())
+    shown = document_text(stated) if suffix == ".json" else diagnosis_page(diagnosis, stated)
     return write_atomically(path, shown, overwrite)
 
 
 def _check_suffix(result: object, path: Path, forms: Sequence[str]) -> None:
     if path.suffix.lower() not in forms:
-        named = ", ".join(forms[:-1]) + f" or {forms[-1]}"
-        raise InputError(f"{path}: a {type(result).__name__} is saved as {named}; let the name end so")
+        listed = ", ".join(forms[:-1]) + f" or {forms[-1]}"
+        raise InputError(f"{path}: a {type(result).__name__} is saved as {listed}; let the name end so")

@@ -32,9 +32,9 @@ def show(parts: Iterable[RenderableType]) -> None:
         screen.file.write(text if screen.is_terminal else _BLANKS.sub("", text))
 
 
-def notes(said: Iterable[str]) -> Iterator[str]:
+def notes(remarks: Iterable[str]) -> Iterator[str]:
     """Remarks, a line each, such as those of a recording; a full stop at their end is added where there is none."""
-    return (f"Note: {note.removesuffix('.')}." for note in said)
+    return (f"Note: {note.removesuffix('.')}." for note in remarks)
 
 
 def written(paths: Iterable[Path]) -> None:
@@ -77,7 +77,8 @@ def minutes(seconds: float) -> str:
 @contextmanager
 def repeated(line: Callable[[], str]) -> Iterator[None]:
     """Shows a line on stderr until the end of the context: updated on a terminal, else printed every ten seconds."""
-    screen, ended = console(stderr=True), threading.Event()
+    screen = console(stderr=True)
+    ended = threading.Event()
     if screen.is_terminal:
         drawn = lambda: Text(line(), overflow="ellipsis", no_wrap=True)  # noqa: E731
         with Live(get_renderable=drawn, console=screen, transient=True, refresh_per_second=2):
@@ -98,7 +99,7 @@ def repeated(line: Callable[[], str]) -> Iterator[None]:
 
 
 @contextmanager
-def progress(total: int | None, what: str) -> Iterator[Callable[..., None]]:
+def progress(total: int | None, task: str) -> Iterator[Callable[..., None]]:
     """How much of an amount of work is done, on stderr; None of work whose amount is known only once it has begun.
 
     Yields:
@@ -115,7 +116,7 @@ def progress(total: int | None, what: str) -> Iterator[Callable[..., None]]:
         so_far = time.monotonic() - began
         share = "" if total is None else f"{done} of {total}, "
         ahead = f", about {minutes(so_far * (total - done) / done)} to go" if total and done else ""
-        return f"{what}: {share}{minutes(so_far)} so far{ahead}"
+        return f"{task}: {share}{minutes(so_far)} so far{ahead}"
 
     with repeated(line):
         yield advance
@@ -137,7 +138,8 @@ _STAGES: dict[Code, str] = {
 @contextmanager
 def stages() -> Iterator[Callable[[Stage], None]]:
     """Shows the stages that the yielded function is called with, until the end of the context."""
-    began, reached = time.monotonic(), list[Stage]()
+    began = time.monotonic()
+    reached = list[Stage]()
 
     def line() -> str:
         so_far = f"{minutes(time.monotonic() - began)} so far"

@@ -70,11 +70,14 @@ def sections_of(
         made = [Section(title, blocks) for title, blocks in tracking.parts_of(document, files, details, pictures)]
         return [section for section in made if any(shown for _, shown in section.blocks)]
     drawn = lambda *names: [("picture", pictures[name]) for name in names if name in pictures]  # noqa: E731
-    ranked, actions = statements.findings_of(document), ranking.actions(document)
+    ranked = statements.findings_of(document)
+    actions = ranking.actions(document)
     unit = ranking.unit_of(document)
-    bars = [(each["title"], each["share"], each["contribution"].removesuffix(f" {unit}")) for each in ranked]
+    bars = [
+        (finding["title"], finding["share"], finding["contribution"].removesuffix(f" {unit}")) for finding in ranked
+    ]
     verdict = (statements.verdict_statement(document), *statements.cautions(document))
-    to_do = [f"{row_ranges(ranks)}. {said}" if len(ranked) > 1 else said for ranks, said in actions]
+    to_do = [f"{row_ranges(ranks)}. {action}" if len(ranked) > 1 else action for ranks, action in actions]
     commands = [] if files is None else ranking.steps(document, files)
     made = [
         Section("Difference from the reference", list(_comparison(document)), "against"),
@@ -120,8 +123,8 @@ def parts_of(
     """
     parts = [("", sections_of(document, files, details, pictures[0]))]
     if "torques" in document:
-        said = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
-        shared = Section("What poses and torques both depend on", [("bullets", said)])
+        sentences = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
+        shared = Section("What poses and torques both depend on", [("bullets", sentences)])
         torques = sections_of(document["torques"], None, details, pictures[1], "torque-")
         parts = [("Poses", parts[0][1]), ("Torques", torques), ("Both", [shared])]
     elif "torques_refused" in document:
@@ -137,20 +140,23 @@ def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
         units = ranking.units(document) if is_of_torques(document) else ()
         yield "text", statements.comparison_headline(comparison, units)
-        said = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
-        yield "bullets", said
+        sentences = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
+        yield "bullets", sentences
         yield "text", comparison["statement"]
 
 
 def _distance_from_table(document: Document) -> list[str]:
     """How far the fitted arm is from the nominal one; of a known chain nothing."""
-    ruled_out = (DataFault(each["fault"], (), each["numbers"]) for each in document["ruled_out"])
+    ruled_out = (DataFault(entry["fault"], (), entry["numbers"]) for entry in document["ruled_out"])
     return ruled_out_statements(fault for fault in ruled_out if is_granted(fault))
 
 
 def _faults(document: Document, details: bool) -> Iterator[Block]:
-    if found := document["data_faults"]:
-        yield "faults", [(fault_name(each["fault"]), each["statement"], row_ranges(each["rows"])) for each in found]
+    if faults := document["data_faults"]:
+        yield (
+            "faults",
+            [(fault_name(fault["fault"]), fault["statement"], row_ranges(fault["rows"])) for fault in faults],
+        )
     elif details:
         yield "text", "None found."
 
@@ -158,16 +164,16 @@ def _faults(document: Document, details: bool) -> Iterator[Block]:
 def _findings(
     ranked: Sequence[Document], details: bool, pictures: Mapping[str, Picture], anchor: str
 ) -> Iterator[Block]:
-    found = []
+    entries = []
     for finding in ranked:
         lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
         if finding["rivals"]:
             lines.append(f"Not distinguished from {', '.join(finding['rivals'])}.")
         if details and finding["rejected"]:
             lines.append(f"Nearest effects that were rejected: {', '.join(finding['rejected'])}.")
-        found.append({**finding, "lines": lines, "picture": pictures.get(f"finding{finding['rank']}")})
-    if found:
-        yield "findings", (found, anchor)
+        entries.append({**finding, "lines": lines, "picture": pictures.get(f"finding{finding['rank']}")})
+    if entries:
+        yield "findings", (entries, anchor)
     elif details:
         yield "text", "None: no effect of the catalogue, and no function of what was recorded, is significant."
 
@@ -178,8 +184,8 @@ def _next_recording(document: Document) -> Iterator[Block]:
     for item in document["separating_poses"]:
         position = np.array(item["joint_position_rad"])
         scales, units = joint_units(ranking.sliding(document), position.shape[1])
-        one, other = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
-        yield "heading", f"Poses that separate {one} from {other} ({', '.join(dict.fromkeys(units))})"
+        first_effect, second_effect = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
+        yield "heading", f"Poses that separate {first_effect} from {second_effect} ({', '.join(dict.fromkeys(units))})"
         rows = [[str(k), *(fixed(float(value), 1) for value in row)] for k, row in enumerate(scales * position, 1)]
         yield "table", (["", *(f"q{joint}" for joint in range(1, position.shape[1] + 1))], rows)
     if document["separating_poses"]:
@@ -187,20 +193,23 @@ def _next_recording(document: Document) -> Iterator[Block]:
 
 
 def _tests(document: Document, details: bool) -> Iterator[Block]:
-    entries, untested = document["ruled_out"], statements.untested(document)
+    entries = document["ruled_out"]
+    untested = statements.untested(document)
     effects = len({(entry["effect"], entry["site"]) for group in untested for entry in group.entries})
-    said = [f"{counted(len(entries), 'data fault')} ruled out"] if entries else []
-    said += [f"{counted(effects, 'effect')} not tested"] if effects else []
+    summary = [f"{counted(len(entries), 'data fault')} ruled out"] if entries else []
+    summary += [f"{counted(effects, 'effect')} not tested"] if effects else []
     if not details:
-        yield from [("text", f"{' and '.join(said)}: --details lists them.")] if said else []
+        yield from [("text", f"{' and '.join(summary)}: --details lists them.")] if summary else []
         return
     if entries:
         yield "heading", "Data faults tested and ruled out"
-        yield "bullets", ruled_out_statements(DataFault(each["fault"], (), each["numbers"]) for each in entries)
+        yield "bullets", ruled_out_statements(DataFault(entry["fault"], (), entry["numbers"]) for entry in entries)
     if untested:
         yield "heading", "Effects not tested"
-        named = [(", ".join(f"{name} at {sites}" for name, sites in by_site(each.entries)), each) for each in untested]
-        yield "bullets", [f"{capital(names)}. {group.reason}" for names, group in named]
+        named_groups = [
+            (", ".join(f"{name} at {sites}" for name, sites in by_site(group.entries)), group) for group in untested
+        ]
+        yield "bullets", [f"{capital(names)}. {group.reason}" for names, group in named_groups]
 
 
 # ------------------------------------------------------------------ on a terminal
@@ -243,14 +252,16 @@ def _grid(rows: Iterable[Iterable[str]], apart: int) -> Iterator[RenderableType]
 
 _LOOKS: Mapping[str, Callable[[Any], Iterator[RenderableType]]] = {
     "text": lambda line: iter([line]),
-    "cause": lambda said: iter([said[1], ""]),
+    "cause": lambda cause: iter([cause[1], ""]),
     "heading": lambda line: iter(["", f"{line}:"]),
     "bullets": lambda lines: map(indented, lines),
-    "faults": lambda found: (indented(said + (f" Rows {rows}." if rows else "")) for _, said, rows in found),
+    "faults": lambda faults: (
+        indented(statement + (f" Rows {rows}." if rows else "")) for _, statement, rows in faults
+    ),
     "table": lambda shown: iter([listing(*shown[0], rows=shown[1], wrapped=[0])]),
     "pairs": lambda pairs: _grid(pairs, 2),
     "bars": _bars,
-    "findings": lambda shown: _grid(((f"{each['rank']}.", "\n".join(each["lines"])) for each in shown[0]), 1),
+    "findings": lambda shown: _grid(((f"{finding['rank']}.", "\n".join(finding["lines"])) for finding in shown[0]), 1),
     "command": lambda step: iter([indented(f"{step[0]}:"), unbroken(f"    {step[1]}")]),
     "picture": lambda _: iter(()),
 }

@@ -73,14 +73,18 @@ def with_statements(document: Document) -> dict[str, Any]:
     """
     if is_of_tracking(document):
         return tracking.with_statements(document)
-    stated, detailed = dict(document), ranking.detailed(document)
-    for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
+    stated = dict(document)
+    detailed = ranking.detailed(document)
+    for key, statement in (
+        ("data_faults", fault_statement),
+        ("ruled_out", lambda fault: ruled_out_statements([fault])[0]),
+    ):
         faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
         pairs = zip(document[key], map(statement, faults), strict=True)
-        stated[key] = [{**entry, "statement": said} for entry, said in pairs]
+        stated[key] = [{**entry, "statement": sentence} for entry, sentence in pairs]
     stated["findings"] = [
-        {**finding, "statement": finding_statement(each, detailed)}
-        for finding, each in zip(document["findings"], detailed, strict=True)
+        {**finding, "statement": finding_statement(detailed_finding, detailed)}
+        for finding, detailed_finding in zip(document["findings"], detailed, strict=True)
     ]
     drivers = [driver_of(entry["driver"]) for entry in document["untestable"]]
     stated["untestable"] = [
@@ -105,45 +109,48 @@ def say_about(document: Document, *names: str) -> list[str]:
     beside the declared; `assumptions`, on what the tests rest beyond the recording; and `refusal` of the torques.
     """
     texts = [_TEXTS[name] for name in names]
-    each = [one for text in texts for one in ([text] if isinstance(text, str) else text)]
+    lines = [line for text in texts for line in ([text] if isinstance(text, str) else text)]
     drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
     loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [said for text in each if (said := fill_about(text, document, loaded=loaded))]
+    return [filled for text in lines if (filled := fill_about(text, document, loaded=loaded))]
 
 
 def verdict_statement(document: Document) -> str:
     """The verdict in a few sentences, with what is left and where that acts."""
-    torques, left, ratios = is_of_torques(document), document["left"], ""
+    torques = is_of_torques(document)
+    left_over = document["left"]
+    ratios = ""
     if document["verdict"] in _LEFT_OVER:
         worst: dict[str, object] = {}
-        sizes = [ratio for ratio in left["over_noise"].values() if ratio is not None]
+        sizes = [ratio for ratio in left_over["over_noise"].values() if ratio is not None]
         if torques and sizes:
-            joint, most = max(enumerate(sizes, 1), key=lambda pair: pair[1])
-            others = sizes[: joint - 1] + sizes[joint:]
-            apart = bool(others) and most > _STANDS_OUT * max(others)
-            others = others if apart else sizes
-            ends = dict.fromkeys(map(multiple, (min(others), max(others))))
-            worst = {"worst": joint, "most": most, "apart": apart, "others": " to ".join(ends)}
-            between = (left.get("between_reversals") or {}).get(f"joint{joint}", most)
-            worst |= {"between": between, "turning": between < 0.5 * (1 + most)}  # of the excess over noise
+            joint, worst_ratio = max(enumerate(sizes, 1), key=lambda pair: pair[1])
+            other_ratios = sizes[: joint - 1] + sizes[joint:]
+            apart = bool(other_ratios) and worst_ratio > _STANDS_OUT * max(other_ratios)
+            other_ratios = other_ratios if apart else sizes
+            ends = dict.fromkeys(map(multiple, (min(other_ratios), max(other_ratios))))
+            worst = {"worst": joint, "most": worst_ratio, "apart": apart, "others": " to ".join(ends)}
+            between = (left_over.get("between_reversals") or {}).get(f"joint{joint}", worst_ratio)
+            worst |= {"between": between, "turning": between < 0.5 * (1 + worst_ratio)}  # of the excess over noise
         ratios = fill_about(_TEXTS["ratios"], document, **worst)
-    said = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
-    where = left["acts_at"] if document["verdict"] in _LEFT_OVER else None
-    return said if where is None else f"{said} {fill(_TEXTS['acts_at'], where)}"
+    sentence = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
+    where = left_over["acts_at"] if document["verdict"] in _LEFT_OVER else None
+    return sentence if where is None else f"{sentence} {fill(_TEXTS['acts_at'], where)}"
 
 
 def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
-    torques, withdrawn = is_of_torques(document), document["withdrawn"]
+    torques = is_of_torques(document)
+    withdrawn = document["withdrawn"]
     lines = say_about(document, "not_measured")
     if not torques and (bad := quality_statement(document["quality"])):
         lines.append(bad)
     if withdrawn is not None:
-        given: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
+        facts: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
         if not torques:
-            given |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
-        lines.append(fill(_TEXTS["withdrawn"], given))
+            facts |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
+        lines.append(fill(_TEXTS["withdrawn"], facts))
     return lines
 
 
@@ -152,25 +159,32 @@ def cautions(document: Document) -> list[str]:
 
 def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """The table of held-out errors: headers, and a row for each with its unit and statistic."""
-    before, after, rows, torques = document["before"], document["after"], [], is_of_torques(document)
+    before = document["before"]
+    after = document["after"]
+    rows = []
+    torques = is_of_torques(document)
     kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
     if torques:
-        both = dict.fromkeys(units(document))
-        own = {unit: "all" if len(both) == 1 else "prismatic" if unit == "N" else "revolute" for unit in both}
-        kinds = [(f"{own[unit]} joints", "torque", unit) for unit in both]
-    for name, what, unit in kinds:
+        exerted_units = dict.fromkeys(units(document))
+        kind_of_unit = {
+            unit: "all" if len(exerted_units) == 1 else "prismatic" if unit == "N" else "revolute"
+            for unit in exerted_units
+        }
+        kinds = [(f"{kind_of_unit[unit]} joints", "torque", unit) for unit in exerted_units]
+    for name, measure, unit in kinds:
         scale, shown = SCREEN.get(unit, (1.0, unit))
         for key, statistic in _STATISTICS.items():
-            if (at := f"heldout_{what}_{key}_{unit}") in before and at in after:
+            if (at := f"heldout_{measure}_{key}_{unit}") in before and at in after:
                 rows.append((f"{name} ({shown}), {statistic}", scale * before[at], scale * after[at]))
     if torques:
         by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
-        each = enumerate(zip(units(document), *by_joint, strict=True), 1)
-        rows += [(f"joint {joint} ({unit}), RMS", *sizes) for joint, (unit, *sizes) in each]
-    found, size = bool(document["findings"]), significant if torques else number
-    headers = ["held-out error", "before", "after", *(["after / before"] if found else [])]
-    ratio = lambda own, left: [f"{100 * left / own:.0f} %" if own else "–"] if found else []  # noqa: E731
-    return headers, [[name, size(own), size(left), *ratio(own, left)] for name, own, left in rows]
+        numbered = enumerate(zip(units(document), *by_joint, strict=True), 1)
+        rows += [(f"joint {joint} ({unit}), RMS", *sizes) for joint, (unit, *sizes) in numbered]
+    has_findings = bool(document["findings"])
+    size = significant if torques else number
+    headers = ["held-out error", "before", "after", *(["after / before"] if has_findings else [])]
+    ratio = lambda initial, final: [f"{100 * final / initial:.0f} %" if initial else "–"] if has_findings else []  # noqa: E731
+    return headers, [[name, size(initial), size(final), *ratio(initial, final)] for name, initial, final in rows]
 
 
 # ------------------------------------------------------------------ findings
@@ -183,7 +197,8 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
     0), `contribution` (what it moves, with its unit), `share` (of the largest contribution), `rivals` and `rejected`
     (effects that are not, and are, distinguished from it).
     """
-    findings, shares = ranking.detailed(document), ranking.shares(document)
+    findings = ranking.detailed(document)
+    shares = ranking.shares(document)
     largest = max(shares, default=0.0) or 1.0
     return [
         {
@@ -203,20 +218,22 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
 def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
     """A finding, as `ranking.detailed` gives it, in a sentence, and what it is with those `beside`."""
-    where, unnamed, torques = finding["where"], finding["effect"] == "unnamed", is_of_torques(finding)
-    named = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
+    where = finding["where"]
+    unnamed = finding["effect"] == "unnamed"
+    torques = is_of_torques(finding)
+    label = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
     if torques:
         moves = " and ".join(f"{significant(finding[key])} {words}" for key, words in _MOVES if key in finding)
     else:
         turned = finding.get("moves_rms_rad")
         turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
         moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
-    said = fill(
+    sentence = fill(
         _TEXTS["finding"],
         finding,
         torques=torques,
         nonparametric=unnamed,
-        named=capital(effect_title(finding) if torques else named),
+        named=capital(effect_title(finding) if torques else label),
         exerted="force" if where.get("of_slide") else "torque",
         along="" if torques else component(where),
         drivers=with_articles(finding["driver"]),
@@ -225,7 +242,7 @@ def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
         moves=moves,
         title=effect_title,
     )
-    return " ".join([said, *_as_a_gear(finding, beside)])
+    return " ".join([sentence, *_as_a_gear(finding, beside)])
 
 
 def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
@@ -235,22 +252,22 @@ def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
     """
     if finding["effect"] != "load_friction":
         return
-    for other in findings:
-        if (other["effect"], other["site"]) == ("torque_scale", finding["site"]):
-            friction, scale = finding["parameters"]["coefficient"], other["parameters"]["scale"]
+    for companion in findings:
+        if (companion["effect"], companion["site"]) == ("torque_scale", finding["site"]):
+            friction, scale = finding["parameters"]["coefficient"], companion["parameters"]["scale"]
             (mu, s), deviations = (friction["value"], scale["value"]), np.array([friction["std"], scale["std"]])
             shares = np.array([1 / ((1 + s) * (1 + mu)), (1 + s) * (1 - mu)])
             stds = np.linalg.norm(deviations * [[shares[0] / (1 + mu), shares[0] / (1 + s)], [1 + s, 1 - mu]], axis=1)
             if 0 < shares[1] <= 1 and shares[0] <= 1:
-                driving, driven = (" ± ".join(rounded(*each)) for each in 100 * np.stack([shares, stds], 1))
+                driving, driven = (" ± ".join(rounded(*estimate)) for estimate in 100 * np.stack([shares, stds], 1))
                 yield fill(_TEXTS["gear"], {"driving": driving, "driven": driven}, site=finding["site"])
 
 
 def quantities(finding: Entry) -> list[Quantity]:
     """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
-    named = NAMED_OF_TORQUES if is_of_torques(finding) else NAMED
+    special_units = NAMED_OF_TORQUES if is_of_torques(finding) else NAMED
     estimates = finding.get("peak_to_peak", finding["parameters"])
-    return [quantity(name, estimate, named) for name, estimate in estimates.items()]
+    return [quantity(name, estimate, special_units) for name, estimate in estimates.items()]
 
 
 def p_value_statement(finding: Entry) -> str:
@@ -288,54 +305,58 @@ def untested(document: Document) -> list[Untested]:
     for entry in document["untestable"]:
         driver = driver_of(entry["driver"])
         groups.setdefault((driver.quantity, driver.remedy), []).append(entry)
-    found = []
+    reasons = []
     for (kind, remedy), entries in groups.items():
         several = len({entry["driver"] for entry in entries}) > 1
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
-        found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
+        reasons.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        found.append(Untested(fill_about(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
-    return found
+        reasons.append(Untested(fill_about(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
+    return reasons
 
 
 def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open: those that another one answers come first."""
-    asked, lines, equivalent = _TEXTS["record"], [], []
+    texts = _TEXTS["record"]
+    lines = []
+    equivalent = []
     findings = ranking.detailed(document)
     for finding in findings:
-        one = {"one": effect_title(finding), "site": finding["site"]}
+        subject = {"one": effect_title(finding), "site": finding["site"]}
         waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
         if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
-            lines.append(fill(asked["orders"], one, orders=orders))
+            lines.append(fill(texts["orders"], subject, orders=orders))
         undecided = []
-        alike = [effect_title(rival) for rival in distinct_rivals(finding) if rival["status"] == "equivalent"]
-        if alike:
-            equivalent.append(fill(asked["equivalent"], one, others=alike))
+        equivalents = [effect_title(rival) for rival in distinct_rivals(finding) if rival["status"] == "equivalent"]
+        if equivalents:
+            equivalent.append(fill(texts["equivalent"], subject, others=equivalents))
         for rival in distinct_rivals(finding):
             if rival["status"] == "separable":
-                lines.append(fill(asked["separable"], one, other=effect_title(rival)))
+                lines.append(fill(texts["separable"], subject, other=effect_title(rival)))
             elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
                 undecided.append(rival)
         if near := undecided[:_NEAREST]:
             drivers = dict.fromkeys(f"the {driver}" for entry in (finding, *near) for driver in drivers_of(entry))
             lines.append(
-                fill_about(asked["undecided"], document, **one, others=[*map(effect_title, near)], drivers=[*drivers])
+                fill_about(
+                    texts["undecided"], document, **subject, others=[*map(effect_title, near)], drivers=[*drivers]
+                )
             )
     doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
-        lines.append(fill(asked["payload"], {"names": doubtful}))
+        lines.append(fill(texts["payload"], {"names": doubtful}))
     for group in untested(document):
         if group.remedy:
             names = list(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
-            lines.append(fill(asked["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
+            lines.append(fill(texts["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
     if document["confounded"]:
         steps = []
         if not is_of_torques(document):
             parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
             steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
             steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-        said = fill_about(asked["confounded"], document, steps=steps)
-        lines += [said] if said else []
+        sentence = fill_about(texts["confounded"], document, steps=steps)
+        lines += [sentence] if sentence else []
     return lines + equivalent
 
 
@@ -354,18 +375,20 @@ def with_comparison(comparison: Document) -> dict[str, Any]:
     if basis == "rows":
         return stated
     if basis == "effects":
-        said = [{**each, "statement": agreement_statement(each)} for each in comparison["differences"]]
-        return stated | {"differences": said}
+        wording = [{**entry, "statement": agreement_statement(entry)} for entry in comparison["differences"]]
+        return stated | {"differences": wording}
     stated["differences"], times = [], ("position_rms_before_m", "position_rms_after_m")
     chain = lambda used: f"{_TEXTS['chains'][used['kind']]} ({used['name']})"  # noqa: E731
     for ends, group in groupby(comparison["differences"], key=lambda entry: tuple(entry.get(at) for at in times)):
         together = list(group)
         for entry in together:
-            said = fill(_TEXTS["differences"][entry["difference"]], entry, file=file, chain=chain, command=command_line)
+            wording = fill(
+                _TEXTS["differences"][entry["difference"]], entry, file=file, chain=chain, command=command_line
+            )
             if ends[0] is not None and entry is together[-1]:
                 sizes: dict[str, Any] = {"before": ends[0], "after": ends[1], "together": len(together) > 1}
-                said += f" {fill(_TEXTS['against']['reduces'], sizes)}"
-            stated["differences"].append({**entry, "statement": said})
+                wording += f" {fill(_TEXTS['against']['reduces'], sizes)}"
+            stated["differences"].append({**entry, "statement": wording})
     stated["notes"] = [
         {**entry, "statement": fill(_TEXTS["notes"][entry["note"]], entry, file=file)} for entry in comparison["notes"]
     ]
@@ -389,7 +412,7 @@ def agreement_statement(entry: Entry) -> str:
     Parameters without a standard deviation were chosen and not estimated: two recordings have them alike.
     """
     shared = "quantity" in entry
-    said = {
+    sides = {
         side: ", ".join(
             str(quantity(name, estimate, NAMED_OF_TORQUES))
             for name, estimate in (entry[side] or {"parameters": {}})["parameters"].items()
@@ -398,7 +421,7 @@ def agreement_statement(entry: Entry) -> str:
         for side in (("poses", "torques") if shared else ("recording", "reference"))
     }
     if shared:
-        return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said=said)
+        return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said=sides)
     over = f" over {entry['driver']}" if "driver" in entry else ""
     title = f"Unnamed effect at {entry['site']}{over}" if over else capital(effect_title(entry))
-    return fill(_TEXTS["against"]["effect"], entry, title=title, said=said)
+    return fill(_TEXTS["against"]["effect"], entry, title=title, said=sides)

@@ -64,26 +64,26 @@ def described(sensor: PlannedSensor) -> str:
     return sensor.phrase + joints
 
 
-def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
+def identification_report(identification: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
     """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy."""
-    experiment, d, arm = found.experiment, found.determination, found.experiment.arm
+    experiment, d, arm = identification.experiment, identification.determination, identification.experiment.arm
     yield from _begin(source, "poses.studied", e=experiment, d=d, drawn=drawn, sensor=described(experiment.sensor))
-    narrow = found.narrow()
-    said = _name_narrow(arm, narrow) if len(narrow) < arm.dof else ""
-    yield from (*_say("poses.rank", found=found, d=d, narrow=said), "")
+    narrow = identification.narrow()
+    narrow_joints = _name_narrow(arm, narrow) if len(narrow) < arm.dof else ""
+    yield from (*_say("poses.rank", found=identification, d=d, narrow=narrow_joints), "")
     if d.dependencies:
         yield from (*_in_words(experiment, d.dependencies), "")
     yield from ("Predicted standard deviations (mm, deg)", "")
     yield from _deviation_tables(experiment, d)
     pairs = [f"{a} with {b} ({rho:+.3f})" for a, b, rho in d.correlated()]
-    yield from (*_say("poses.accuracy", accuracy=found.accuracy, weak=d.weak(), pairs=pairs), "")
-    if (o := found.observability) is not None:
+    yield from (*_say("poses.accuracy", accuracy=identification.accuracy, weak=d.weak(), pairs=pairs), "")
+    if (o := identification.observability) is not None:
         table = listing("O1", "O2", "O3", "O4", "O5", "condition", rows=[[f"{value:.4g}" for value in o[:6]]])
         table.columns[0].justify = "right"
         yield "Observability (parameters in units of 0.8 mm and 0.15 deg, readings in standard deviations)"
         yield from ("", table)
         yield from _say("poses.noise", noise_amplification=o.noise_amplification)
-    yield from screen.notes(found.notes)
+    yield from screen.notes(identification.notes)
 
 
 def _name_narrow(arm: Arm, narrow: Sequence[tuple[int, float]]) -> str:
@@ -94,26 +94,29 @@ def _name_narrow(arm: Arm, narrow: Sequence[tuple[int, float]]) -> str:
 
 def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Iterator[str]:
     """The dependent parameters; those confounded with the sensor's frame or the tool take one sentence each."""
-    rest = list(dependencies)
+    remaining_dependencies = list(dependencies)
     if experiment.precision.any():  # the amounts of a direction that a prior keeps short would mislead
-        yield f"The readings do not determine {len(rest)} combinations; their prior does."
+        yield f"The readings do not determine {len(remaining_dependencies)} combinations; their prior does."
         return
     for part, phrase in (("frame_", "The sensor's frame does"), ("tool_", "The tool does")):
-        same = [d for d in rest if d.partners and all(name.startswith(part) for name, _, _ in d.partners)]
-        if len(same) > 1:
-            rest = [d for d in rest if d not in same]
-            yield f"{phrase} what {joined(d.name for d in same)} do."
-    unobservable = [d for d in rest if not d.partners]
+        of_part = [
+            d for d in remaining_dependencies if d.partners and all(name.startswith(part) for name, _, _ in d.partners)
+        ]
+        if len(of_part) > 1:
+            remaining_dependencies = [d for d in remaining_dependencies if d not in of_part]
+            yield f"{phrase} what {joined(d.name for d in of_part)} do."
+    unobservable = [d for d in remaining_dependencies if not d.partners]
     if len(unobservable) > 1:
-        rest = [d for d in rest if d.partners]
+        remaining_dependencies = [d for d in remaining_dependencies if d.partners]
         yield f"No reading changes with {joined(d.name for d in unobservable)}."
-    yield from (d.statement for d in rest)
+    yield from (d.statement for d in remaining_dependencies)
     yield "The data do not distinguish these: a fit holds the first of each at nominal."
 
 
 def _deviation_tables(experiment: Experiment, determination: Determination) -> Iterator[RenderableType]:
     """A row a joint, then the sensor's frame and the tool, and the effects."""
-    d, chain = determination, experiment.form.chain
+    d = determination
+    chain = experiment.form.chain
     parameters = zip(d.names, d.units, d.standard_deviation, d.free, strict=True)
     shown = {
         name: plus_minus(SCREEN.get(unit, (1.0, unit))[0] * deviation) if free else "held"
@@ -136,25 +139,29 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
 # ------------------------------------------------------------------ where the error of an arm comes from
 
 
-def sensitivity_report(found: Sensitivity, source: str) -> Iterator[RenderableType]:
+def sensitivity_report(sensitivity: Sensitivity, source: str) -> Iterator[RenderableType]:
     """Which parameters make up the error of an arm as assembled."""
-    tolerance = {"m": 0.0, "rad": 0.0} | dict(zip(found.units, found.tolerance.tolist(), strict=True))
+    tolerance = {"m": 0.0, "rad": 0.0} | dict(zip(sensitivity.units, sensitivity.tolerance.tolist(), strict=True))
     yield from _begin(source, "tolerances.studied", tolerance=tolerance)
-    error = found.expected_error
+    error = sensitivity.expected_error
     yield from (*_say("tolerances.error", rms=np.sqrt(np.mean(error**2)), least=error.min(), most=error.max()), "")
     table = listing("parameter", "mm per unit", "share")
-    for i in np.argsort(-found.share)[:_MOST_LISTED]:
-        scale, unit = SCREEN[found.units[i]]
-        table.add_row(found.names[i], f"{1e3 * found.per_unit[i] / scale:.3g} /{unit}", f"{100 * found.share[i]:.1f} %")
+    for i in np.argsort(-sensitivity.share)[:_MOST_LISTED]:
+        scale, unit = SCREEN[sensitivity.units[i]]
+        table.add_row(
+            sensitivity.names[i],
+            f"{1e3 * sensitivity.per_unit[i] / scale:.3g} /{unit}",
+            f"{100 * sensitivity.share[i]:.1f} %",
+        )
     yield table
-    yield from _say("tolerances.shares", share=found.share)
+    yield from _say("tolerances.shares", share=sensitivity.share)
 
 
 # ------------------------------------------------------------------ which poses to record
 
 
 def design_report(
-    found: Plan | DiscriminationPlan,
+    plan: Plan | DiscriminationPlan,
     drawn: Candidates,
     disabled: Sequence[tuple[str, str]],
     source: str,
@@ -165,11 +172,11 @@ def design_report(
     Pairs of links that are `disabled` are not checked against each other. `accuracy` is a target in m.
     """
     refused = [f"{name} refused {count}" for name, count in drawn.refused.items() if count]
-    sensor = described(found.experiment.sensor)
-    yield from _begin(source, "design.studied", disabled, found=found, drawn=drawn, refused=refused, sensor=sensor)
-    yield from plan_report(found, accuracy) if isinstance(found, Plan) else discrimination_report(found)
-    approached = any(driver.discrete for effect in found.experiment.physics.effects for driver in effect.drivers)
-    yield from ("", *_say("design.approach", approached=approached), *_say("design.chosen", found=found))
+    sensor = described(plan.experiment.sensor)
+    yield from _begin(source, "design.studied", disabled, found=plan, drawn=drawn, refused=refused, sensor=sensor)
+    yield from plan_report(plan, accuracy) if isinstance(plan, Plan) else discrimination_report(plan)
+    approached = any(driver.discrete for effect in plan.experiment.physics.effects for driver in effect.drivers)
+    yield from ("", *_say("design.approach", approached=approached), *_say("design.chosen", found=plan))
 
 
 def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterator[RenderableType]:
@@ -186,38 +193,38 @@ def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterato
     yield listing("", "x", "y", "z", "touches", rows=rows)
 
 
-def plan_report(found: Plan, accuracy: float | None = None) -> Iterator[RenderableType]:
+def plan_report(plan: Plan, accuracy: float | None = None) -> Iterator[RenderableType]:
     """What designed poses are worth, beside random ones; `accuracy` as of `design_report`."""
-    reached = found.accuracy[-1]
-    random = np.quantile(found.random_accuracy[:, found.count - 1], 0.5, method="nearest")
+    reached = plan.accuracy[-1]
+    random = np.quantile(plan.random_accuracy[:, plan.count - 1], 0.5, method="nearest")
     yield from _say(
         "design.worth",
-        found=found,
+        found=plan,
         accuracy=accuracy,
         reached=reached,
         determined=bool(np.isfinite(reached)),
         random=float(random) if np.isfinite(random) else None,
-        tried=max(found.count, min(MOST_POSES, found.candidates)),
+        tried=max(plan.count, min(MOST_POSES, plan.candidates)),
     )
     yield ""
     if np.isfinite(reached):
         table = listing("best of these", "designed", "random", "ratio")
         table.columns[0].justify = "right"
         # a few numbers of poses, from a third more than the least that determine all parameters
-        determined = int(np.flatnonzero(np.isfinite(found.accuracy))[0]) + 1
-        least = min(-(-4 * determined // 3), found.count)
-        for n in sorted({int(n) for n in np.geomspace(least, found.count, 6).round()}):
-            designed, drawn = found.accuracy[n - 1], found.random_median[n - 1]
+        determined = int(np.flatnonzero(np.isfinite(plan.accuracy))[0]) + 1
+        fewest_poses = min(-(-4 * determined // 3), plan.count)
+        for n in sorted({int(n) for n in np.geomspace(fewest_poses, plan.count, 6).round()}):
+            designed, drawn = plan.accuracy[n - 1], plan.random_median[n - 1]
             cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
             ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
             table.add_row(str(n), *cells, ratio)
         yield table
 
 
-def discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]:
+def discrimination_report(plan: DiscriminationPlan) -> Iterator[RenderableType]:
     """How far apart two effects are at designed poses, and at random ones."""
-    random = float(np.median(np.nan_to_num(found.random_distance)))
-    return _say("design.rivals", found=found, reached=found.distance[-1], random=random, clear=_CLEAR)
+    random = float(np.median(np.nan_to_num(plan.random_distance)))
+    return _say("design.rivals", found=plan, reached=plan.distance[-1], random=random, clear=_CLEAR)
 
 
 # ------------------------------------------------------------------ what motions determine
@@ -225,16 +232,20 @@ def discrimination_report(found: DiscriminationPlan) -> Iterator[RenderableType]
 
 def _torque_noise(model: TorqueModel) -> str:
     """The noise of an arm's torques in a phrase."""
-    noise, units = model.noise.tolist(), torque_units(model.arm.sliding, model.arm.dof)
-    alike = len(set(zip(noise, units, strict=True))) == 1
-    each = each_with_unit(*((noise[:1], units[:1]) if alike else (noise, units)))
-    return f"torques to ±{each} (one standard deviation, white)"
+    noise = model.noise.tolist()
+    units = torque_units(model.arm.sliding, model.arm.dof)
+    uniform = len(set(zip(noise, units, strict=True))) == 1
+    amounts = each_with_unit(*((noise[:1], units[:1]) if uniform else (noise, units)))
+    return f"torques to ±{amounts} (one standard deviation, white)"
 
 
-def _rank(found: TorqueIdentification) -> Iterator[str]:
-    base = found.model.base
-    links, rank = sum(item.name.startswith("link") for item in base), int(found.determined.sum())
-    return _say("torques.rank", rank=rank, links=links, joints=len(base) - links, inertial=found.model.inertial)
+def _rank(identification: TorqueIdentification) -> Iterator[str]:
+    base = identification.model.base
+    links = sum(item.name.startswith("link") for item in base)
+    rank = int(identification.determined.sum())
+    return _say(
+        "torques.rank", rank=rank, links=links, joints=len(base) - links, inertial=identification.model.inertial
+    )
 
 
 def combination(terms: Sequence[tuple[str, float]]) -> str:
@@ -253,16 +264,20 @@ def combination(terms: Sequence[tuple[str, float]]) -> str:
     return text.removeprefix(" + ")
 
 
-def torque_identification_report(found: TorqueIdentification, source: str, motion: str) -> Iterator[RenderableType]:
+def torque_identification_report(
+    identification: TorqueIdentification, source: str, motion: str
+) -> Iterator[RenderableType]:
     """What a motion determines: the rank, base parameters in words, friction, what is not determined and why."""
-    model, arm, narrow = found.model, found.model.arm, found.narrow()
+    model = identification.model
+    arm = identification.model.arm
+    narrow = identification.narrow()
     deviations = {item.name: "not" for item in model.base}
-    deviations |= {name: plus_minus(deviation) for name, deviation in found.deviations.items()}
+    deviations |= {name: plus_minus(deviation) for name, deviation in identification.deviations.items()}
     yield from _begin(source, "torques.studied", arm=arm.name, motion=motion, noise=_torque_noise(model))
-    yield from _rank(found)
+    yield from _rank(identification)
     yield from _say(
         "torques.missed",
-        found=found,
+        found=identification,
         model=model,
         missed=[name for name, deviation in deviations.items() if deviation == "not"],
         none_moves=len(narrow) == arm.dof,
@@ -282,45 +297,54 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
         table.columns[0].no_wrap = False
         yield "Base parameters of the links, standard deviation and unit (factors in m and m²)"
         yield from ("", table, "")
-    kinds = [(own, label) for own, label in ((False, ""), (True, "of prismatic joints, P: ")) if own in arm.slides]
-    units = "; ".join(label + ", ".join(joint_unit(unit, own) for unit in JOINT_UNITS) for own, label in kinds)
+    kinds = [
+        (of_slide, label)
+        for of_slide, label in ((False, ""), (True, "of prismatic joints, P: "))
+        if of_slide in arm.slides
+    ]
+    units = "; ".join(
+        label + ", ".join(joint_unit(unit, of_slide) for unit in JOINT_UNITS) for of_slide, label in kinds
+    )
     yield from (f"Friction and rotors, standard deviations ({units})", "")
-    table, carried = listing("joint", *JOINT), model.confounded
+    table = listing("joint", *JOINT)
+    carried = model.confounded
     for joint, slides in enumerate(arm.slides, 1):
         names = [f"joint{joint} {kind}" for kind in JOINT]
         cells = (f"in {carried[n][0]}" if n in carried else deviations.get(n, "not") for n in names)
         table.add_row(f"J{joint}{' P' * bool(slides)}", *cells)
     yield table
-    weak = [item.name for item, is_weak in zip(model.base, found.weak, strict=True) if is_weak]
-    yield from _say("torques.quality", found=found, weak=weak, well=WELL)
-    yield from screen.notes(map(capital, found.notes))
+    weak = [item.name for item, is_weak in zip(model.base, identification.weak, strict=True) if is_weak]
+    yield from _say("torques.quality", found=identification, weak=weak, well=WELL)
+    yield from screen.notes(map(capital, identification.notes))
 
 
 # ------------------------------------------------------------------ which motion to make
 
 
-def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
+def torque_plan_report(plan: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
     """What a designed motion determines, beside random ones of the same limits."""
-    designed, random, room = found.identification, found.random, found.room
+    designed, random, room = plan.identification, plan.random, plan.room
     scales, units = joint_units(room.arm.sliding, room.arm.dof)
     limits = []
     for limit, per in ((room.velocity, "/s"), (room.acceleration, "/s²")):
-        most = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
-        limits += [f"{most[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in most]
+        largest = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
+        limits += [f"{largest[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in largest]
     yield from _begin(source, "motion.studied", disabled, room=room, limits=limits, noise=_torque_noise(designed.model))
     yield from _rank(designed)
-    median, best = (of(found.random_log_determinant) for of in (np.median, np.max))
+    median, best_random = (of(plan.random_log_determinant) for of in (np.median, np.max))
     gains = {
-        name: f"{found.gain(float(value)):.2f}" if np.isfinite(value) else ""
-        for name, value in (("median", median), ("best", best))
+        name: f"{plan.gain(float(value)):.2f}" if np.isfinite(value) else ""
+        for name, value in (("median", median), ("best", best_random))
     }
-    yield from (*_say("motion.gain", finite=np.isfinite(best), count=len(random), **gains), "")
+    yield from (*_say("motion.gain", finite=np.isfinite(best_random), count=len(random), **gains), "")
     table = listing("", "designed", "random, median", "random, best")
     for name, of, best_of in (
-        ("log determinant", lambda one: one.log_determinant, np.max),
-        ("condition number", lambda one: one.condition, np.min),
-        ("weakly determined", lambda one: one.weak.sum(), np.min),
+        ("log determinant", lambda identification: identification.log_determinant, np.max),
+        ("condition number", lambda identification: identification.condition, np.min),
+        ("weakly determined", lambda identification: identification.weak.sum(), np.min),
     ):
-        others = [of(one) for one in random]
-        table.add_row(name, *(f"{value:.4g}" for value in (of(designed), np.median(others), best_of(others))))
+        random_values = [of(identification) for identification in random]
+        table.add_row(
+            name, *(f"{value:.4g}" for value in (of(designed), np.median(random_values), best_of(random_values)))
+        )
     yield table

@@ -40,10 +40,13 @@ _REVERSAL = {"dead_band", "coulomb_friction", "stribeck_friction", "load_frictio
 def with_statements(document: Document) -> dict[str, Any]:
     """The document with a `statement` for each finding and each data fault."""
     stated = dict(document)
-    for key, statement in (("data_faults", fault_statement), ("ruled_out", lambda one: ruled_out_statements([one])[0])):
+    for key, statement in (
+        ("data_faults", fault_statement),
+        ("ruled_out", lambda fault: ruled_out_statements([fault])[0]),
+    ):
         faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
         pairs = zip(document[key], map(statement, faults), strict=True)
-        stated[key] = [{**entry, "statement": said} for entry, said in pairs]
+        stated[key] = [{**entry, "statement": sentence} for entry, sentence in pairs]
     stated["findings"] = [{**finding, "statement": finding_statement(finding)} for finding in document["findings"]]
     return stated
 
@@ -67,8 +70,8 @@ def cause_of(finding: Entry) -> str:
     text = _TEXTS["causes"].get(finding["effect"])
     if text is not None:
         return text["cause"].format(place=place)
-    known = OF_TORQUES.get(finding["effect"])
-    cause = "{place} has " + finding["effect"].replace("_", " ") if known is None else known.cause
+    remedy = OF_TORQUES.get(finding["effect"])
+    cause = "{place} has " + finding["effect"].replace("_", " ") if remedy is None else remedy.cause
     return cause.format(place=place, exerted="torque", source="another joint")
 
 
@@ -106,9 +109,9 @@ def headline(document: Document) -> str:
     sizes = {stage: number(_MRAD * document[stage][_ERROR]) for stage in ("before", "after")}
     if findings:
         return fill(_TEXTS["headline"]["found"], sizes, cause=cause_of(findings[0]), count=len(findings))
-    said = fill(_TEXTS["headline"]["nothing"], sizes, verdict=document["verdict"])
+    sentence = fill(_TEXTS["headline"]["nothing"], sizes, verdict=document["verdict"])
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in document["data_faults"]))
-    return f"The data have a fault ({', '.join(names)}), which was corrected. {said}" if names else said
+    return f"The data have a fault ({', '.join(names)}), which was corrected. {sentence}" if names else sentence
 
 
 def verdict_statement(document: Document) -> str:
@@ -145,16 +148,18 @@ def what_to_record(document: Document) -> list[str]:
         undecided = [rival for rival in distinct_rivals(finding) if rival["status"] == "undecided"]
         if undecided:
             kinds = {finding["effect"], *(rival["effect"] for rival in undecided)}
-            others = list(dict.fromkeys(effect_title(rival) for rival in undecided))[:2]
+            rival_titles = list(dict.fromkeys(effect_title(rival) for rival in undecided))[:2]
             motion = _TEXTS["motions"][_motion_of(kinds)]
-            lines.append(fill(_TEXTS["record"], {"one": effect_title(finding), "others": others, "motion": motion}))
+            lines.append(
+                fill(_TEXTS["record"], {"one": effect_title(finding), "others": rival_titles, "motion": motion})
+            )
     return lines
 
 
 def _motion_of(effects: set[str]) -> str:
     """The kind of motion in which some effects differ."""
-    for kind, alike in (("reversal", _REVERSAL), ("timing", _TIMING), ("load", _LOAD)):
-        if len(effects & alike) > 1:
+    for kind, differing in (("reversal", _REVERSAL), ("timing", _TIMING), ("load", _LOAD)):
+        if len(effects & differing) > 1:
             return kind
     return "other"
 
@@ -196,8 +201,8 @@ def servo_rows(document: Document) -> tuple[list[str], list[list[str]]]:
 def steps(document: Document, recording: Path, diagnosis: Path | None) -> list[tuple[str, str]]:
     """Commands to copy: a purpose and a line each."""
     if diagnosis is None:
-        named = Path(f"{recording.stem}_diagnosis.json")
-        return [("Keep this diagnosis", command_line("diagnose", recording, "--out", named))]
+        diagnosis_path = Path(f"{recording.stem}_diagnosis.json")
+        return [("Keep this diagnosis", command_line("diagnose", recording, "--out", diagnosis_path))]
     predicted = diagnosis.with_name(f"{recording.stem}_predicted.csv")
     purpose = "Joints that follow these commands; give commands of your own in their place"
     return [(purpose, command_line("predict", diagnosis, recording, "--out", predicted))]
@@ -208,14 +213,14 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
     faults = [
         (fault_name(fault["fault"]), fault["statement"], row_ranges(fault["rows"])) for fault in document["data_faults"]
     ]
-    said = [verdict_statement(document), *cautions(document), fill(_TEXTS["setting"], document)]
+    sentences = [verdict_statement(document), *cautions(document), fill(_TEXTS["setting"], document)]
     ruled_out = [entry["statement"] for entry in document["ruled_out"]]
     commands = [] if files is None else steps(document, files.recording, files.diagnosis)
     drawn = [("picture", picture) for name, picture in pictures.items() if name == "over_time"]
     no_findings = [("text", "None: no effect of the catalogue, and no function of what was recorded, is significant.")]
     findings = [("bullets", _finding_lines(document, details))] if document["findings"] else no_findings
     return [
-        ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in said)]),
+        ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in sentences)]),
         (
             "Held-out rollouts from the commands alone",
             [("table", error_rows(document)), ("text", fill(_TEXTS["held_out"], document)), *drawn],
@@ -223,7 +228,7 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
         ("Data faults", [("faults", faults)] if faults else []),
         ("Findings", findings),
         ("Servos", [("table", servo_rows(document))]),
-        ("What to do", [("bullets", list(dict.fromkeys(action_of(one) for one in ranked(document))))]),
+        ("What to do", [("bullets", list(dict.fromkeys(action_of(finding) for finding in ranked(document))))]),
         ("What to record next", [("bullets", what_to_record(document))]),
         ("Commands to copy", [("command", step) for step in commands]),
         ("Tested and ruled out", [("bullets", ruled_out)] if details and ruled_out else []),

@@ -78,8 +78,8 @@ class PoseErrors:
     @property
     def median(self) -> float:
         """m; 0 where nothing is predicted."""
-        there = self.length[np.isfinite(self.length)]
-        return float(np.median(there)) if there.size else 0.0
+        finite_lengths = self.length[np.isfinite(self.length)]
+        return float(np.median(finite_lengths)) if finite_lengths.size else 0.0
 
     @property
     def scale(self) -> float:
@@ -89,8 +89,8 @@ class PoseErrors:
     @cached_property
     def shown(self) -> NDArray[np.integer]:
         """The samples that have an arrow."""
-        there = np.flatnonzero(np.isfinite(self.length))
-        return there[spread_rows(len(there), MOST_ARROWS)]
+        predicted_samples = np.flatnonzero(np.isfinite(self.length))
+        return predicted_samples[spread_rows(len(predicted_samples), MOST_ARROWS)]
 
     def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
         """Ends `(arrow, 2, 3)` m, from predicted to measured, of some samples or of `shown`."""
@@ -178,7 +178,7 @@ class Scene:
     def marked(self) -> dict[str, list[int]]:
         """Part of the arm to the numbers of the findings there."""
         parts = dict.fromkeys(part for finding in self.findings for part in finding["parts"])
-        return {part: [each["rank"] for each in self.findings if part in each["parts"]] for part in parts}
+        return {part: [finding["rank"] for finding in self.findings if part in finding["parts"]] for part in parts}
 
 
 def shades(share: Array) -> NDArray[np.uint8]:
@@ -194,12 +194,14 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     """
     arm = Arm(model.arm, np.asarray(model.model.geometry).reshape(-1, 6))
     T_base_sensor = np.linalg.inv(np.asarray(model.model.T_sensor_base))
-    models, errors, orientation = [(WITH, model)], (), None
+    models = [(WITH, model)]
+    errors = ()
+    orientation = None
     if effects := model.physics.effects:
         models.append((WITHOUT, model.keeping([False] * len(effects))))
     if recording.position is not None:
         measured = recording.position @ T_base_sensor[:3, :3].T + T_base_sensor[:3, 3]
-        predicted = [(caption, T_base_sensor @ predict(each, recording)) for caption, each in models]
+        predicted = [(caption, T_base_sensor @ predict(variant, recording)) for caption, variant in models]
         errors = tuple(PoseErrors(caption, poses, measured - poses[:, :3, 3]) for caption, poses in predicted)
     if recording.quaternion is not None:
         turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
@@ -238,9 +240,9 @@ def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, re
 
     def averaged(predicted: Array) -> Array:
         errors = (measured - predicted) / noise
-        there = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
-        squares, share = average(np.where(there, errors**2, 0.0)), average(1.0 * there)
-        return np.sqrt(np.where(there, squares / np.maximum(share, 1e-9), np.nan))
+        finite = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
+        squares, share = average(np.where(finite, errors**2, 0.0)), average(1.0 * finite)
+        return np.sqrt(np.where(finite, squares / np.maximum(share, 1e-9), np.nan))
 
     errors = tuple(
         JointErrors(caption, quantity, averaged(predict(alternative, recording))) for caption, alternative in models
@@ -262,13 +264,13 @@ def _scene(
     frames[:, 0], frames[:, :, 3, 3] = np.eye(4), 1.0
     frames[:, 1:, :3] = np.moveaxis(link_frames(arm, recording.joint_position)[:-1], (0, 3), (1, 0))
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
-    said = "The file is shown as it is. For the diagnosis these were corrected or weighted"
+    remark = "The file is shown as it is. For the diagnosis these were corrected or weighted"
     links = [capsule.link for capsule in capsules]
     shown = tuple({**finding, "parts": _parts(finding["site"], links)} for finding in findings)
     return Scene(
         arm=arm,
         headline=headline,
-        remarks=(f"{said}: {', '.join(faults)}.",) if faults else (),
+        remarks=(f"{remark}: {', '.join(faults)}.",) if faults else (),
         findings=shown,
         capsules=tuple(capsules),
         frames=frames,
@@ -328,13 +330,13 @@ def served(scene: Scene, host: str, port: int | None) -> "Iterator[Shown]":
 def _listening(host: str, port: int | None) -> int:
     """A port on which to listen; viser would go on to others for ever, or wait where the address is none."""
     refused = ""
-    for one in range(PORT, PORT + 100) if port is None else [port]:
+    for candidate_port in range(PORT, PORT + 100) if port is None else [port]:
         try:
-            family, kind, *_, address = socket.getaddrinfo(host, one, type=socket.SOCK_STREAM)[0]
-            with socket.socket(family, kind) as trial:
-                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                trial.bind(address)
-                return one
+            family, kind, *_, address = socket.getaddrinfo(host, candidate_port, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind) as listener:
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.bind(address)
+                return candidate_port
         except (OSError, OverflowError, UnicodeError) as error:
             refused = (error.strerror or "") if isinstance(error, OSError) else "no such address or port"
     where = f"--host {host}" if port is None else f"--host {host} --port {port}"
@@ -376,7 +378,9 @@ class Shown:
             self.row.value = int(self._at) + 1
 
     def _draw_arm(self) -> None:
-        scene, add, r = self.scene, self.server.scene, 0.75 * self._size
+        scene = self.scene
+        add = self.server.scene
+        r = 0.75 * self._size
         self._links = [
             add.add_frame(f"/arm/{k}", show_axes=not k, axes_length=3 * r, axes_radius=0.1 * r)
             for k in range(scene.frames.shape[1])
@@ -402,7 +406,9 @@ class Shown:
     def _draw_errors(self) -> None:
         if not self.scene.poses:
             return
-        add, r, none = self.server.scene, self._size, np.zeros((0, 2, 3))
+        add = self.server.scene
+        r = self._size
+        none = np.zeros((0, 2, 3))
         style: dict[str, Any] = {"shaft_radius": 0.05 * r, "head_radius": 0.15 * r, "head_length": 0.35 * r}
         self._arrows = add.add_arrows("/errors", none, _rgb(ARROWS), **style)
         self._arrow = add.add_arrows("/error", none, _rgb(ARROWS), **{key: 2 * size for key, size in style.items()})
@@ -425,14 +431,14 @@ class Shown:
             self._status = gui.add_html("")
         if scene.errors:
             with gui.add_folder("Errors"):
-                captions = [each.caption for each in scene.errors]
+                captions = [errors.caption for errors in scene.errors]
                 # first what was found, which then shrinks to what is left
                 self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
                 self.prediction.on_update(lambda _: self._to(self.row.value - 1))
                 if scene.poses:
                     self._caption = gui.add_html("")
                 else:
-                    self._limit = max(each.limit for each in scene.joints)
+                    self._limit = max(errors.limit for errors in scene.joints)
                     gui.add_html(_joint_legend(self._limit, scene.joints[0].quantity))
         with gui.add_folder("Findings"):
             gui.add_html(_finding_list(scene))
@@ -445,19 +451,19 @@ class Shown:
             for link, T in zip(self._links, self.scene.frames[sample], strict=True):
                 link.wxyz, link.position = _wxyz(T[:3, :3]), T[:3, 3]
             time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
-            said = f"Row {self.scene.row[sample]}{time}"
+            status = f"Row {self.scene.row[sample]}{time}"
             for errors in self.scene.errors:
                 if errors.caption != self.prediction.value:
                     continue
                 if isinstance(errors, PoseErrors):
-                    said += self._compare(errors, sample)
+                    status += self._compare(errors, sample)
                     continue
                 for joint, colour in enumerate(errors.colours(sample, self._limit), 1):
                     self._parts[f"joint{joint}"].color = tuple(map(int, colour))
                 row = errors.over_noise[sample]
                 if np.isfinite(row).all():
-                    said += f": joint {row.argmax() + 1} is off most, by {row.max():.2g} times its noise"
-            self._status.content = _paragraphs([said])
+                    status += f": joint {row.argmax() + 1} is off most, by {row.max():.2g} times its noise"
+            self._status.content = _paragraphs([status])
 
     def _compare(self, errors: PoseErrors, sample: int) -> str:
         """Draws the errors and the tool of a sample; says how large its error is."""
@@ -465,19 +471,19 @@ class Shown:
         if errors.caption != self._drawn:
             self._drawn = errors.caption
             self._arrows.points = errors.arrows(scale).astype(np.float32)
-            few = len(errors.shown) < self.scene.samples
-            some = f" {len(errors.shown)} of {self.scene.samples} rows have one." if few else ""
-            said = (
+            thinned = len(errors.shown) < self.scene.samples
+            thinning_note = f" {len(errors.shown)} of {self.scene.samples} rows have one." if thinned else ""
+            legend = (
                 "Arrows lead from where the tool is predicted to where it was measured. They are enlarged "
                 f"{f'{scale:.0f}' if scale >= 100 else f'{scale:.3g}'} times: the median error of "
-                f"{number(1e3 * errors.median)} mm is {1e3 * scale * errors.median:.0f} mm long.{some}"
+                f"{number(1e3 * errors.median)} mm is {1e3 * scale * errors.median:.0f} mm long.{thinning_note}"
             )
-            self._caption.content = _paragraphs([said])
-        there = bool(np.isfinite(errors.length[sample]))
+            self._caption.content = _paragraphs([legend])
+        is_predicted = bool(np.isfinite(errors.length[sample]))
         for node in (self._arrow, self._predicted, self._measured):
             if node is not None:
-                node.visible = there
-        if not there:
+                node.visible = is_predicted
+        if not is_predicted:
             return ": nothing is predicted here"
         self._arrow.points = errors.arrows(scale, [sample]).astype(np.float32)
         T = errors.predicted[sample]
@@ -532,7 +538,7 @@ def _finding_list(scene: Scene) -> str:
 def _joint_legend(limit: float, quantity: str) -> str:
     stops = ", ".join(f"rgb({r},{g},{b})" for r, g, b in shades(np.linspace(0, 1, 6)))
     bar = f'<div style="height: 0.8em; margin: 0.3em 0.6em; background: linear-gradient(to right, {stops})"></div>'
-    said = (
+    legend = (
         f"Joints are coloured by the error of their {quantity}, from 0 to {limit:.3g} times its noise (RMS over 0.2 s)."
     )
-    return bar + _paragraphs([said])
+    return bar + _paragraphs([legend])

@@ -130,8 +130,8 @@ def row_ranges(rows: Iterable[int]) -> str:
     """Row numbers with consecutive ones as ranges; at most `MOST_ROWS` parts, then the number of the others."""
     parts = ranges(rows)
     shown = ", ".join(text for text, _ in parts[:MOST_ROWS])
-    rest = sum(count for _, count in parts[MOST_ROWS:])
-    return shown + (f" and {rest} more" if rest else "")
+    further_rows = sum(count for _, count in parts[MOST_ROWS:])
+    return shown + (f" and {further_rows} more" if further_rows else "")
 
 
 def rows_named(rows: Sequence[int]) -> str:
@@ -244,7 +244,7 @@ class Quantity(NamedTuple):
 
 def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = NAMED) -> Quantity:
     """A parameter by its name in the JSON file and its estimate, `value` and `std`; some names have special units."""
-    fitting = (known for known in _UNITS if name.endswith(known[0]))
+    fitting = (unit_rule for unit_rule in _UNITS if name.endswith(unit_rule[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
     if name in named:
         scale, unit = named[name]
@@ -294,8 +294,8 @@ def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:
 def say(texts: str | Iterable[str], numbers: Mapping[str, Any], /, **more: object) -> Iterator[str]:
     """A text or several, a line each, but for those that are empty."""
     for text in [texts] if isinstance(texts, str) else texts:
-        if said := fill(text, numbers, **more):
-            yield said
+        if line := fill(text, numbers, **more):
+            yield line
 
 
 def _count_of(function: Callable[..., str]) -> Callable[..., str]:
@@ -314,8 +314,8 @@ def _template(text: str) -> jinja2.Template:
 
 @cache
 def _environment() -> jinja2.Environment:
-    kept = lambda value: value.replace("  ", " \0") if isinstance(value, str) else value  # noqa: E731
-    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, finalize=kept)
+    keep_spaces = lambda value: value.replace("  ", " \0") if isinstance(value, str) else value  # noqa: E731
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=False, finalize=keep_spaces)
     environment.filters |= {
         "g": significant,
         "mm": milli,

@@ -97,20 +97,21 @@ def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[f
     A, b, T, gravity = np.eye(dof), np.zeros(dof), np.eye(dof), None
     for change in hypothesis:
         gravity = change.gravity if change.code in GRAVITY else gravity
-        own, added = change.of_positions(dof)
-        A, b, T = own @ A, own @ b + added, change.of_torques(dof) @ T
+        matrix, added = change.of_positions(dof)
+        A, b, T = matrix @ A, matrix @ b + added, change.of_torques(dof) @ T
     return A, b, T, gravity
 
 
 def exchanges(order: NDArray[np.integer]) -> list[Change]:
     """Exchanges of two columns that put into place j the column `order[j]`."""
-    now, found = list(range(len(order))), []
-    for j, wanted in enumerate(order.tolist()):
-        k = now.index(wanted)
+    now = list(range(len(order)))
+    swaps = []
+    for j, column in enumerate(order.tolist()):
+        k = now.index(column)
         if k != j:
-            found.append(Change("swapped_torques", (j, k)))
+            swaps.append(Change("swapped_torques", (j, k)))
             now[j], now[k] = now[k], now[j]
-    return found
+    return swaps
 
 
 def turned_back(angle: float) -> float:
@@ -134,8 +135,8 @@ def faults_in(hypothesis: Hypothesis) -> int:
     """How many faults a hypothesis has; a set of signs or constants, and joints with both signs reversed, are one."""
     sets = ("reversed_positions", "reversed_torque", "wrong_torque_constant", "torque_unit")
     several = {code: frozenset(c.joints for c in hypothesis if c.code == code) for code in sets}
-    both = bool(several["reversed_torque"]) and several["reversed_positions"] == several["reversed_torque"]
-    return sum(map(bool, several.values())) - both + sum(c.code not in sets for c in hypothesis)
+    joints_coincide = bool(several["reversed_torque"]) and several["reversed_positions"] == several["reversed_torque"]
+    return sum(map(bool, several.values())) - joints_coincide + sum(c.code not in sets for c in hypothesis)
 
 
 def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...]]]:
@@ -147,14 +148,14 @@ def alike(a: Hypothesis, b: Hypothesis) -> bool:
     """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
     if kinds(a) != kinds(b):
         return False
-    for one in a:
-        other = next(c for c in b if (c.code, c.joints) == (one.code, one.joints))
-        if one.code == "joint_zero" and abs(turned_back(one.value - other.value)) > _SAME_ZERO:
+    for change in a:
+        counterpart = next(c for c in b if (c.code, c.joints) == (change.code, change.joints))
+        if change.code == "joint_zero" and abs(turned_back(change.value - counterpart.value)) > _SAME_ZERO:
             return False
-        if one.code == "coupled_joint" and one.value != other.value:
+        if change.code == "coupled_joint" and change.value != counterpart.value:
             return False
-        apart = np.linalg.norm(np.subtract(one.gravity, other.gravity))
-        if one.gravity and apart > _SAME_GRAVITY * np.linalg.norm(one.gravity):
+        apart = np.linalg.norm(np.subtract(change.gravity, counterpart.gravity))
+        if change.gravity and apart > _SAME_GRAVITY * np.linalg.norm(change.gravity):
             return False
     return True
 
@@ -163,41 +164,45 @@ def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
     """The faults of a hypothesis, those of one kind together."""
     of_code = {code: [c for c in hypothesis if c.code == code] for code in CODES}
     mirrored = {c.joints for c in of_code["reversed_positions"]} & {c.joints for c in of_code["reversed_torque"]}
-    found = []
+    faults = []
     declared = data.bodies.gravity
     for change in of_code["wrong_gravity"]:
         cosine = float(declared @ change.gravity) / (np.linalg.norm(declared) * np.linalg.norm(change.gravity))
         numbers: dict[str, Any] = {"declared_m_per_s2": declared.tolist(), "found_m_per_s2": list(change.gravity)}
-        found.append(DataFault("wrong_gravity", (), numbers | {"tilt_rad": float(np.arccos(np.clip(cosine, -1, 1)))}))
+        faults.append(DataFault("wrong_gravity", (), numbers | {"tilt_rad": float(np.arccos(np.clip(cosine, -1, 1)))}))
     if of_code["no_gravity"]:
-        found.append(DataFault("no_gravity", (), {"declared_m_per_s2": declared.tolist()}))
+        faults.append(DataFault("no_gravity", (), {"declared_m_per_s2": declared.tolist()}))
     if mirrored:
-        found.append(DataFault("reversed_joint", (), {"joints": sorted(1 + j for (j,) in mirrored)}))
+        faults.append(DataFault("reversed_joint", (), {"joints": sorted(1 + j for (j,) in mirrored)}))
     exchanged = {c.joints for c in of_code["swapped_positions"]} & {c.joints for c in of_code["swapped_torques"]}
     of_code["swapped_torques"] = [c for c in of_code["swapped_torques"] if c.joints not in exchanged]
     for change in of_code["swapped_positions"]:
         code = "swapped_columns" if change.joints in exchanged else "swapped_positions"
-        found.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
+        faults.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
     for change in of_code["coupled_joint"]:
         i, j = change.joints
-        found.append(DataFault("coupled_positions", (), {"joint": 1 + i, "added_joint": 1 + j, "factor": change.value}))
+        faults.append(
+            DataFault("coupled_positions", (), {"joint": 1 + i, "added_joint": 1 + j, "factor": change.value})
+        )
     for change in of_code["joint_zero"]:
-        found.append(DataFault("joint_zero", (), {"joint": 1 + change.joints[0], "added_rad": change.value}))
+        faults.append(DataFault("joint_zero", (), {"joint": 1 + change.joints[0], "added_rad": change.value}))
     if swaps := of_code["swapped_torques"]:
         order = np.arange(data.arm.dof)
         for i, j in (change.joints for change in swaps):
             order[[i, j]] = order[[j, i]]
         moved = np.flatnonzero(order != np.arange(len(order)))
         numbers = {"joints": (1 + moved).tolist(), "columns": (1 + order[moved]).tolist()}
-        found.append(DataFault("swapped_torques", (), numbers))
+        faults.append(DataFault("swapped_torques", (), numbers))
     for code in ("reversed_torque", "reversed_positions"):
         if joints := sorted(1 + c.joints[0] for c in of_code[code] if c.joints not in mirrored):
-            found.append(DataFault(code, (), {"joints": joints}))
+            faults.append(DataFault(code, (), {"joints": joints}))
     constants = data.recording.settings.torque_constant_Nm_per_A
-    known = constants is not None and data.recording.joint_torque is None
+    from_currents = constants is not None and data.recording.joint_torque is None
     for code in ("wrong_torque_constant", "torque_unit"):
         if changes := of_code[code]:
             numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
-            true = [constants[c.joints[0]] / c.value for c in changes] if known and constants is not None else None
-            found.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
-    return found
+            true = (
+                [constants[c.joints[0]] / c.value for c in changes] if from_currents and constants is not None else None
+            )
+            faults.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
+    return faults

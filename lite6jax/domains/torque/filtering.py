@@ -180,12 +180,14 @@ def evenly_timed(recording: Recording) -> Even:
     if not _vary(steps):
         return Even(recording)
     assert recording.time is not None
-    time, runs, step = recording.time, run_segments(recording.run), float(np.median(steps))
+    time = recording.time
+    runs = run_segments(recording.run)
+    step = float(np.median(steps))
     low, high = np.percentile(steps, (5, 95))
-    said = {"from_s": float(low), "to_s": float(high), "rate_Hz": 1 / step}
+    timing = {"from_s": float(low), "to_s": float(high), "rate_Hz": 1 / step}
     if _stamps_jitter(recording.joint_position, time, runs, step):
         even = np.concatenate([_line(time[rows]) for rows in _each(runs)])
-        return Even(replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | said))
+        return Even(replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | timing))
     longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
     grid = np.arange(float(time[longest.start]), float(time[longest.stop - 1]), step)
     alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
@@ -199,7 +201,8 @@ def evenly_timed(recording: Recording) -> Even:
             "to interpolate this motion; record at a constant rate, or move slower"
         )
     at = [np.arange(float(time[r.start]), float(time[r.stop - 1]), step) for r in parts]
-    numbers, doubt = said | {"gaps": int(gaps.sum())}, 0.0
+    numbers = timing | {"gaps": int(gaps.sum())}
+    doubt = 0.0
     if recording.has_torques:
         torques = [recording.torques()[r] for r in parts]
         off = np.concatenate([_from_neighbours(rows, time[r]) for rows, r in zip(torques, parts, strict=True)])
@@ -224,8 +227,8 @@ def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float
                 np.prod([(middle - near[m]) / (near[j] - near[m]) for m in range(4) if m != j], axis=0)
                 for j in range(4)
             ]
-            there = sum(w[:, None] * y[s : len(y) - 4 + s] for w, s in zip(weights, (0, 1, 3, 4), strict=True))
-            rough[k] += np.sum((y[2:-2] - there) ** 2)
+            interpolated = sum(w[:, None] * y[s : len(y) - 4 + s] for w, s in zip(weights, (0, 1, 3, 4), strict=True))
+            rough[k] += np.sum((y[2:-2] - interpolated) ** 2)
     return bool(rough[1] < _SMOOTHER * rough[0])
 
 
@@ -266,14 +269,14 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
         part.start + np.rint(np.interp(t, time[part], np.arange(part.stop - part.start))).astype(int)
         for part, t in zip(parts, at, strict=True)
     ]
-    found: dict[str, Any] = {"position": None, "quaternion": None, "time": np.concatenate(at)}
+    arrays: dict[str, Any] = {"position": None, "quaternion": None, "time": np.concatenate(at)}
     for name, kind in kinds.items():
         if (rows := getattr(recording, name)) is not None:
-            found[name] = np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
+            arrays[name] = np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
     for name in ("direction_of_motion", "ambient_temperature", "payload", "row"):
         if (rows := getattr(recording, name)) is not None:
-            found[name] = rows[np.concatenate(nearest)]
-    return replace(recording, run=np.repeat(np.arange(len(parts)), [len(t) for t in at]), **found)
+            arrays[name] = rows[np.concatenate(nearest)]
+    return replace(recording, run=np.repeat(np.arange(len(parts)), [len(t) for t in at]), **arrays)
 
 
 def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
@@ -295,9 +298,9 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
     cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
     cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
-    given = recording.joint_acceleration
-    if given is not None:
-        return Smoothed(position, velocity, _by_run(given.T, runs, cutoff, rate), cutoff)
+    recorded_acceleration = recording.joint_acceleration
+    if recorded_acceleration is not None:
+        return Smoothed(position, velocity, _by_run(recorded_acceleration.T, runs, cutoff, rate), cutoff)
     acceleration = np.zeros_like(velocity)
     for rows in _each(runs):
         if rows.stop - rows.start > 2:
@@ -329,16 +332,18 @@ def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass
         runs: `(sample,)`.
     """
     band = max(_bandwidth(row, runs, rate) for row in velocity)
-    wanted = max(_WIDEST * band, _LEAST_CUTOFF)
-    few = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
-    every = max(int(rate / (2 * wanted)), few, 1)
-    every -= every % _stride(every)
-    cutoff = rate / (2 * every)
-    return LowPass(rate, cutoff, every, runs, _kept(runs, every, 0 if every == 1 else int(np.ceil(rate / cutoff))))
+    widest_cutoff = max(_WIDEST * band, _LEAST_CUTOFF)
+    coarse_decimation = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
+    decimation = max(int(rate / (2 * widest_cutoff)), coarse_decimation, 1)
+    decimation -= decimation % _stride(decimation)
+    cutoff = rate / (2 * decimation)
+    return LowPass(
+        rate, cutoff, decimation, runs, _kept(runs, decimation, 0 if decimation == 1 else int(np.ceil(rate / cutoff)))
+    )
 
 
-def _stride(every: int) -> int:
-    return max(every // _MODELLED, 1)
+def _stride(decimation: int) -> int:
+    return max(decimation // _MODELLED, 1)
 
 
 def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
@@ -352,9 +357,9 @@ def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
     """
     stride = _stride(recorded.every)
     at = np.concatenate([np.arange(r.start, r.stop, stride) for r in _each(recorded.runs)])
-    kept = np.searchsorted(at, recorded.kept)
-    every, rate = recorded.every // stride, recorded.rate / stride
-    return replace(recorded, rate=rate, every=every, runs=recorded.runs[at], kept=kept), at
+    kept_indices = np.searchsorted(at, recorded.kept)
+    decimation, rate = recorded.every // stride, recorded.rate / stride
+    return replace(recorded, rate=rate, every=decimation, runs=recorded.runs[at], kept=kept_indices), at
 
 
 def each_posture(samples: int) -> LowPass:
@@ -369,11 +374,11 @@ def without_ends(chosen: LowPass, motion_cutoff: float) -> LowPass:
     return replace(chosen, kept=_kept(chosen.runs, chosen.every, margin))
 
 
-def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.integer]:
-    stride = _stride(every)
+def _kept(runs: NDArray[np.integer], decimation: int, margin: int) -> NDArray[np.integer]:
+    stride = _stride(decimation)
     margin = -(-margin // stride) * stride  # so that what is kept is among the rows of the model
     enough = (rows for rows in _each(runs) if rows.stop - rows.start >= _FEWEST * stride)
-    parts = [np.arange(rows.start + margin, rows.stop - margin, every) for rows in enough]
+    parts = [np.arange(rows.start + margin, rows.stop - margin, decimation) for rows in enough]
     return np.concatenate([np.zeros(0, int), *parts])
 
 
@@ -383,7 +388,7 @@ def spikes(torque: Array, velocity: Array, runs: NDArray[np.integer]) -> NDArray
     Of outliers at one sample in a hundred, some follow each other; a push lasts longer. Two in a row are none where the
     joint turns back: friction may do the same there.
     """
-    found = np.zeros(torque.shape, bool)
+    spiked = np.zeros(torque.shape, bool)
     for rows in _each(runs):
         part = torque[:, rows]
         if part.shape[1] < _FEWEST:
@@ -396,19 +401,19 @@ def spikes(torque: Array, velocity: Array, runs: NDArray[np.integer]) -> NDArray
         away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
         # the neighbours of a spike are off from their middle by half as much
         alone = off >= np.maximum(np.roll(off, 1, 1), np.roll(off, -1, 1))
-        least = _SPIKE * np.maximum(typical, 1e-12)
-        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > least)
+        threshold = _SPIKE * np.maximum(typical, 1e-12)
+        spiked[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > threshold)
         before, first, second, after = (part[:, k : part.shape[1] - 3 + k] for k in range(4))
         middle = 0.5 * (before + after)
         lower = np.minimum(np.abs(first - middle), np.abs(second - middle))
-        pair = (np.abs(after - before) < 0.5 * lower) & (lower > least)
-        pair &= np.minimum(away[:, 1:-2], away[:, 2:-1]) > least
+        pair = (np.abs(after - before) < 0.5 * lower) & (lower > threshold)
+        pair &= np.minimum(away[:, 1:-2], away[:, 2:-1]) > threshold
         speeds = [velocity[:, rows][:, k : part.shape[1] - 3 + k] for k in range(4)]
         pair &= (np.min(speeds, 0) > _TURNING) | (np.max(speeds, 0) < -_TURNING)
-        at = found[:, rows]
+        at = spiked[:, rows]
         at[:, 1:-2] |= pair
         at[:, 2:-1] |= pair
-    return found
+    return spiked
 
 
 def without_spikes(torque: Array, spiked: NDArray[np.bool_]) -> Array:
@@ -456,8 +461,8 @@ def _sections(cutoff: float, rate: float) -> Array:
 
 def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
     """Frequencies in Hz, without zero, and power spectral densities `(row, frequency)` of rows `(row, sample)`."""
-    found = [_spectrum(row, chosen.runs, chosen.rate) for row in rows]
-    return found[0][0][1:], np.stack([power[1:] for _, power in found])
+    spectra_by_row = [_spectrum(row, chosen.runs, chosen.rate) for row in rows]
+    return spectra_by_row[0][0][1:], np.stack([power[1:] for _, power in spectra_by_row])
 
 
 def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:

@@ -88,32 +88,34 @@ class ScreenedTorques(NamedTuple):
 def correct_faults(data: TorqueRows) -> ScreenedTorques:
     """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
     rows, compared = _compare(Samples(data))
-    found: list[DataFault] = []
+    faults: list[DataFault] = []
     # several faults at once may be one of the description
     doubtful = rows.suspicious(rows.declared) and (len(compared.alternatives) > 0 or faults_in(compared.found) != 1)
     if doubtful and (axis := _other_axis(rows, compared.evidence)) is not None:
-        found = [axis]
+        faults = [axis]
     elif compared.found:
-        found = faults_of(compared.found, data)
+        faults = faults_of(compared.found, data)
         if compared.signs_alike:
-            found = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in found]
+            faults = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in faults]
         data = undo(compared.found, data)
     elif compared.alternatives:
         listed = [[{"fault": f.code, **f.numbers} for f in faults_of(h, data)] for h in compared.alternatives]
-        found = [DataFault("undecided_torques", (), {"alternatives": listed})]
-    codes = {fault.code for fault in found}
-    doubted = {fault["fault"] for f in found for each in f.numbers.get("alternatives", ()) for fault in each}
+        faults = [DataFault("undecided_torques", (), {"alternatives": listed})]
+    codes = {fault.code for fault in faults}
+    doubted = {
+        fault["fault"] for f in faults for hypothesis in f.numbers.get("alternatives", ()) for fault in hypothesis
+    }
     ruled_out = [
         DataFault(code, (), {})
-        for code, others in (
+        for code, rival_codes in (
             ("swapped_torques", {"swapped_torques", "reversed_torque", *_OF_JOINTS[:3]}),
             ("wrong_gravity", set(GRAVITY)),
             ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
             ("joint_zero", {*POSITIONS, *_OF_JOINTS}),
         )
-        if not (codes | doubted) & others
+        if not (codes | doubted) & rival_codes
     ]
-    return ScreenedTorques(data, tuple(found), tuple(ruled_out))
+    return ScreenedTorques(data, tuple(faults), tuple(ruled_out))
 
 
 def correct_signs(data: TorqueRows) -> ScreenedTorques:
@@ -125,11 +127,11 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
     joints = [joint for joint in range(data.arm.dof) if _power_gain(data, joint) > TRUSTED + np.log(data.arm.dof)]
     if not joints:
         return ScreenedTorques(data, (), ())
-    left = {}
+    misfits = {}
     for code in _SIGNS:
         hypothesis = tuple(Change(code, (joint,)) for joint in joints)
-        left[code] = _left_by_any_arm(undo(hypothesis, data))
-    torque, positions = (left[code] for code in _SIGNS)
+        misfits[code] = _left_by_any_arm(undo(hypothesis, data))
+    torque, positions = (misfits[code] for code in _SIGNS)
     apart = torque - positions
     code = "reversed_sign" if abs(apart) < TRUSTED else _SIGNS[int(apart > 0)]
     undone = "reversed_positions" if code == "reversed_positions" else "reversed_torque"
@@ -159,31 +161,34 @@ def _power_gain(data: TorqueRows, joint: int) -> float:
 
 def _left_by_any_arm(data: TorqueRows) -> float:
     """Negative log-likelihood of the torques of all joints beside the inertial numbers that explain them best."""
-    own = [_of_any_arm(data, joint) for joint in range(data.arm.dof)]
+    columns_of_joints = [_of_any_arm(data, joint) for joint in range(data.arm.dof)]
     spread = np.maximum(np.std(data.measured, axis=1), 1e-300)
-    shared = np.hstack([free[:-1] / scale for (free, _), scale in zip(own, spread, strict=True)])
+    shared = np.hstack([free[:-1] / scale for (free, _), scale in zip(columns_of_joints, spread, strict=True)])
     lengths = np.linalg.norm(shared, axis=1)
     shared = shared[lengths > 0] / lengths[lengths > 0, None]
-    blocks = [np.vstack([free[-1:], friction]) / scale for (free, friction), scale in zip(own, spread, strict=True)]
+    blocks = [
+        np.vstack([free[-1:], friction]) / scale
+        for (free, friction), scale in zip(columns_of_joints, spread, strict=True)
+    ]
     columns = np.vstack([shared, np.asarray(block_diag(*blocks))])
     torque = np.hstack([row / scale for row, scale in zip(data.measured, spread, strict=True)])
-    left = outside(torque[None], orthonormal(unit_rows(columns), _RANK))[0].reshape(data.measured.shape)
-    counted = left.shape[1] / autocorrelation_time(left)
-    return 0.5 * counted * float(np.sum(np.log(np.maximum(np.mean(left**2, axis=1), 1e-300))))
+    residuals = outside(torque[None], orthonormal(unit_rows(columns), _RANK))[0].reshape(data.measured.shape)
+    counted = residuals.shape[1] / autocorrelation_time(residuals)
+    return 0.5 * counted * float(np.sum(np.log(np.maximum(np.mean(residuals**2, axis=1), 1e-300))))
 
 
 def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
     """The joint that turns about another axis of its frame than described; None where none exceeds that evidence."""
-    least, best = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof), None
+    threshold, fault = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof), None
     for joint in (i for i in range(rows.dof) if i not in rows.data.arm.sliding):
         for name, R in _AXES.items():
             turned = rows.with_axis(joint, R)
             scored = turned.scored(())
             if scored.hypothesis or (scored.left > rows.declared.left / _CLEARLY).all():
                 continue
-            if (other := turned.evidence(())) > least:
-                least, best = other, DataFault("joint_axis", (), {"joint": joint + 1, "axis": name})
-    return best
+            if (turned_evidence := turned.evidence(())) > threshold:
+                threshold, fault = turned_evidence, DataFault("joint_axis", (), {"joint": joint + 1, "axis": name})
+    return fault
 
 
 def computed_torque(data: TorqueRows) -> bool:
@@ -204,8 +209,8 @@ def computed_torque(data: TorqueRows) -> bool:
         scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
         numbers = np.linalg.lstsq((columns / scale[:, None]).T, row, rcond=1e-9)[0]
         friction = numbers[:2] / np.sqrt(len(row))
-        left = float(np.sqrt(np.mean((row - numbers @ (columns / scale[:, None])) ** 2)))
-        if np.abs(friction).max() > _FRICTIONLESS * usual or left > _FRICTIONLESS * usual:
+        residual_rms = float(np.sqrt(np.mean((row - numbers @ (columns / scale[:, None])) ** 2)))
+        if np.abs(friction).max() > _FRICTIONLESS * usual or residual_rms > _FRICTIONLESS * usual:
             return False
     return True
 
@@ -223,8 +228,8 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
                 yield (Change("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
     for pair in combinations(range(dof), 2):
         yield (Change("swapped_positions", pair),)
-    most = dof if dof <= 7 else 2  # of more joints there are too many sets
-    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, most + 1)):
+    largest_set = dof if dof <= 7 else 2  # of more joints there are too many sets
+    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
         yield tuple(Change("reversed_positions", (i,)) for i in joints)
     for i in turning:
         for j in {i - 1, i + 1} & set(turning):
@@ -263,32 +268,36 @@ def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
     declared = rows.declared
     if not rows.suspicious(declared):
         return rows, _Comparison()
-    best = [one for one in _search(rows) if one.hypothesis and (one.left < declared.left / _CLEARLY).any()]
-    if not best:
+    contenders = [
+        scored for scored in _search(rows) if scored.hypothesis and (scored.left < declared.left / _CLEARLY).any()
+    ]
+    if not contenders:
         return rows, _Comparison()
-    rows = rows.about(best[0].hypothesis)
-    evidence = {one.hypothesis: rows.evidence(one.hypothesis) - rows.price(one.hypothesis) for one in best}
+    rows = rows.about(contenders[0].hypothesis)
+    evidence = {
+        scored.hypothesis: rows.evidence(scored.hypothesis) - rows.price(scored.hypothesis) for scored in contenders
+    }
     ranked = sorted(evidence, key=lambda h: -evidence[h])
-    least = rows.evidence(()) + TRUSTED
-    if evidence[ranked[0]] < least:
+    threshold = rows.evidence(()) + TRUSTED
+    if evidence[ranked[0]] < threshold:
         return rows, _Comparison()
-    likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, least)]
+    likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, threshold)]
     fewest = min(map(faults_in, likely))
     simple = [h for h in likely if faults_in(h) == fewest]
-    simple = [h for h in simple if not any(kinds(other) < kinds(h) for other in simple)]  # what it adds is not seen
+    simple = [h for h in simple if not any(kinds(rival) < kinds(h) for rival in simple)]  # what it adds is not seen
     beyond = {h: rows.beyond_limits(h) for h in simple}
     simple = [h for h in simple if beyond[h] == min(beyond.values())]
-    distinct = [h for k, h in enumerate(simple) if not any(alike(h, other) for other in simple[:k])]
+    distinct = [h for k, h in enumerate(simple) if not any(alike(h, earlier) for earlier in simple[:k])]
     signs_alike = len(distinct) > 1 and len({_without_signs(h) for h in distinct}) == 1
     if signs_alike:
         distinct = [min(distinct, key=lambda h: sum(c.code == "reversed_positions" for c in h))]
     if len(distinct) > 1:
         return rows, _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
-    (found,) = distinct
-    common = _with_one_constant(found)
+    (likeliest,) = distinct
+    common = _with_one_constant(likeliest)
     together = rows.evidence(common) - rows.price(common)
-    taken = common if together > evidence[found] else found
-    return rows, _Comparison(taken, evidence=max(together, evidence[found]), signs_alike=signs_alike)
+    chosen = common if together > evidence[likeliest] else likeliest
+    return rows, _Comparison(chosen, evidence=max(together, evidence[likeliest]), signs_alike=signs_alike)
 
 
 def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]:
@@ -302,8 +311,8 @@ def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
     constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
     if len(constants) < 2:
         return hypothesis
-    one = float(f"{np.median(constants):.3g}")
-    return tuple(replace(c, value=one) if c.code == "wrong_torque_constant" else c for c in hypothesis)
+    median = float(f"{np.median(constants):.3g}")
+    return tuple(replace(c, value=median) if c.code == "wrong_torque_constant" else c for c in hypothesis)
 
 
 def _search(rows: Samples) -> list[Scored]:
@@ -312,9 +321,9 @@ def _search(rows: Samples) -> list[Scored]:
     scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
     beam: list[Hypothesis] = [()]
     for first in (True, False):
-        tried = dict.fromkeys(joined(h, more) for h in beam for more in simple if compatible(h, more))
-        tried |= dict.fromkeys(_conventions(rows.data)) if first else {}
-        new = {h: rows.scored(h) for h in tried if h not in scored}
+        hypotheses = dict.fromkeys(joined(h, more) for h in beam for more in simple if compatible(h, more))
+        hypotheses |= dict.fromkeys(_conventions(rows.data)) if first else {}
+        new = {h: rows.scored(h) for h in hypotheses if h not in scored}
         zeros: dict[Hypothesis, Hypothesis] = {}  # of those that differ in zeros alone the best
         for h in sorted(new, key=lambda h: new[h].cost):
             zeros.setdefault(tuple(replace(c, value=0.0) if c.code == "joint_zero" else c for c in h), h)
@@ -326,13 +335,13 @@ def _search(rows: Samples) -> list[Scored]:
             if turned is not None:
                 more = joined(tuple(c for c in h if c.code not in GRAVITY), (turned,))
                 new[more] = rows.scored(more)
-        before = min(one.cost for one in scored.values())
+        before = min(scored_hypothesis.cost for scored_hypothesis in scored.values())
         scored |= new
         distinct: dict[frozenset[tuple[str, tuple[int, ...]]], Hypothesis] = {}
         for h in sorted(scored, key=lambda h: scored[h].cost):
             distinct.setdefault(frozenset(kinds(h)), h)
         beam = [*distinct.values()][:_BEAM]
-        least = scored[beam[0]]
-        if not rows.suspicious(least, _EXPLAINED) or least.cost > before - TRUSTED:
+        leader = scored[beam[0]]
+        if not rows.suspicious(leader, _EXPLAINED) or leader.cost > before - TRUSTED:
             break
-    return sorted(scored.values(), key=lambda one: one.cost)[:_COMPARED]
+    return sorted(scored.values(), key=lambda scored_hypothesis: scored_hypothesis.cost)[:_COMPARED]

@@ -75,10 +75,11 @@ class Samples:
     def __init__(self, data: TorqueRows) -> None:
         self.data = data
         self.likeliest: Hypothesis = ()  # what it leaves is the noise of them all
-        kept = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
-        at, motion = data.filter.kept[kept], data.motion
+        sampled = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
+        at = data.filter.kept[sampled]
+        motion = data.motion
         self.moved = data.bodies.moved[..., at]
-        self.measured = data.measured[:, kept]
+        self.measured = data.measured[:, sampled]
         self.payload = np.asarray(motion.payload)[at] * np.ones(len(at))
         self.size = np.std(self.measured, axis=1)
         self.floor = _FLOOR * self.size + 1e-9
@@ -87,18 +88,19 @@ class Samples:
             self.floor = np.hypot(self.floor, 0.5 * noise)
         still = data.recording.motion == "static"  # postures are not neighbours
         slope = np.stack([np.zeros_like(row) if still else np.gradient(row) for row in data.measured])
-        self.slope = slope[:, kept] * data.recorded.rate / data.recorded.every
+        self.slope = slope[:, sampled] * data.recorded.rate / data.recorded.every
 
     def about(self, likeliest: Hypothesis) -> "Samples":
         """The same with a hypothesis that leaves less: what one leaves that is wrong is no noise."""
-        other = copy(self)
-        other.likeliest = likeliest
-        vars(other).pop("counted", None)
-        return other if other.counted > self.counted else self
+        variant = copy(self)
+        variant.likeliest = likeliest
+        vars(variant).pop("counted", None)
+        return variant if variant.counted > self.counted else self
 
     def with_axis(self, joint: int, R: Array) -> "Samples":
         """The same of an arm whose joint, from 0, turns about the axis of its frame that `R` turns z into."""
-        bodies, other = self.data.bodies, copy(self)
+        bodies = self.data.bodies
+        variant = copy(self)
         kinematics, links = bodies.kinematics.copy(), bodies.links.copy()
         T = np.eye(4)
         T[:3, :3] = R
@@ -108,9 +110,9 @@ class Samples:
         links[joint] = _rotated(links[joint], R.T)
         center = bodies.payload_center if joint + 1 < self.dof else R.T @ bodies.payload_center
         turned = replace(bodies, kinematics=kinematics, links=links, payload_center=center)
-        other.data = replace(self.data, bodies=turned)
-        vars(other).pop("declared", None)  # which is that of the other arm
-        return other
+        variant.data = replace(self.data, bodies=turned)
+        vars(variant).pop("declared", None)  # which is that of the other arm
+        return variant
 
     @property
     def dof(self) -> int:
@@ -131,12 +133,13 @@ class Samples:
 
     def price(self, hypothesis: Hypothesis) -> float:
         """Log-likelihood that its changes cost: which joints, and half the logarithm of the samples for each number."""
-        pair, number = _of_pair(self.dof), self._of_number
-        each = {"joint_zero": number, "wrong_torque_constant": number, "torque_unit": number}
-        each |= {"swapped_positions": pair, "swapped_torques": pair, "coupled_joint": np.log(4 * self.dof)}
+        pair = _of_pair(self.dof)
+        number = self._of_number
+        cost_of = {"joint_zero": number, "wrong_torque_constant": number, "torque_unit": number}
+        cost_of |= {"swapped_positions": pair, "swapped_torques": pair, "coupled_joint": np.log(4 * self.dof)}
         reversed_both = {c.joints for c in hypothesis if c.code == "reversed_positions"}
         reversed_both &= {c.joints for c in hypothesis if c.code == "reversed_torque"}
-        total = sum(each.get(change.code, _OF_SIGN) for change in hypothesis)
+        total = sum(cost_of.get(change.code, _OF_SIGN) for change in hypothesis)
         constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
         repeated = 0.5 * np.log(self.counted) * (len(constants) - len(set(constants)))
         return float(total - _OF_SIGN * len(reversed_both) - repeated)
@@ -153,8 +156,8 @@ class Samples:
 
     def suspicious(self, scored: Scored, share: float = SUSPECT) -> bool:
         """Whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
-        rest = self._rest(scored.hypothesis)
-        near = np.sum(rest[:, 1:] * rest[:, :-1], 1) / np.maximum(np.sum(rest**2, 1), 1e-300)
+        residual = self._rest(scored.hypothesis)
+        near = np.sum(residual[:, 1:] * residual[:, :-1], 1) / np.maximum(np.sum(residual**2, 1), 1e-300)
         return bool(((scored.left > share * self.size) & (near > _CORRELATED)).any())
 
     def rigid(self, moved: Array, gravity: Array) -> Array:
@@ -191,8 +194,8 @@ class Samples:
         slides = self.data.arm.slides
         narrow = np.stack([direction(v, s) for v, s in zip(dq, slides, strict=True)])
         wide = np.tanh(dq / np.maximum(0.2 * np.abs(dq).max(1, keepdims=True), 1e-9))
-        one = np.ones_like(dq)
-        columns = np.stack([one, -one, dq, narrow, wide, ddq], 1)
+        ones = np.ones_like(dq)
+        columns = np.stack([ones, -ones, dq, narrow, wide, ddq], 1)
         return columns / np.maximum(np.linalg.norm(columns, axis=2, keepdims=True), 1e-300)
 
     def _rest(self, hypothesis: Hypothesis) -> Array:
@@ -200,9 +203,11 @@ class Samples:
         moved, gravity = self._moved(hypothesis)
         return self._left(maps(hypothesis, self.dof)[2] @ self.measured - self.rigid(moved, gravity), moved)
 
-    def _left(self, rest: Array, moved: Array) -> Array:
+    def _left(self, rigid_residual: Array, moved: Array) -> Array:
         """Torques `(joint, sample)` Nm less what each joint may add."""
-        return np.stack([row - nnls(c.T, row)[0] @ c for row, c in zip(rest, self._beside(moved), strict=True)])
+        return np.stack(
+            [row - nnls(c.T, row)[0] @ c for row, c in zip(rigid_residual, self._beside(moved), strict=True)]
+        )
 
     def scored(self, hypothesis: Hypothesis) -> Scored:
         """A hypothesis about positions and gravity, with the columns, signs and constants of torques that fit it best.
@@ -211,44 +216,49 @@ class Samples:
             hypothesis: without changes of torques.
         """
         moved, gravity = self._moved(hypothesis)
-        measured, rigid = maps(hypothesis, self.dof)[2] @ self.measured, self.rigid(moved, gravity)
-        n, dof, half = self.measured.shape[1], self.dof, 0.5 * self.counted
+        measured = maps(hypothesis, self.dof)[2] @ self.measured
+        rigid = self.rigid(moved, gravity)
+        n = self.measured.shape[1]
+        dof = self.dof
+        half = 0.5 * self.counted
         weight = np.maximum(np.linalg.norm(rigid, axis=1, keepdims=True), 1e-300)
         # an offset of either sign is what the mean is taken off for
-        own, measured, rigid = (x - x.mean(-1, keepdims=True) for x in (self._beside(moved)[:, 2:], measured, rigid))
+        joint_columns, measured, rigid = (
+            x - x.mean(-1, keepdims=True) for x in (self._beside(moved)[:, 2:], measured, rigid)
+        )
         missed = np.concatenate([sign * measured - rigid[:, None] for sign in (1.0, -1.0)] + [measured[:, None]], 1)
-        squares = _nonnegative(own, missed)[1] / n
+        squares = _nonnegative(joint_columns, missed)[1] / n
         square = squares[:, :-1].reshape(dof, 2, dof).transpose(1, 2, 0)
-        both = np.stack([measured, -measured], 1)
-        numbers, rss = _nonnegative(np.concatenate([own, (rigid / weight)[:, None]], 1), both)
+        signed_torques = np.stack([measured, -measured], 1)
+        numbers, rss = _nonnegative(np.concatenate([joint_columns, (rigid / weight)[:, None]], 1), signed_torques)
         factor, loaded = numbers[..., -1].T / weight.T, rss.T / n
-        seen = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > TRUSTED
+        observable = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > TRUSTED
         square = np.maximum(square, self.floor[None, :, None] ** 2)
         loaded = np.maximum(loaded, self.floor**2)
-        every, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
+        joints, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
         cost = half * np.log(square) + of_sign[:, None, None] + 0.5 * _of_pair(dof) * (1 - np.eye(dof))
         columns, place = linear_sum_assignment(cost.min(0))
         order = np.empty(dof, int)
         order[place] = columns
-        reversed_ = np.argmin(cost[:, order, every], 0) == 1
-        total, left = cost.min(0)[order, every], np.sqrt(square[reversed_.astype(int), order, every])
+        reversed_ = np.argmin(cost[:, order, joints], 0) == 1
+        total, residual_rms = cost.min(0)[order, joints], np.sqrt(square[reversed_.astype(int), order, joints])
         constants = np.ones(dof)
         code, with_any = "wrong_torque_constant", half * np.log(loaded) + of_sign[:, None] + self._of_number
         for of_all in (False, True):
-            other = self._constants(with_any, factor, cost[:, every, every], seen if of_all else None)
-            if other is not None and other[1].sum() < total.sum():
+            rescaled = self._constants(with_any, factor, cost[:, joints, joints], observable if of_all else None)
+            if rescaled is not None and rescaled[1].sum() < total.sum():
                 code = "torque_unit" if of_all else "wrong_torque_constant"
-                order, (constants, total, reversed_) = every, other
+                order, (constants, total, reversed_) = joints, rescaled
                 k = reversed_.astype(int)
-                left = np.sqrt(np.where(constants != 1, loaded[k, every], square[k, every, every]))
+                residual_rms = np.sqrt(np.where(constants != 1, loaded[k, joints], square[k, joints, joints]))
         changes = [*hypothesis, *exchanges(order)]
         changes += [Change("reversed_torque", (int(j),)) for j in np.flatnonzero(reversed_)]
-        found = [(int(j), float(constants[j])) for j in np.flatnonzero(constants != 1)]
-        changes += [Change(code, (j,), float(f"{k:.3g}")) for j, k in found]
-        return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), left)
+        wrong_constants = [(int(j), float(constants[j])) for j in np.flatnonzero(constants != 1)]
+        changes += [Change(code, (j,), float(f"{k:.3g}")) for j, k in wrong_constants]
+        return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), residual_rms)
 
     def _constants(
-        self, loaded: Array, factor: Array, as_it_is: Array, seen: NDArray[np.bool_] | None
+        self, loaded: Array, factor: Array, as_it_is: Array, observable: NDArray[np.bool_] | None
     ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
         """Constants of the torques of joints, what each joint costs, and which are reversed, `(joint,)` each.
 
@@ -256,27 +266,29 @@ class Samples:
             loaded: `(sign, joint)`, costs with any constant.
             factor: likewise, the measured torque over the true one.
             as_it_is: `(sign, joint)`, costs with the constant as declared.
-            seen: `(joint,)`, whose constants the torques show, for constants of all joints; None for single joints'.
+            observable: `(joint,)`, whose constants the torques show, for constants of all joints; None for single
+                joints'.
         """
         low, high = _FACTORS
-        if seen is not None:
-            k, every = np.argmin(loaded, 0), np.arange(self.dof)
-            found = factor[k, every]
-            shown = found[seen]
-            if 2 * seen.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
+        if observable is not None:
+            k, joints = np.argmin(loaded, 0), np.arange(self.dof)
+            joint_factors = factor[k, joints]
+            shown = joint_factors[observable]
+            if 2 * observable.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
                 return None
             usual = float(np.exp(np.mean(np.log(shown))))
             if _UNIT[0] < usual < _UNIT[1]:
                 return None
-            return np.where(seen, found, usual), loaded[k, every], k == 1
+            return np.where(observable, joint_factors, usual), loaded[k, joints], k == 1
         beyond = ((factor > 0) & (factor < low)) | (factor > high)
         cost = np.minimum(as_it_is, np.where(beyond, loaded, np.inf))
-        reversed_, every = np.argmin(cost, 0) == 1, np.arange(self.dof)
+        reversed_ = np.argmin(cost, 0) == 1
+        joints = np.arange(self.dof)
         k = reversed_.astype(int)
-        other = cost[k, every] < as_it_is[k, every]
-        if not other.any() or 2 * other.sum() > self.dof:
+        rescaled = cost[k, joints] < as_it_is[k, joints]
+        if not rescaled.any() or 2 * rescaled.sum() > self.dof:
             return None
-        return np.where(other, factor[k, every], 1.0), cost[k, every], reversed_
+        return np.where(rescaled, factor[k, joints], 1.0), cost[k, joints], reversed_
 
     def refined(self, hypothesis: Hypothesis) -> Hypothesis:
         """With zeros between those that were tried."""
@@ -284,14 +296,14 @@ class Samples:
             if change.code != "joint_zero":
                 continue
 
-            def at(value: float, change: Change = change, whole: Hypothesis = hypothesis) -> Hypothesis:
-                return tuple(replace(c, value=value) if c == change else c for c in whole)
+            def at(value: float, change: Change = change, changes: Hypothesis = hypothesis) -> Hypothesis:
+                return tuple(replace(c, value=value) if c == change else c for c in changes)
 
             near = (change.value - STEP, change.value + STEP)
-            best: Any = minimize_scalar(
+            minimum: Any = minimize_scalar(
                 lambda value, at=at: self.scored(at(value)).cost, bounds=near, method="bounded", options={"xatol": 5e-3}
             )
-            value = float(best.x)
+            value = float(minimum.x)
             quarters = float(np.round(value / (np.pi / 2)) * np.pi / 2)
             value = quarters if abs(value - quarters) < _SNAP else float(f"{value:.3g}")
             hypothesis = at(turned_back(value))
@@ -310,20 +322,21 @@ class Samples:
         moved, _ = self._moved(hypothesis)
         without = self.rigid(moved, np.zeros(3))
         of_axes = np.stack([self.rigid(moved, axis) - without for axis in np.eye(3)])
-        rest = maps(hypothesis, self.dof)[2] @ self.measured - without
-        found, scale = declared, np.maximum(self.size, 1e-9)
+        rigid_residual = maps(hypothesis, self.dof)[2] @ self.measured - without
+        gravity = declared
+        scale = np.maximum(self.size, 1e-9)
         bases = [np.linalg.qr(np.stack([c[0], *c[2:]]).T)[0] for c in self._beside(moved)]
         X = np.stack([of_axes[:, j] - (of_axes[:, j] @ Q) @ Q.T for j, Q in enumerate(bases)])
-        Y = np.stack([rest[j] - (rest[j] @ Q) @ Q.T for j, Q in enumerate(bases)])
+        Y = np.stack([rigid_residual[j] - (rigid_residual[j] @ Q) @ Q.T for j, Q in enumerate(bases)])
         for _ in range(4):
             A, b = np.concatenate(X / scale[:, None, None], 1), np.concatenate(Y / scale[:, None])
-            found = np.linalg.lstsq(A.T, b, rcond=None)[0]
-            scale = np.maximum(np.sqrt(np.mean((Y - np.einsum("k,jks->js", found, X)) ** 2, 1)), self.floor)
-        size = float(np.linalg.norm(found))
-        cosine = float(found @ declared) / max(size * strength, 1e-300)
+            gravity = np.linalg.lstsq(A.T, b, rcond=None)[0]
+            scale = np.maximum(np.sqrt(np.mean((Y - np.einsum("k,jks->js", gravity, X)) ** 2, 1)), self.floor)
+        size = float(np.linalg.norm(gravity))
+        cosine = float(gravity @ declared) / max(size * strength, 1e-300)
         if abs(size / strength - 1) > _STRENGTH or np.arccos(np.clip(cosine, -1, 1)) <= TILT:
             return None
-        along = found / size
+        along = gravity / size
         k = int(np.argmax(np.abs(along)))
         if np.arccos(min(abs(along[k]), 1.0)) < _UPRIGHT:
             along = np.sign(along[k]) * np.eye(3)[k]
@@ -340,20 +353,27 @@ class Samples:
         T = maps(hypothesis, self.dof)[2]
         measured = T @ self.measured
         size = np.std(measured, axis=1) + 1e-9
-        rest = measured - self.rigid(moved, gravity)
+        rigid_residual = measured - self.rigid(moved, gravity)
         shared, of_links = self._of_bodies(moved, gravity)
-        own, bounded = self._of_joints(moved, gravity, T @ self.slope, size)
-        k, m, dof = len(shared), own.shape[1], self.dof
-        columns = [np.vstack([shared[:, j], own[j]]) for j in range(dof)]
-        grams, sides = [c @ c.T for c in columns], [c @ row for c, row in zip(columns, rest, strict=True)]
+        joint_columns, bounded = self._of_joints(moved, gravity, T @ self.slope, size)
+        k = len(shared)
+        m = joint_columns.shape[1]
+        dof = self.dof
+        columns = [np.vstack([shared[:, j], joint_columns[j]]) for j in range(dof)]
+        grams, sides = [c @ c.T for c in columns], [c @ row for c, row in zip(columns, rigid_residual, strict=True)]
         places = [np.r_[:k, k + m * j : k + m * (j + 1)] for j in range(dof)]
         lower = np.r_[np.zeros(k, bool), np.tile(bounded, dof)]
-        squares, n, floor = np.sum(rest**2, 1), rest.shape[1], np.abs(T) @ self.floor
-        start = np.maximum(np.sqrt(np.mean(self._left(rest, moved) ** 2, 1)), floor)
+        squares = np.sum(rigid_residual**2, 1)
+        n = rigid_residual.shape[1]
+        floor = np.abs(T) @ self.floor
+        start = np.maximum(np.sqrt(np.mean(self._left(rigid_residual, moved) ** 2, 1)), floor)
 
         def of_width(width: float) -> float:
-            prior, noise = np.r_[np.where(of_links, width, 1.0), np.ones(m * dof)], start
-            square, H, x = start**2, np.zeros((len(lower), len(lower))), np.zeros(len(lower))
+            prior = np.r_[np.where(of_links, width, 1.0), np.ones(m * dof)]
+            noise = start
+            square = start**2
+            H = np.zeros((len(lower), len(lower)))
+            x = np.zeros(len(lower))
             for _ in range(5):
                 H, g = np.zeros_like(H), np.zeros(len(lower))
                 for at, gram, side, sigma in zip(places, grams, sides, noise, strict=True):
@@ -363,8 +383,10 @@ class Samples:
                 H *= np.outer(prior, prior)
                 x = _solved(H + np.eye(len(H)), g * prior, lower)
                 y = [(prior * x)[at] for at in places]
-                left = [s - 2 * v @ b + v @ G @ v for s, v, b, G in zip(squares, y, sides, grams, strict=True)]
-                square = np.maximum(left, 0.0) / n
+                residual_squares = [
+                    s - 2 * v @ b + v @ G @ v for s, v, b, G in zip(squares, y, sides, grams, strict=True)
+                ]
+                square = np.maximum(residual_squares, 0.0) / n
                 noise = np.maximum(np.sqrt(square), floor)
             of_noise = np.log(noise / np.abs(T).sum(1)) + 0.5 * square / noise**2  # in the unit that was recorded
             volume = float(np.linalg.slogdet(np.eye(len(H)) + H)[1])
@@ -392,12 +414,12 @@ class Samples:
     def _of_joints(self, moved: Array, gravity: Array, slope: Array, size: Array) -> tuple[Array, NDArray[np.bool_]]:
         """`(joint, number, sample)` Nm by what a joint may add, of one prior sigma, and which numbers are positive."""
         q = moved[0]
-        own = self._beside(moved)[:, [0, 2, 3, 4, 5]] * np.sqrt(q.shape[1])  # of unit mean square
+        joint_columns = self._beside(moved)[:, [0, 2, 3, 4, 5]] * np.sqrt(q.shape[1])  # of unit mean square
         spring = q - q.mean(1, keepdims=True)
         spring /= np.maximum(np.std(spring, axis=1, keepdims=True), 1e-9)
         rigid = self.rigid(moved, gravity) / size[:, None]
         added = np.stack([0.3 * spring, 0.1 * rigid, 0.02 * slope / size[:, None]], 1)
-        columns = np.concatenate([own, added], 1) * size[:, None, None]
+        columns = np.concatenate([joint_columns, added], 1) * size[:, None, None]
         return columns, np.array([False, True, True, True, True, False, False, False])
 
 
@@ -424,8 +446,8 @@ def _nonnegative(columns: Array, y: Array) -> tuple[Array, Array]:
     b = (y @ columns.swapaxes(-1, -2)).swapaxes(-1, -2)[..., None, :, :]
     x = np.linalg.solve(H, np.where(sets[..., None], b, 0.0))
     explained = np.where((x >= 0).all(-2), np.sum(x * b, -2), -np.inf)
-    best = np.argmax(explained, -2)
-    numbers = np.take_along_axis(x, best[..., None, None, :], -3)[..., 0, :, :].swapaxes(-1, -2)
+    active_set = np.argmax(explained, -2)
+    numbers = np.take_along_axis(x, active_set[..., None, None, :], -3)[..., 0, :, :].swapaxes(-1, -2)
     return numbers, np.maximum(np.sum(y**2, -1) - np.max(explained, -2), 0.0)
 
 

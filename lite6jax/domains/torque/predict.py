@@ -55,11 +55,11 @@ _STEP = 1e-4
 
 def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
     """The effects that are the terms of a torque problem, each with the place of its numbers."""
-    found = []
+    effects = []
     for term, part in zip(terms.terms, terms.slices, strict=True):
         assert isinstance(term, TorqueEffect)
-        found.append((term, part))
-    return found
+        effects.append((term, part))
+    return effects
 
 
 def exerted(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
@@ -112,12 +112,12 @@ def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer
         for rows, spline in interpolant(torque[joints], time, runs):
             t, part = time[rows], torque[joints, rows]
             at = np.clip(t + offset, t[0], t[-1])
-            beyond, found = t + offset - at, spline(at)
+            beyond, shifted = t + offset - at, spline(at)
             if beyond.any():
                 near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
                 along = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
-                found = np.where(beyond != 0, part[:, [far]] + along[:, None] * beyond, found)
-            value[joints, rows] = found
+                shifted = np.where(beyond != 0, part[:, [far]] + along[:, None] * beyond, shifted)
+            value[joints, rows] = shifted
     return value
 
 
@@ -148,12 +148,12 @@ def unit_torques(effect: TorqueEffect, dynamics: Dynamics) -> Array:
 
 def slopes(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
     """`(number, joint, sample)` Nm by each number of an effect that is not linear, by central differences."""
-    found = []
+    derivatives = []
     for k, number in enumerate(effect.coordinates):
         step = np.eye(effect.size)[k] * _STEP * number.typical
         up, down = (effect.torque(values + sign * step, dynamics) for sign in (1, -1))
-        found.append((up - down) / (2 * step[k]))
-    return np.stack(found)
+        derivatives.append((up - down) / (2 * step[k]))
+    return np.stack(derivatives)
 
 
 def motion_of_joint(j: int, velocity: Array, slides: Flags) -> Motion:
@@ -257,7 +257,8 @@ def predicted_torques(model: DiagnosedMotors, motion: Recording) -> TorquePredic
         if not driver.loaded and not driver.known(bodies.motion, None):
             raise InputError(f"{even.source}: has no {driver.phrase}; give {driver.remedy}")
     bodies = replace(bodies, links=model.links, payload_center=model.payload_center, gravity=model.gravity)
-    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
+    dynamics = bodies.dynamics(model.links)
+    time = np.asarray(bodies.motion.time)
     torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
     if model.uncertainty is None:
         return TorquePrediction(torque, None, None, model.sliding)
@@ -272,17 +273,18 @@ def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:
         return values
     assert even.time is not None
     assert motion.time is not None
-    found, step = np.full((motion.samples, values.shape[1]), np.nan), float(np.median(np.diff(even.time)))
+    resampled = np.full((motion.samples, values.shape[1]), np.nan)
+    step = float(np.median(np.diff(even.time)))
     for run in np.unique(motion.run):
         rows = np.flatnonzero(motion.run == run)
-        there = np.isin(even.row, motion.row[rows])
-        if not there.any():
+        in_run = np.isin(even.row, motion.row[rows])
+        if not in_run.any():
             continue
-        at, t = motion.time[rows], even.time[there]
+        at, t = motion.time[rows], even.time[in_run]
         near = np.abs(t[np.clip(np.searchsorted(t, at), 1, len(t) - 1) - np.array([[1], [0]])] - at).min(0) <= step
-        each = [np.interp(at[near], t, column) for column in values[there].T]
-        found[rows[near]] = np.stack(each, 1)
-    return found
+        columns = [np.interp(at[near], t, column) for column in values[in_run].T]
+        resampled[rows[near]] = np.stack(columns, 1)
+    return resampled
 
 
 def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
@@ -292,10 +294,10 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
 
 
 def _bars(
-    model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
 ) -> tuple[Array, Flags]:
     """Standard deviations `(sample, joint)` Nm, and whether a row is outside."""
-    recorded, slides, states = known.recorded, model.arm.slides, bodies.moved
+    recorded, slides, states = uncertainty.recorded, model.arm.slides, bodies.moved
     beyond: dict[str, Array] = {}
     ranges = (recorded.joints, recorded.velocities, recorded.accelerations)
     for quantity, state, limits in zip(_LEAST, states, ranges, strict=True):
@@ -306,41 +308,43 @@ def _bars(
     positions = list(beyond)[: len(slides)]
     beyond |= recorded.beyond(driver_values(model.terms, dynamics))
     rows, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
-    estimated = _estimated(model, known, bodies, dynamics, runs)
-    variance, outside = widened(estimated, known, np.arange(model.dof), distance_to(rows, q), beyond, positions)
-    return np.sqrt(variance + np.asarray(known.noise)[:, None] ** 2).T, outside
+    estimated = _estimated(model, uncertainty, bodies, dynamics, runs)
+    variance, outside = widened(estimated, uncertainty, np.arange(model.dof), distance_to(rows, q), beyond, positions)
+    return np.sqrt(variance + np.asarray(uncertainty.noise)[:, None] ** 2).T, outside
 
 
 def _estimated(
-    model: DiagnosedMotors, known: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
 ) -> Array:
     """`(joint, sample)` Nm², by the covariance of the numbers; of one effect after the other, in its directions.
 
     And of processes beyond the range of their drivers.
     """
     scale = scales_of(model.terms, model.values, model.dof)
-    directions = independent_directions(known.covariance)
+    directions = independent_directions(uncertainty.covariance)
     moved = np.zeros((len(directions), *dynamics.torque.shape))
-    first = len(known.sites)
+    first = len(uncertainty.sites)
     if first:
         moved += np.einsum("dp,jps->djs", directions[:, :first], bodies.regressor) * scale
     terms, values = with_free_numbers(model.terms, model.values)
-    whole = exerted(model.terms, model.values, dynamics)
+    exerted_torque = exerted(model.terms, model.values, dynamics)
     for effect, part in pairs(terms):
-        own = directions[:, first + part.start : first + part.stop]
+        effect_directions = directions[:, first + part.start : first + part.stop]
         if isinstance(effect, Scaling):
-            moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
+            moved[:, effect.joint - 1] += effect_directions * exerted_torque[effect.joint - 1]
         elif isinstance(effect, Delaying):
-            shown, time = composed(model.terms, model.values, dynamics), np.asarray(dynamics.motion.time)
+            shown = composed(model.terms, model.values, dynamics)
+            time = np.asarray(dynamics.motion.time)
             slope = slope_of_delayed(shown, np.zeros(model.dof), time, runs)
-            moved += own[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
+            moved += effect_directions[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
         elif effect.linear:
-            joints, units = joints_of(effect), unit_torques(effect, dynamics)
-            moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]
+            joints = joints_of(effect)
+            units = unit_torques(effect, dynamics)
+            moved[:, joints] += np.tensordot(effect_directions, units, 1) * scale[joints]
         else:
-            moved += np.tensordot(own, slopes(effect, values[part], dynamics), 1) * scale
+            moved += np.tensordot(effect_directions, slopes(effect, values[part], dynamics), 1) * scale
     variance = np.sum(moved**2, 0)
-    for effect in (one for one in model.terms.terms if isinstance(one, UnnamedTorque)):
+    for effect in (term for term in model.terms.terms if isinstance(term, UnnamedTorque)):
         j = effect.joint - 1
         variance[j] += scale[j] ** 2 * np.asarray(effect.unknown_at(effect.values_in(dynamics)))  # type: ignore[arg-type]
     return variance
@@ -353,8 +357,12 @@ def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
     """
     effects = (effect for effect, _ in pairs(terms) if not isinstance(effect, Delaying))
     drivers = {driver.phrase: driver for effect in effects for driver in effect.drivers}
-    kept = [one for one in drivers.values() if one.generalised not in (*_LEAST, "direction of motion")]
-    return {one.phrase: values for one in kept if (values := read_driver(one, dynamics)) is not None}
+    further_drivers = [
+        driver for driver in drivers.values() if driver.generalised not in (*_LEAST, "direction of motion")
+    ]
+    return {
+        driver.phrase: values for driver in further_drivers if (values := read_driver(driver, dynamics)) is not None
+    }
 
 
 def with_free_numbers(terms: Terms, values: Array) -> tuple[Terms, Array]:

@@ -103,13 +103,13 @@ class Known:
     waves: dict[tuple[int, float], Array] = field(default_factory=dict)
     thinned: dict[int, "Known"] = field(default_factory=dict)
 
-    def of_every(self, every: int) -> "Known":
-        """Of one in `every` samples."""
-        return self.thinned.setdefault(every, Known(everywhere=self.everywhere))
+    def of_every(self, decimation: int) -> "Known":
+        """Of one in `decimation` samples."""
+        return self.thinned.setdefault(decimation, Known(everywhere=self.everywhere))
 
     def at_other_links(self) -> "Known":
         """What does not depend on inertial numbers."""
-        thinned = {n: known.at_other_links() for n, known in list(self.thinned.items())}
+        thinned = {n: cached.at_other_links() for n, cached in list(self.thinned.items())}
         return Known(waves=self.waves, thinned=thinned)
 
     def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
@@ -155,7 +155,7 @@ class TorqueProblem:
 
     def __getstate__(self) -> dict[str, object]:
         """What another process is sent: the fields, of which `data` has the regressor, and nothing that is cached."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return {attribute.name: getattr(self, attribute.name) for attribute in fields(self)}
 
     @property
     def rows(self) -> int:
@@ -222,14 +222,14 @@ class TorqueProblem:
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Ripple of each joint. A turn of a prismatic joint is its stroke, along which orders count the waves."""
-        found = []
+        families = []
         for j, slides in enumerate(self.data.arm.slides.tolist()):
             q = np.asarray(self.data.motion.joint_position)[j]
             turn, highest = (float(np.ptp(q)), _resolved_waves(self.data, j)) if slides else (1.0, None)
             if slides and highest is None:
                 continue
             angle = wave_angle(q, slides) / turn
-            found.append(
+            families.append(
                 PeriodicFamily(
                     f"joint{j + 1}",
                     self._at_joint(j),
@@ -241,7 +241,7 @@ class TorqueProblem:
                     highest=highest,
                 )
             )
-        return tuple(found)
+        return tuple(families)
 
     def _waves(self, joint: int, angle: Array, orders: Array) -> Array:
         """Sine and cosine `(order, 2, sample)`, filtered. Most of a search's time would go into the same orders again.
@@ -251,17 +251,18 @@ class TorqueProblem:
             angle: `(every sample,)` rad.
             orders: `(order,)`.
         """
-        known, keys = self.known.waves, [(joint, float(order)) for order in orders]
-        found = {key: waves for key in keys if (waves := known.get(key)) is not None}
-        new = sorted(set(keys) - set(found))
+        cached = self.known.waves
+        keys = [(joint, float(order)) for order in orders]
+        waves_by_key = {key: waves for key in keys if (waves := cached.get(key)) is not None}
+        new = sorted(set(keys) - set(waves_by_key))
         if new:
             turned = np.multiply.outer([order for _, order in new], angle)
             filtered = self._kept(np.stack([np.sin(turned), np.cos(turned)], 1))
-            if 2 * self.samples * (len(known) + len(new)) > _MOST_WAVES:
-                known.clear()
-            known.update(zip(new, filtered, strict=True))
-            found.update(zip(new, filtered, strict=True))
-        return np.stack([found[key] for key in keys])
+            if 2 * self.samples * (len(cached) + len(new)) > _MOST_WAVES:
+                cached.clear()
+            cached.update(zip(new, filtered, strict=True))
+            waves_by_key.update(zip(new, filtered, strict=True))
+        return np.stack([waves_by_key[key] for key in keys])
 
     def _at_joint(self, j: int) -> Array:
         """How residuals change with a torque at a joint, counted from 0, `(joint, sample)`."""
@@ -280,8 +281,12 @@ class TorqueProblem:
     @property
     def simple(self) -> tuple[TorqueEffect, ...]:
         """The candidates that are one number of one joint and add to its torque: friction, offset, rotor."""
-        own = [one for one in self.candidates if isinstance(one, JointTorque) and not isinstance(one, Scaling)]
-        return tuple(effect for effect in own if effect.size == 1 and effect.linear)
+        joint_effects = [
+            candidate
+            for candidate in self.candidates
+            if isinstance(candidate, JointTorque) and not isinstance(candidate, Scaling)
+        ]
+        return tuple(effect for effect in joint_effects if effect.size == 1 and effect.linear)
 
     @lazy
     def components(self) -> tuple[Component, ...]:
@@ -295,21 +300,21 @@ class TorqueProblem:
         apart = (
             rise is not None and np.ptp(np.asarray(rise), 0).any()
         )  # else that of the whole arm would be there twice
-        tried = [
+        possible_drivers = [
             (joint_driver(quantity, j, of_slide), f"joint{j}")
             for j, of_slide in enumerate(motion.sliding.mask(motion.dof).tolist(), 1)
             for quantity in (*_QUANTITIES, *(("temperature",) if apart else ()))
         ]
-        found = []
-        for driver, site in (*tried, (Driver("time"), ""), (Driver("temperature rise"), "")):
+        varied = []
+        for driver, site in (*possible_drivers, (Driver("time"), ""), (Driver("temperature rise"), "")):
             values = read_driver(driver, self.dynamics)
             if values is None:
                 continue
             usual = Driver(driver.generalised, driver.place).unit
             if np.ptp(as_revolute(values, usual, driver.of_slide)) > _LEAST_VARIED:
                 only = site if driver.generalised in _OWN_ALONE else ""
-                found.append(Quantity(driver, np.asarray(values, float), frozenset({site}), only))
-        return tuple(found)
+                varied.append(Quantity(driver, np.asarray(values, float), frozenset({site}), only))
+        return tuple(varied)
 
     @property
     def floored(self) -> bool:
@@ -334,10 +339,12 @@ class TorqueProblem:
         rolloff: tuple[float, ...] = (),
     ) -> UnnamedTorque:
         """A nonparametric effect over the ranges of the recording."""
-        joint, driver = int(component.site.removeprefix("joint")), " and ".join(one.driver.phrase for one in quantities)
-        (lower, upper), *further = (one.bounds for one in quantities)
-        others, of_slide = tuple(chain.from_iterable(further)), bool(self.data.arm.slides[joint - 1])
-        return UnnamedTorque(joint, driver, lower, upper, kernel, others, spread, rolloff, of_slide=of_slide)
+        joint = int(component.site.removeprefix("joint"))
+        driver = " and ".join(quantity.driver.phrase for quantity in quantities)
+        (lower, upper), *further = (quantity.bounds for quantity in quantities)
+        further_bounds = tuple(chain.from_iterable(further))
+        of_slide = bool(self.data.arm.slides[joint - 1])
+        return UnnamedTorque(joint, driver, lower, upper, kernel, further_bounds, spread, rolloff, of_slide=of_slide)
 
     def seen(self, functions: Array) -> Array:
         """Functions `(…, every sample)` filtered, of the samples of this problem."""
@@ -357,8 +364,8 @@ class TorqueProblem:
         offsets = offsets_of(terms, values, self.rows)
         if offsets.any():
             data = self.data
-            there = self._shown_everywhere(nuisance, terms, values)
-            return delayed(there, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
+            undelayed = self._shown_everywhere(nuisance, terms, values)
+            return delayed(undelayed, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
@@ -383,17 +390,19 @@ class TorqueProblem:
 
     def _shown(self, rigid: Array, nuisance: Array, terms: Terms, values: Array, everywhere: bool) -> Array:
         """What effects make of the torques of rigid bodies, without delays; of every sample if `everywhere`."""
-        there, total = self.dynamics, np.array(rigid)
+        dynamics = self.dynamics
+        total = np.array(rigid)
         if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in pairs(terms)):
-            there = self.data.bodies.dynamics(self.links_at(nuisance))
+            dynamics = self.data.bodies.dynamics(self.links_at(nuisance))
         for effect, part in pairs(terms):
-            joints, own = joints_of(effect), np.asarray(values[part], float)
+            joints = joints_of(effect)
+            numbers = np.asarray(values[part], float)
             if isinstance(effect, Scaling | Delaying):
                 continue
-            if effect.linear and (there is self.dynamics or not _loaded(effect)):
-                total[joints] += np.tensordot(own, self._units(effect, everywhere), 1)
+            if effect.linear and (dynamics is self.dynamics or not _loaded(effect)):
+                total[joints] += np.tensordot(numbers, self._units(effect, everywhere), 1)
             else:
-                total[joints] += self._filtered(effect.torque(own, there)[joints], everywhere)
+                total[joints] += self._filtered(effect.torque(numbers, dynamics)[joints], everywhere)
         return scales_of(terms, values, self.rows) * total
 
     def columns(
@@ -403,35 +412,36 @@ class TorqueProblem:
 
         The scale of a torque acts on all that `beside`, or `terms` where that is not given, make of it.
         """
-        own = Terms(tuple(terms))
-        at = np.zeros(own.size) if values is None else np.asarray(values, float)
-        others, numbers = beside or (own, at)
-        found = np.zeros((own.size, self.rows, self.samples))
-        slope, late = found[:0], None  # by the time of torques that are late by that
-        for effect, part in pairs(own):
+        column_terms = Terms(tuple(terms))
+        at = np.zeros(column_terms.size) if values is None else np.asarray(values, float)
+        acting_terms, numbers = beside or (column_terms, at)
+        columns = np.zeros((column_terms.size, self.rows, self.samples))
+        slope, late = columns[:0], None  # by the time of torques that are late by that
+        for effect, part in pairs(column_terms):
             joints = joints_of(effect)
             if isinstance(effect, Scaling):
-                kept = [not isinstance(one, Scaling | Delaying) for one, _ in pairs(others)]
-                whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
-                found[part, joints] = whole[joints]
+                additive = [not isinstance(acting, Scaling | Delaying) for acting, _ in pairs(acting_terms)]
+                unscaled = self.torque(np.zeros(len(self.precision)), *acting_terms.part(numbers, additive))
+                columns[part, joints] = unscaled[joints]
             elif isinstance(effect, Delaying):
-                offsets = offsets_of(others, numbers, self.rows)
-                if effect not in others.terms:
+                offsets = offsets_of(acting_terms, numbers, self.rows)
+                if effect not in acting_terms.terms:
                     offsets = offsets + effect.offset(float(at[part][0]), self.rows)
                 if late is None or not np.array_equal(offsets, late):
-                    slope, late = self._slope(others, numbers, offsets), offsets
-                found[part] = effect.offset(1.0, self.rows)[:, None] * slope
+                    slope, late = self._slope(acting_terms, numbers, offsets), offsets
+                columns[part] = effect.offset(1.0, self.rows)[:, None] * slope
             elif effect.linear:
-                found[part, joints] = self._units(effect)
+                columns[part, joints] = self._units(effect)
             else:
-                found[part, joints] = self._slopes(effect, at[part])
-            found[part, joints] /= self.sigma[joints]
-        return found
+                columns[part, joints] = self._slopes(effect, at[part])
+            columns[part, joints] /= self.sigma[joints]
+        return columns
 
     def _slope(self, terms: Terms, values: Array, offsets: Array) -> Array:
         """`(joint, sample)` Nm/s, by the time, of torques that are late by `offsets` `(joint,)` s."""
-        data, there = self.data, self._shown_everywhere(np.zeros(len(self.precision)), terms, values)
-        return slope_of_delayed(there, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
+        data = self.data
+        undelayed = self._shown_everywhere(np.zeros(len(self.precision)), terms, values)
+        return slope_of_delayed(undelayed, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
 
     def factored(self, term: Term) -> None:
         """None: a term acts on one row, over which there is no sum."""
@@ -464,21 +474,21 @@ class TorqueProblem:
         """
         arm = self.data.arm
         if isinstance(term, PayloadTorque | PayloadBody):
-            lightest, most = -float(np.min(np.asarray(self.data.motion.payload))), heaviest_payload(arm)
-            moment = most * PAYLOAD_LENGTH
-            return [(lightest, most), *[(-moment, moment)] * (term.size - 1)]
+            lightest, heaviest_added = -float(np.min(np.asarray(self.data.motion.payload))), heaviest_payload(arm)
+            moment = heaviest_added * PAYLOAD_LENGTH
+            return [(lightest, heaviest_added), *[(-moment, moment)] * (term.size - 1)]
         if isinstance(term, LinkMass):
             return [(-float(self.links[term.link - 1, 0]), heaviest(arm, term.link))]
         if isinstance(term, LinkCom):
             return [(float(low), float(high)) for low, high in displacement(arm, term.link)]
         if isinstance(term, LinkInertia):
             return [turning_inertia(arm, term.link, self.links)]
-        less, *others = [(number.lower, number.upper) for number in term.coordinates]
+        less, *further_limits = [(number.lower, number.upper) for number in term.coordinates]
         of_arm = declared(self.data.arm, term) if term.chosen is None else 0.0  # another curve than the declared one
         if isinstance(term, StribeckFriction | CoulombFriction):  # whose other number is a speed
-            least = float(self.resolved_speeds[term.joint - 1])
-            others = [(max(lower, least), upper) for lower, upper in others]
-        return [(less[0] - of_arm, less[1]), *others]
+            slowest = float(self.resolved_speeds[term.joint - 1])
+            further_limits = [(max(lower, slowest), upper) for lower, upper in further_limits]
+        return [(less[0] - of_arm, less[1]), *further_limits]
 
     def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
@@ -521,12 +531,13 @@ class TorqueProblem:
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
         """As `_units`, by each number of an effect that is not linear, at some of its `values`."""
-        key, at = (effect, bool(values.any())), values.tobytes()
-        known = self.known.slopes.get(key)  # a fold of another thread may keep its own any time
-        if known is None or known[0] != at:
-            known = at, self._kept(slopes(effect, values, self.dynamics)[:, joints_of(effect)])
-            self.known.slopes[key] = known
-        return known[1]
+        key = (effect, bool(values.any()))
+        at = values.tobytes()
+        cached = self.known.slopes.get(key)  # a fold of another thread may keep its own any time
+        if cached is None or cached[0] != at:
+            cached = at, self._kept(slopes(effect, values, self.dynamics)[:, joints_of(effect)])
+            self.known.slopes[key] = cached
+        return cached[1]
 
 
 def _resolved_waves(data: TorqueRows, j: int) -> float | None:
@@ -583,7 +594,11 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
         candidates = tuple(effect for effect in candidates if not isinstance(effect, Delaying))
         in_motion = [effect for effect in candidates if not isinstance(effect, _HEAVY)]
         needed = {effect: driver for effect in in_motion for driver in effect.drivers if driver.generalised in _MOVING}
-        missing += tuple(Untestable(*one) for one in needed.items() if one[0] not in {item.effect for item in missing})
+        missing += tuple(
+            Untestable(*effect_driver)
+            for effect_driver in needed.items()
+            if effect_driver[0] not in {item.effect for item in missing}
+        )
     lacking = {item.effect for item in missing}
     declared = settings.torque_noise_Nm is not None
     noise = np.asarray(settings.torque_noise_Nm or _ASSUMED * np.std(data.torque, axis=1) + 1e-6, float)
@@ -622,10 +637,10 @@ def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
     directions, deviations = np.zeros((len(links), 10, *links.shape)), np.zeros((len(links), 10))
     for j, (m, length) in enumerate(zip(mass, lever, strict=True)):
         center = links[j, 1:4] / m
-        own = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2
+        central_moment = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2
         directions[j, 0, j] = point_mass(1.0, center)
         for axis, step in enumerate(np.eye(3)):  # exact: a point's tensor is quadratic in its place
             directions[j, 1 + axis, j] = m * 0.5 * (point_mass(1.0, center + step) - point_mass(1.0, center - step))
         directions[j, 4:, j, 4:] = np.eye(6)
-        deviations[j] = [m, *(3 * [length]), *(6 * [m * length**2 + max(own, 0.0)])]
+        deviations[j] = [m, *(3 * [length]), *(6 * [m * length**2 + max(central_moment, 0.0)])]
     return directions.reshape(-1, *links.shape), relative * deviations.ravel()

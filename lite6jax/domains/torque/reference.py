@@ -76,27 +76,27 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
     for side in (recording, reference):
         require_joints(side, arm)
     recording = recording.sorted_by_time()
-    found = _at_times_of(recording, reference.sorted_by_time(), arm.slides)
-    if found is None:
+    matched = _at_times_of(recording, reference.sorted_by_time(), arm.slides)
+    if matched is None:
         return None
-    same, torque = found
+    matching, torque = matched
     bodies, _, _ = bodies_of(recording, arm)
     declared = bodies.dynamics(bodies.links).declared.T
-    own = recording.torques()
+    measured = recording.torques()
     settings = recording.settings
     noise = [side.settings.torque_noise_Nm for side in (recording, reference)]
     if noise[0] is not None:
         settings = replace(settings, torque_noise_Nm=tuple(np.hypot(noise[0], noise[1] or 0.0).tolist()))
     if arm.mass is not None and arm.inertia is not None:
         settings = replace(settings, inertial="declared")  # it is in what was put in place of what both have
-    corrected = replace(recording, joint_torque=declared + own - torque, motor_current=None, settings=settings)
+    corrected = replace(recording, joint_torque=declared + measured - torque, motor_current=None, settings=settings)
     return RowComparison(
         file=Path(reference.source).name,
         rows=recording.samples,
-        matched=int(same.sum()),
-        apart=np.sqrt(np.mean((own - torque)[same] ** 2, 0)),
-        from_model=np.sqrt(np.mean((torque - declared)[same] ** 2, 0)),
-        recording=corrected.select(same),
+        matched=int(matching.sum()),
+        apart=np.sqrt(np.mean((measured - torque)[matching] ** 2, 0)),
+        from_model=np.sqrt(np.mean((torque - declared)[matching] ** 2, 0)),
+        recording=corrected.select(matching),
     )
 
 
@@ -110,26 +110,28 @@ def _at_times_of(
     torque = reference.torques()
     if recording.time is None or reference.time is None:
         return None
-    own, other = run_segments(recording.run), run_segments(reference.run)
-    if own[-1] != other[-1]:
+    segments, reference_segments = run_segments(recording.run), run_segments(reference.run)
+    if segments[-1] != reference_segments[-1]:
         return None
-    same, at = np.zeros(recording.samples, bool), np.zeros_like(recording.joint_position)
+    matching, at = np.zeros(recording.samples, bool), np.zeros_like(recording.joint_position)
     states = [(side.joint_position, side.velocities()) for side in (recording, reference)]
-    for run in np.unique(own):
-        here, there = np.flatnonzero(own == run), np.flatnonzero(other == run)
-        since, known = (side[part] - side[part[0]] for side, part in ((recording.time, here), (reference.time, there)))
-        at[here] = _interpolated(since, known, torque[there])
-        near = (since >= known[0]) & (since <= known[-1])
-        for mine, its, most, unit in zip(*states, SAME_STATE, ("rad", "rad/s"), strict=True):
-            away = np.abs(mine[here] - _interpolated(since, known, its[there]))
-            near &= as_revolute(away.T, unit, slides).max(0) <= most
+    for run in np.unique(segments):
+        rows, reference_rows = np.flatnonzero(segments == run), np.flatnonzero(reference_segments == run)
+        since, reference_times = (
+            side[part] - side[part[0]] for side, part in ((recording.time, rows), (reference.time, reference_rows))
+        )
+        at[rows] = _interpolated(since, reference_times, torque[reference_rows])
+        near = (since >= reference_times[0]) & (since <= reference_times[-1])
+        for mine, its, tolerance, unit in zip(*states, SAME_STATE, ("rad", "rad/s"), strict=True):
+            away = np.abs(mine[rows] - _interpolated(since, reference_times, its[reference_rows]))
+            near &= as_revolute(away.T, unit, slides).max(0) <= tolerance
         if near.mean() < _NEARLY:
             return None
         first, last = np.flatnonzero(near)[[0, -1]]
-        same[here[first : last + 1]] = True
-    return same, at
+        matching[rows[first : last + 1]] = True
+    return matching, at
 
 
-def _interpolated(time: Array, known: Array, rows: Array) -> Array:
+def _interpolated(time: Array, sample_times: Array, rows: Array) -> Array:
     """`(sample, joint)` at times, of rows at known times; beyond the ends the last ones."""
-    return np.stack([np.interp(time, known, column) for column in rows.T], 1)
+    return np.stack([np.interp(time, sample_times, column) for column in rows.T], 1)

@@ -188,7 +188,8 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     """
     require_joints(recording, arm)
     if recording.motion == "static":
-        chosen, q = each_posture(recording.samples), recording.joint_position.T
+        chosen = each_posture(recording.samples)
+        q = recording.joint_position.T
         smooth = Smoothed(q, np.zeros_like(q), np.zeros_like(q), chosen.cutoff)
     else:
         rate = sample_rate(recording)

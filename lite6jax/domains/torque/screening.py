@@ -90,22 +90,22 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
     require_joints(recording, arm)
-    recording, found = _without_placeholders(recording, still)
+    recording, faults = _without_placeholders(recording, still)
     doubt = 0.0
     if not still:
         recording, turns = _without_turns(recording, arm, wraps_only=True)
-        found += turns
+        faults += turns
         biased = _velocity_bias(recording, arm)
         if biased.any():
             assert recording.joint_velocity is not None
             at = np.flatnonzero(biased)
             numbers = {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()}
-            found.append(DataFault("velocity_bias", (), numbers))
+            faults.append(DataFault("velocity_bias", (), numbers))
             recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
         recording, dead = _without_dead_zone(recording, arm)
-        found += dead
+        faults += dead
         recording, uneven, doubt = evenly_timed(recording)
-        found += [] if uneven is None else [uneven]
+        faults += [] if uneven is None else [uneven]
     torque = recording.torques().T
     runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     _require_motion(recording, arm)
@@ -115,36 +115,36 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
-        found.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
+        faults.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
     if recording.settings.torque_source == "unknown" and not still:
         if estimated_torque(recording):
-            found.append(DataFault("estimated_torque", (), {}))
+            faults.append(DataFault("estimated_torque", (), {}))
         elif computed_torque(data):
-            found.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
-    known = recording.settings.inertial != "unknown"
+            faults.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
+    inertia_known = recording.settings.inertial != "unknown"
     corrected = ScreenedTorques(data, (), ())
-    if known:
+    if inertia_known:
         corrected = correct_faults(data)
     elif not still:
         corrected = correct_signs(data)
     _require_unit(recording, corrected.found)
     _require_axes(recording, corrected.found)
     data = corrected.data
-    found += corrected.found
+    faults += corrected.found
     if not still:
         # a joint beyond its limits may have another sign or zero, which has been settled now
         recording, turns = _without_turns(data.recording, arm, wraps_only=False)
         data = torque_rows(recording, arm, data.torque) if turns else data
-        found += turns
-    held = held_by_friction(data)
-    if held.found or np.any(doubt):
+        faults += turns
+    stiction = held_by_friction(data)
+    if stiction.found or np.any(doubt):
         spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows]) if np.any(doubt) else 0.0
-        data = replace(data, slack=np.hypot(held.slack, spread), repeated=held.repeated)
-    found += held.found
+        data = replace(data, slack=np.hypot(stiction.slack, spread), repeated=stiction.repeated)
+    faults += stiction.found
     if not still:
         data = replace(data, turning=turning_friction(data))
-    return ScreenedTorques(data, tuple(found), corrected.ruled_out)
+    return ScreenedTorques(data, tuple(faults), corrected.ruled_out)
 
 
 def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording, list[DataFault]]:
@@ -153,25 +153,25 @@ def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording,
     Of a single joint only positions are compared: a torque that is far from its neighbours is a spike.
     """
     lost = np.zeros(recording.samples, bool)
-    found = []
+    faults = []
     for mark in possible_marks(recording):
         values = getattr(recording, mark.array)
         of_positions = mark.array == "joint_position"
         if mark.value is None or (mark.column is not None and (still or not of_positions)):
             continue
-        others = np.ones(recording.samples, bool)
-        others[mark.samples] = False
-        others &= ~lost
-        usual = np.median(values[others], axis=0)
+        unmarked = np.ones(recording.samples, bool)
+        unmarked[mark.samples] = False
+        unmarked &= ~lost
+        usual = np.median(values[unmarked], axis=0)
         if not still:
             time = recording.time if recording.time is not None else np.arange(float(recording.samples))
-            usual = np.stack([np.interp(time, time[others], row[others]) for row in values.T], 1)[mark.samples]
-        least = _MARKED_RAD if of_positions else _MARKED_SHARE * np.std(values[others], axis=0)
-        far = (np.abs(values[mark.samples] - usual) > least).any(1) & ~lost[mark.samples]
+            usual = np.stack([np.interp(time, time[unmarked], row[unmarked]) for row in values.T], 1)[mark.samples]
+        threshold = _MARKED_RAD if of_positions else _MARKED_SHARE * np.std(values[unmarked], axis=0)
+        far = (np.abs(values[mark.samples] - usual) > threshold).any(1) & ~lost[mark.samples]
         if far.sum() >= min(2, len(mark.samples)):
             lost[mark.samples[far]] = True
-            found.append(mark.fault(recording, mark.samples[far]))
-    return (recording.without_rows(lost), found) if found else (recording, [])
+            faults.append(mark.fault(recording, mark.samples[far]))
+    return (recording.without_rows(lost), faults) if faults else (recording, [])
 
 
 def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Recording, list[DataFault]]:
@@ -209,18 +209,18 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
             continue
         factors = np.array(fault.numbers["factors"])
         listed = ", ".join(f"{factor:.2g}" for factor in factors)
-        said = (
+        problem = (
             f"{recording.source}: the torques of joints 1 to {len(factors)} are {listed} times what the weight and the "
             "motion of the arm require: they are in another unit"
         )
         constants = fault.numbers["constants_Nm_per_A"]
-        one = float(np.median(factors))
+        median_factor = float(np.median(factors))
         unit = next((name for name, size in _UNITS.items() if np.abs(factors / size - 1).max() < _SAME_UNIT), None)
         if constants is not None:
             remedy = f"check torque_constant_Nm_per_A: about {', '.join(f'{c:.2g}' for c in constants)} would fit"
         elif unit is not None:
             remedy = f"are these {unit}? divide them by {_UNITS[unit]:.4g}"
-        elif one < 1:
+        elif median_factor < 1:
             constants = ", ".join(f"{1 / factor:.2g}" for factor in factors)
             remedy = (
                 "are these currents in A, or per cent of a rating? declare the columns as current1_A ... (columns, in "
@@ -234,7 +234,7 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
             )
         else:
             remedy = "are these mN m, or counts? name the columns tau1_mNm ..., or convert them"
-        raise InputError(f"{said}; {remedy}")
+        raise InputError(f"{problem}; {remedy}")
 
 
 def _require_axes(recording: Recording, faults: tuple[DataFault, ...]) -> None:
@@ -264,28 +264,32 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     velocities show where positions stand still, and it has to be what they show on average too.
     """
     recorded, time = recording.joint_velocity, recording.time
-    found = np.zeros(recording.dof)
+    biases = np.zeros(recording.dof)
     if recorded is None or recording.velocity_differentiated or time is None:
-        return found
+        return biases
     segment = run_segments(recording.run)
     runs = [np.flatnonzero(segment == run) for run in np.unique(segment)]
     runs = [rows for rows in runs if len(rows) > 1]
     if not runs:
-        return found
+        return biases
     gone = np.sum([recording.joint_position[rows[-1]] - recording.joint_position[rows[0]] for rows in runs], axis=0)
     shown = np.sum([np.trapezoid(recorded[rows], time[rows], axis=0) for rows in runs], axis=0)
     average = (shown - gone) / sum(float(time[rows[-1]] - time[rows[0]]) for rows in runs)
     moved = np.abs(np.diff(recording.joint_position, axis=0, append=recording.joint_position[-1:]))
     still = as_revolute(moved.T, "rad", arm.slides).T <= STILL_RAD
     for joint in range(recording.dof):
-        rest = recorded[still[:, joint], joint]
-        if len(rest) < _FEWEST_AT_REST:
+        idle_velocity = recorded[still[:, joint], joint]
+        if len(idle_velocity) < _FEWEST_AT_REST:
             continue
-        bias = float(np.median(rest))
+        bias = float(np.median(idle_velocity))
         large = abs(as_revolute([bias], "rad/s", arm.slides[[joint]])[0]) > DIRECTION_SPEED / 2
-        if large and np.mean(np.abs(rest - bias) < abs(bias) / 2) > 0.8 and abs(average[joint] - bias) < abs(bias) / 2:
-            found[joint] = bias
-    return found
+        if (
+            large
+            and np.mean(np.abs(idle_velocity - bias) < abs(bias) / 2) > 0.8
+            and abs(average[joint] - bias) < abs(bias) / 2
+        ):
+            biases[joint] = bias
+    return biases
 
 
 def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[DataFault]]:
@@ -296,13 +300,17 @@ def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[
     recorded, time = recording.joint_velocity, recording.time
     if recorded is None or recording.velocity_differentiated or time is None:
         return recording, []
-    velocity, widths, segment = recorded.copy(), dict[int, float](), run_segments(recording.run)
+    velocity = recorded.copy()
+    widths = dict[int, float]()
+    segment = run_segments(recording.run)
     for joint in range(recording.dof):
-        shown, zero = np.abs(recorded[:, joint]), recorded[:, joint] == 0
+        shown = np.abs(recorded[:, joint])
+        zero = recorded[:, joint] == 0
         width = float(np.min(shown[~zero], initial=np.inf))
         if not zero.any() or as_revolute([width], "rad/s", arm.slides[[joint]])[0] < DIRECTION_SPEED:
             continue
-        q, dead = recording.joint_position[:, joint], 0
+        q = recording.joint_position[:, joint]
+        dead = 0
         for rows in stretches(zero, segment):
             span = time[rows.stop - 1] - time[rows.start]
             if rows.stop - rows.start < _FEWEST_IN_ZONE or span <= 0:
@@ -323,11 +331,13 @@ def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[
 
 def _require_motion(recording: Recording, arm: Arm) -> None:
     if as_revolute(np.ptp(recording.joint_position, axis=0), "rad", arm.slides).max() < _LEAST_MOTION:
-        each = {joint_unit("rad", slides): joint_size(_LEAST_MOTION, "rad", slides) for slides in arm.slides.tolist()}
-        least = " or ".join(f"{size:g} {unit}" for unit, size in each.items())
+        size_of_unit = {
+            joint_unit("rad", slides): joint_size(_LEAST_MOTION, "rad", slides) for slides in arm.slides.tolist()
+        }
+        smallest = " or ".join(f"{size:g} {unit}" for unit, size in size_of_unit.items())
         raise InputError(
-            f"{recording.source}: the arm is at rest (no joint moves by {least}); record a motion in which every joint "
-            f"{'moves' if arm.sliding else 'turns'} both ways"
+            f"{recording.source}: the arm is at rest (no joint moves by {smallest}); record a motion in which every "
+            f"joint {'moves' if arm.sliding else 'turns'} both ways"
         )
 
 
@@ -340,11 +350,12 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     baseline = fit(problem, Terms(), options)
     simple = problem.simple
     confounded = score_test(problem, baseline, options).confounded(simple)
-    terms = Terms(tuple(term for term, one in zip(simple, confounded, strict=True) if not one))
-    found = fit(problem, terms, options)
-    scaled = found.residuals.rows / np.maximum(_robust(found.residuals.rows), 1e-300)[:, None]
+    terms = Terms(tuple(term for term, is_confounded in zip(simple, confounded, strict=True) if not is_confounded))
+    fitted = fit(problem, terms, options)
+    scaled = fitted.residuals.rows / np.maximum(_robust(fitted.residuals.rows), 1e-300)[:, None]
     away = np.sum(scaled**2, 0)
-    time, runs = problem.data.time[problem.chosen], problem.run
+    time = problem.data.time[problem.chosen]
+    runs = problem.run
     if not (away > _EVENT).any() or np.median(away) > 3 * problem.rows:
         return none, []
     inside = _joined(away > _EVENT, time, runs)
@@ -372,7 +383,7 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
         rows = (recording.time >= time[event.start] - step) & (recording.time <= time[event.stop - 1] + step)
         rows &= chosen.runs == runs[event.start]
         numbers = {"joints": joints, "from_s": float(time[event.start]), "to_s": float(time[event.stop - 1])}
-        off = np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max(1)
+        off = np.abs(fitted.residuals.rows[:, event] * problem.sigma[:, event]).max(1)
         worst = by_kind("largest_Nm", off, problem.data.arm.slides, np.max)
         faults.append(DataFault("contact", row_numbers(recording.row[rows]), numbers | worst))
     return inside, faults
@@ -385,7 +396,8 @@ def _robust(rows: Array) -> Array:
 
 def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
     """With the samples between those that are far away, where these are near each other in time."""
-    inside, at = far.copy(), np.flatnonzero(far)
+    inside = far.copy()
+    at = np.flatnonzero(far)
     for a, b in itertools.pairwise(at):
         if runs[a] == runs[b] and time[b] - time[a] <= _JOINED:
             inside[a:b] = True
@@ -411,12 +423,12 @@ def at_rest(data: TorqueRows) -> Flags:
     """`(joint, sample)`, whether a joint rests for a quarter of a second or more around each sample."""
     speed = np.abs(as_revolute(np.asarray(data.motion.joint_velocity), "rad/s", data.arm.slides))
     slow = speed <= DIRECTION_SPEED
-    least = max(int(np.ceil(_LONG * data.filter.rate)), 2)
+    fewest_samples = max(int(np.ceil(_LONG * data.filter.rate)), 2)
     runs = data.filter.runs
     still = np.zeros_like(slow)
     for row, out in zip(slow, still, strict=True):
         for rows in stretches(row, runs):
-            out[rows] = rows.stop - rows.start >= least
+            out[rows] = rows.stop - rows.start >= fewest_samples
     return still
 
 
@@ -429,11 +441,11 @@ def held_by_friction(data: TorqueRows) -> Held:
     still = at_rest(data)
     near = _around(still, data)
     slack, repeated = np.zeros(still.shape), np.zeros(still.shape[1], bool)
-    kept = data.filter.kept
+    filtered_rows = data.filter.kept
     joints, bands = [], []
     for j in range(len(still)):
-        rest = still[j, kept]
-        band = _left_at_rest(data, j, rest, ~near[j, kept]) if rest.sum() >= _FEWEST else 0.0
+        resting = still[j, filtered_rows]
+        band = _left_at_rest(data, j, resting, ~near[j, filtered_rows]) if resting.sum() >= _FEWEST else 0.0
         if band:
             joints.append(j + 1)
             bands.append(band)
@@ -442,15 +454,15 @@ def held_by_friction(data: TorqueRows) -> Held:
 
     def kept_samples(flags: Flags) -> list[tuple[slice, NDArray[np.integer]]]:
         spans = stretches(flags, data.filter.runs)
-        return [(span, kept[(kept >= span.start) & (kept < span.stop)]) for span in spans]
+        return [(span, filtered_rows[(filtered_rows >= span.start) & (filtered_rows < span.stop)]) for span in spans]
 
     # one rest is one torque, however many samples show it
-    for _, own in kept_samples(np.logical_and.reduce(still)):
-        repeated[own[np.arange(len(own)) != len(own) // 2]] = True
+    for _, samples in kept_samples(np.logical_and.reduce(still)):
+        repeated[samples[np.arange(len(samples)) != len(samples) // 2]] = True
     for j, band in zip(joints, bands, strict=True):
-        for span, own in kept_samples(near[j - 1]):
-            single = own[~repeated[own]]
-            slack[j - 1, span] = band * np.sqrt(max(len(own), 1))
+        for span, samples in kept_samples(near[j - 1]):
+            single = samples[~repeated[samples]]
+            slack[j - 1, span] = band * np.sqrt(max(len(samples), 1))
             slack[j - 1, single] = band * np.sqrt(max(len(single), 1))
     recording = data.recording
     rows = row_numbers(recording.row[data.rows[still[np.array(joints) - 1].any(0)]])
@@ -463,11 +475,12 @@ def held_by_friction(data: TorqueRows) -> Held:
 def _around(still: Flags, data: TorqueRows) -> Flags:
     """`(joint, sample)`, rest and the samples beside it, in which the low passes show what was at rest."""
     cutoff = min(data.motion_cutoff, data.filter.cutoff)
-    reach, near = int(np.ceil(data.filter.rate / cutoff)), still.copy()
+    reach = int(np.ceil(data.filter.rate / cutoff))
+    near = still.copy()
     for row, out in zip(still, near, strict=True):
-        for rest in stretches(row, data.filter.runs):
-            beside = slice(max(rest.start - reach, 0), rest.stop + reach)
-            out[beside] |= data.filter.runs[beside] == data.filter.runs[rest.start]
+        for span in stretches(row, data.filter.runs):
+            beside = slice(max(span.start - reach, 0), span.stop + reach)
+            out[beside] |= data.filter.runs[beside] == data.filter.runs[span.start]
     return near
 
 
@@ -487,10 +500,10 @@ def turning_friction(data: TorqueRows) -> Array:
     mean = direction(velocity / wide, slides, change=acceleration / chosen.rate / wide)
     still = _around(at_rest(data), data)[:, chosen.kept]
     friction = np.zeros(len(still))
-    for j, rest in enumerate(still):
-        found = _in_motion(data, j, ~rest)
-        if found is not None and found.coulomb > _SURE * found.coulomb_std:
-            friction[j] = found.coulomb
+    for j, resting in enumerate(still):
+        model = _in_motion(data, j, ~resting)
+        if model is not None and model.coulomb > _SURE * model.coulomb_std:
+            friction[j] = model.coulomb
     return np.abs(chosen.whole(friction[:, None] * np.sqrt(np.maximum(1 - mean**2, 0.0))))
 
 
@@ -512,17 +525,17 @@ class _InMotion(NamedTuple):
     doubt: Array
 
 
-def _left_at_rest(data: TorqueRows, j: int, rest: Flags, moving: Flags) -> float:
+def _left_at_rest(data: TorqueRows, j: int, resting: Flags, moving: Flags) -> float:
     """Nm RMS that a model of a joint in motion leaves at rest; 0 where that is noise, or more than friction holds."""
-    found = _in_motion(data, j, moving)
-    if found is None:
+    model = _in_motion(data, j, moving)
+    if model is None:
         return 0.0
-    left = found.left[rest]
-    away = float(np.sqrt(np.mean((left / found.doubt[rest]) ** 2)))
-    noise = away < _AWAY * found.usual or found.coulomb < found.usual
-    if noise or np.median(np.abs(left)) > _BAND * found.coulomb:
+    residual = model.left[resting]
+    away = float(np.sqrt(np.mean((residual / model.doubt[resting]) ** 2)))
+    noise = away < _AWAY * model.usual or model.coulomb < model.usual
+    if noise or np.median(np.abs(residual)) > _BAND * model.coulomb:
         return 0.0
-    return float(np.sqrt(np.mean(left**2)))
+    return float(np.sqrt(np.mean(residual**2)))
 
 
 def _in_motion(data: TorqueRows, j: int, moving: Flags) -> _InMotion | None:
@@ -545,12 +558,12 @@ def _in_motion(data: TorqueRows, j: int, moving: Flags) -> _InMotion | None:
         return None
     y = data.measured[j]
     U, s, V = np.linalg.svd(X[:, moving].T, full_matrices=False)
-    known = s > 1e-8 * s[0]
-    into = (V[known].T / s[known]) @ U[:, known].T
+    determined = s > 1e-8 * s[0]
+    into = (V[determined].T / s[determined]) @ U[:, determined].T
     numbers = into @ y[moving]
-    left = y - numbers @ X
-    usual = 1.4826 * float(np.median(np.abs(left[moving])))
-    doubt = np.sqrt(1 + np.sum(((V[known] @ X) / s[known, None]) ** 2, 0))  # of a row that was not fitted
+    residual = y - numbers @ X
+    usual = 1.4826 * float(np.median(np.abs(residual[moving])))
+    doubt = np.sqrt(1 + np.sum(((V[determined] @ X) / s[determined, None]) ** 2, 0))  # of a row that was not fitted
     coulomb = abs(float(numbers[0]))
     coulomb_std = usual * float(np.linalg.norm(into[0]))
-    return _InMotion(left, usual, coulomb / float(size[0]), coulomb_std / float(size[0]), doubt)
+    return _InMotion(residual, usual, coulomb / float(size[0]), coulomb_std / float(size[0]), doubt)
