@@ -70,7 +70,7 @@ def responses(servo: Servo, mass: Array, period: float, longest: float, interpol
             falls after it.
     """
     zero = np.zeros_like(mass)
-    limits = {name: zero + UNLIMITED for name in ("rate_limit", "torque_limit")}
+    limits = dict.fromkeys(("rate_limit", "torque_limit"), zero + UNLIMITED)
     free = (*("dead_band", "coulomb", "stribeck", "load_friction", "backlash", "torque_droop", "clock_rate"), "offset")
     absent = (*free, "sine", "cosine", "spring_torque")
     linear = servo._replace(**limits, **dict.fromkeys(absent, zero))
