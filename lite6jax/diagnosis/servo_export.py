@@ -140,7 +140,11 @@ def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:
     exact = True
     if not is_consistent(links):
         base = base_parameters(arm.kinematics, model.gravity, arm.sliding)
-        links, exact = consistent_links(base, base.values(links), bodies_near(links))
+        near = bodies_near(links)
+        try:
+            links, exact = consistent_links(base, base.values(links), near)
+        except np.linalg.LinAlgError:  # far from any bodies
+            links, exact = near, False
     return set_link_parameters(arm, links), () if exact else ("inertial numbers that no bodies have",)
 
 
@@ -241,7 +245,6 @@ def _write_mjcf(model: DiagnosedServos, target: Path, overwrite: bool, source: s
             entry.set("forcerange", format_numbers(np.array([-most, most])))
         if servo.time_constant[i] > 0:
             entry.set("timeconst", repr(float(servo.time_constant[i])))
-            entry.set("actearly", "true")
         if servo.delay[i] > 0:
             entry.set("delay", repr(float(servo.delay[i])))
             entry.set("nsample", str(int(np.ceil(servo.delay[i] / _STEP)) + 1))

@@ -2,7 +2,7 @@
 them where they are wanted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -257,26 +257,33 @@ class DiagnosedServos(JointModel):
         period = float(np.median(np.diff(time)))
         before = int(np.ceil(_SETTLING / period))
         samples = int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1
-        grid = time[0] + period * np.arange(-before, samples)
+        # commands that are looked ahead to hold beyond the last row
+        servo = self.model.servo
+        ahead = np.max(servo.clock_rate) * (time[-1] - time[0]) - np.min(servo.delay)
+        after = int(np.ceil(max(float(ahead), 0.0) / period))
+        grid = time[0] + period * np.arange(-before, samples + after)
         held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
         u = command[held]
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
         run = np.zeros(len(u), int)
         commands = hold_commands(u, run, period, u, interpolated=self.interpolated, longest=self.step)
-        readout = self._rolled_out(commands, u.T)
+        readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
         outside = self._outside(readout, period)
-        later = slice(before, None)
-        position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)
+        position = np.stack([np.interp(time, grid[before:], row[before:]) for row in readout], 1)
         rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
         return position, outside[rows]
 
-    def _rolled_out(self, commands: Commands, command: Array) -> Array:
-        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before."""
+    def _rolled_out(self, commands: Commands, command: Array, early: float) -> Array:
+        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
+
+        The rollout begins some s before the run, at whose first row the two clocks agree.
+        """
         still = np.zeros_like(command)
-        model = self.model
+        servo = self.model.servo
+        model = replace(self.model, servo=servo._replace(delay=servo.delay + early * servo.clock_rate))
         coupled = bool(self.links.any())
         loads = loads_along(model.bodies, commands, command, still, still)
         readout, loads = roll_out(model, commands, loads, None, coupled)

@@ -1,6 +1,7 @@
 """Commands that bring joints where they are wanted: in MuJoCo, against a plain oracle, as a command, and refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.csv
@@ -82,6 +83,17 @@ def test_rows_beyond_what_was_fitted_are_marked(softer):
     assert violent.outside.any()
     assert not violent.outside[:30].any()  # it rests
     assert violent.columns()["outside"].tolist() == violent.outside.astype(int).tolist()
+
+
+def test_a_clock_that_drifts_agrees_at_the_first_row(softer):
+    rate = 5e-3
+    steady = replace(softer, interpolated=True)
+    drifting = replace(steady, servo=steady.servo._replace(clock_rate=np.array([rate])))
+    time = PERIOD * np.arange(400)
+    line = np.maximum(time - 0.5, 0.0)[:, None]
+    by_its_clock = np.maximum(time * (1 + rate) - 0.5, 0.0)[:, None]
+    apart = drifting.predict(time, line).position - steady.predict(time, by_its_clock).position
+    assert np.abs(apart).max() < 1e-4
 
 
 # ------------------------------------------------------------------ the command
