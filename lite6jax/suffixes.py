@@ -18,6 +18,7 @@ PROGRAMS = (".src", ".ls", ".mod")
 DATA_LIST = ".dat"
 YAML = (".yaml", ".yml")
 JSON = ".json"
+PYTHON = ".py"
 XML = ".xml"
 ARM_XML = (".urdf", ".xacro", XML, ".mjcf")
 DEVIATIONS = ".conf"

@@ -58,6 +58,7 @@ def found(tmp_path_factory):
         lite6jax.compensate(poses.model, recording.position[:5], start=recording.joint_position[:5]),
         lite6jax.register_model(poses.model, recording)[1],
         *(tracked, lite6jax.predicted(tracked.model, log)),
+        tracked.model.commands_for(0.01 * np.arange(100), commands_of(100)[:, None]),
     ]
     return {type(one): one for one in made}
 

@@ -1,12 +1,13 @@
 """Files of an arm: reading one by its name or path, writing it in any form, and what a form has no place for."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
@@ -29,10 +30,11 @@ from lite6jax.arms.factory import (
     write_factory,
 )
 from lite6jax.arms.mjcf import read_mjcf, require_mujoco, write_mjcf
-from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, read_urdf, write_into_urdf, write_urdf
+from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, LimitKey, read_urdf, write_into_urdf, write_urdf
 from lite6jax.errors import InputError
 
-FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description"]
+Array = NDArray[np.floating]
+FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description", "numpy", "isaac"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {
     "vendor": suffixes.YAML,
@@ -41,7 +43,11 @@ SUFFIXES: dict[FileForm, tuple[str, ...]] = {
     "mjcf": (suffixes.XML, ".mjcf"),
     "urdf": (".urdf", suffixes.XML),
     "description": suffixes.YAML,
+    "numpy": (suffixes.PYTHON,),
+    "isaac": (suffixes.PYTHON,),
 }
+OF_SERVOS: tuple[FileForm, ...] = ("numpy", "isaac")
+"""The forms that are of servos and hold no arm."""
 WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
     "description": write_arm,
     "urdf": write_urdf,
@@ -142,6 +148,7 @@ def convert_file(
     overwrite: bool = False,
     left_out: tuple[str, ...] = (),
     into: str | Path | None = None,
+    limits: Mapping[LimitKey, Array] | None = None,
 ) -> Conversion:
     """Writes an arm, or what a file in any form holds of one, in another form, and reads it back.
 
@@ -156,6 +163,7 @@ def convert_file(
         left_out: what the arm itself has no place for, a phrase each.
         into: a URDF with the names, meshes and limits of what is written, as `write_into_urdf` has it. What follows its
             last joint stays where the source is an arm.
+        limits: of a URDF, as `write_urdf` has them.
 
     Raises:
         InputError: as the readers and writers; a suffix of another form; a flange that the form cannot represent.
@@ -169,6 +177,8 @@ def convert_file(
         raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
     if isinstance(source, Arm) and nominal is not None and nominal.dof != source.dof:
         raise InputError(f"{source.name}: has {source.dof} joints, but {nominal.name} has {nominal.dof}; name its arm")
+    if form in OF_SERVOS:
+        raise InputError(f"{target}: the form {form} is of servos; give a diagnosis of commands")
     storage.check_writable(target, overwrite)
     if form == "mjcf":  # before anything is written: it is read back
         require_mujoco(target)
@@ -178,12 +188,15 @@ def convert_file(
     name = arm.name if isinstance(source, Arm) else source
     if into is not None:
         file, base, tip = base_and_tip(str(into))
-        further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange=not isinstance(source, Arm))
+        further = write_into_urdf(arm, file, target, base, tip, overwrite, not isinstance(source, Arm), limits)
         again = read_urdf(target, base, tip)
         written = replace(arm, T_joint_flange=again.T_joint_flange) if isinstance(source, Arm) else arm
-        return Conversion(target, form, arm, (*left_out, *further), _distance(written, again))
+        return Conversion(target, form, arm, (*left_out, *further), flange_distance(written, again))
     if form in WHOLE_ARM:
-        WHOLE_ARM[form](arm, target, overwrite)
+        if form == "urdf":
+            write_urdf(arm, target, overwrite, limits)
+        else:
+            WHOLE_ARM[form](arm, target, overwrite)
         again = read_arm(target)
     elif reference is None:
         raise InputError(f"{target}: the form {form} holds a chain only; write {', '.join(WHOLE_ARM)}")
@@ -200,7 +213,7 @@ def convert_file(
             write_factory(arm.kinematics, target, form, overwrite)
         again = calibrated_arm(read_factory(target, reference))
     phrases = (*left_out, *omissions(arm, form, calibrated))
-    return Conversion(target, form, arm, phrases, _distance(arm, again))
+    return Conversion(target, form, arm, phrases, flange_distance(arm, again))
 
 
 def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
@@ -258,7 +271,8 @@ def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Ar
     return arm, nominal or replace(arm, T_joint_flange=np.eye(4))
 
 
-def _distance(one: Arm, other: Arm) -> float:
+def flange_distance(one: Arm, other: Arm) -> float:
+    """m, the largest distance between the flanges of two arms at random joint positions."""
     q = sample_joints(one.dof)
     flanges = [frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange for arm in (one, other)]
     return float(np.linalg.norm(flanges[0][:, :3, 3] - flanges[1][:, :3, 3], axis=1).max())

@@ -182,8 +182,30 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     `read_mjcf` returns it to rounding. A DH table and the source are omitted.
 
     Raises:
-        InputError: the arm lacks inertia, or has a link that MuJoCo takes for massless or impossible; or as
-            `storage.write_atomically`.
+        InputError: as `mjcf_tree`, or `storage.write_atomically`.
+    """
+    return write_tree(mjcf_tree(arm, path), path, overwrite)
+
+
+def write_tree(root: ET.Element, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes the elements of a file.
+
+    Raises:
+        InputError: as `storage.write_atomically`.
+    """
+    ET.indent(root)
+    return storage.write_atomically(path, ET.tostring(root, encoding="unicode") + "\n", overwrite)
+
+
+def mjcf_tree(arm: Arm, path: str | Path) -> ET.Element:
+    """The elements of the file that `write_mjcf` writes.
+
+    Args:
+        arm: with inertia.
+        path: that errors name.
+
+    Raises:
+        InputError: the arm lacks inertia, or has a link that MuJoCo takes for massless or impossible.
     """
     if arm.mass is None or arm.center_of_mass is None or arm.inertia is None:
         raise InputError(
@@ -213,8 +235,7 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         }
         ET.SubElement(parent, "joint", joint | given, name=f"joint{i + 1}")
     _add_body(parent, "flange", frames.row_from_transform(arm.T_joint_flange))
-    ET.indent(root)
-    return storage.write_atomically(path, ET.tostring(root, encoding="unicode") + "\n", overwrite)
+    return root
 
 
 def _add_body(parent: ET.Element, name: str, row: Array) -> ET.Element:

@@ -2,8 +2,10 @@
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,7 @@ from lite6jax.arms.trees import (
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
+LimitKey = Literal["effort", "velocity"]
 
 LARGEST = 1e9
 """m, rad, kg; the squares of numbers far beyond are not finite."""
@@ -226,12 +229,15 @@ def scalar(text: str, where: str) -> float:
     return value
 
 
-def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
+def write_urdf(
+    arm: Arm, path: str | Path, overwrite: bool = False, limits: Mapping[LimitKey, Array] | None = None
+) -> Path:
     """Writes the arm as a URDF from `base_link` to `flange`.
 
     `read_urdf` returns chain, limits, inertia, friction and springs exactly, and the flange's rotation to rounding. A
-    DH table, rotor inertia and the source are omitted. Unknown inertia is written as zero, and efforts and velocities,
-    which an `Arm` does not contain, as `UNLIMITED`. Where the arm has masses, `base_link` is fixed to a link `world`
+    DH table, rotor inertia and the source are omitted. Unknown inertia is written as zero. Efforts and velocities,
+    which an `Arm` does not contain, are those of `limits` `(joint,)` in Nm and rad/s, and `UNLIMITED` where it has no
+    finite number. Where the arm has masses, `base_link` is fixed to a link `world`
     and has a mass too: Gazebo drops a link without mass together with all links that it carries.
 
     Raises:
@@ -255,6 +261,7 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))
+        _set_limits(joint, limits, i)
         _set_drive(robot, joint, arm, i)
     ET.SubElement(robot, "link", name="flange")
     flange = frames.row_from_transform(arm.T_joint_flange)
@@ -271,13 +278,14 @@ def write_into_urdf(
     tip: str | None = None,
     overwrite: bool = False,
     with_flange: bool = True,
+    limits: Mapping[LimitKey, Array] | None = None,
 ) -> list[str]:
     """Writes a URDF in which the joints of a chain have the origins, inertia and drives of an arm.
 
     Names, axes, limits with efforts and velocities, meshes, other chains and comments stay, and so does what the arm
-    does not know. What follows the last joint changes in the last fixed joint, if it is to change. Where the arm has
-    inertia, that of each link contains the links fixed to it, whose own is removed; links on joints beside the chain
-    keep theirs.
+    does not know. `limits` `(joint,)` replace efforts in Nm and velocities in rad/s where they are finite. What follows
+    the last joint changes in the last fixed joint, if it is to change. Where the arm has inertia, that of each link
+    contains the links fixed to it, whose own is removed; links on joints beside the chain keep theirs.
 
     Returns:
         what the file has no place for, a phrase each.
@@ -310,6 +318,7 @@ def write_into_urdf(
         if np.abs(arm.links[i] - old.links[i]).max() > _SAME:
             _set_origin(elements[joint.child], np.linalg.inv(before) @ arm.links[i] @ R.T)
         _set_drive(root, elements[joint.child], arm, i)
+        _set_limits(elements[joint.child], limits, i)
         before, i = R.T, i + 1
     last = tree.chain[-1]
     if with_flange and np.abs(arm.T_joint_flange - old.T_joint_flange).max() > _SAME:
@@ -370,6 +379,15 @@ def _set_body(link: ET.Element, body: frames.Body) -> None:
     ET.SubElement(element, "mass", value=repr(float(body.mass)))
     six = zip(frames.TENSOR_ENTRIES, frames.six_entries(body.inertia), strict=True)
     ET.SubElement(element, "inertia", {key: repr(float(value)) for key, value in six})
+
+
+def _set_limits(joint: ET.Element, limits: Mapping[LimitKey, Array] | None, i: int) -> None:
+    """Writes effort and velocity of joint `i`, from 0, where they are known."""
+    for key, values in (limits or {}).items():
+        if np.isfinite(values[i]):
+            entry = joint.find("limit")
+            entry = ET.SubElement(joint, "limit") if entry is None else entry
+            entry.set(key, repr(float(values[i])))
 
 
 def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, final
+from typing import Annotated, Any, Literal, final
 
 from tyro.conf import Positional, arg
 
@@ -15,7 +15,8 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import description, files
     from lite6jax.calibration import source as sources
-    from lite6jax.diagnosis import document, export
+    from lite6jax.diagnosis import document, export, servo_export
+    from lite6jax.domains.tracking import predict as tracking
     from lite6jax.effects import catalogue
     from lite6jax.estimation import prior as priors
     from lite6jax.report import listings, screen
@@ -34,17 +35,22 @@ class Convert:
         lite6jax convert model.json arm.yaml --to ur
         lite6jax convert diagnosis.json arm.urdf
         lite6jax convert diagnosis.json new.urdf --into robot.urdf
+        lite6jax convert diagnosis.json rollout.py
+        lite6jax convert diagnosis.json actuators.py --to isaac
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
     """A calibration (.yaml, .json, .conf), a description, a URDF or MJCF, a bundled arm's name, or what
     `diagnose` wrote (.json): of poses the arm's chain as identified, of torques its friction, rotors, springs and
-    links."""
+    links, of commands its servos, friction and rotors."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file to write."""
-    to: Annotated[Literal["vendor", "ur", "table", "urdf", "mjcf", "description"] | None, arg(metavar="FORM")] = None
-    """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml). By the suffix where not given: a
-    calibration becomes vendor .yaml, everything else a description."""
+    to: Annotated[
+        Literal["vendor", "ur", "table", "urdf", "mjcf", "description", "numpy", "isaac"] | None, arg(metavar="FORM")
+    ] = None
+    """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml); of a diagnosis of commands also
+    numpy, a rollout of one page, or isaac, actuators of Isaac Lab (.py). By the suffix where not given: a calibration
+    becomes vendor .yaml, any other .yaml is a description, and .py the rollout."""
     into: Annotated[str | None, arg(metavar="ROBOT.urdf")] = None
     """Write this URDF (robot.urdf#tip or #base:tip) with the numbers of FILE: names, meshes, limits, efforts and
     velocities stay."""
@@ -68,9 +74,19 @@ class Convert:
         nominal, arm, left_out = sources.load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
+        servos = None
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
-            arm, left_out, nominal = self._read_diagnosis(source, nominal)
-        done = files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
+            content = document.parse_document(source)
+            if document.is_of_tracking(content):
+                servos = document.model_from_document(content, command.load_own_effects(self.effects), source)
+            else:
+                arm, left_out, nominal = self._read_diagnosis(source, content, nominal)
+        if isinstance(servos, tracking.DiagnosedServos):
+            if self.arm is not None:
+                raise InputError(f"--arm: {source} is of commands and has an arm; leave it out")
+            done = servo_export.convert_servos(servos, self.target, self.to, self.force, self.into, source)
+        else:
+            done = files.convert_file(arm or source, self.target, self.to, nominal, self.force, left_out, self.into)
         if self.json:
             return command.present(True, done, (), [done.path])
         screen.written([done.path])
@@ -78,10 +94,9 @@ class Convert:
         return command.DONE
 
     def _read_diagnosis(
-        self, source: str, nominal: "arms.Arm | None"
+        self, source: str, content: Any, nominal: "arms.Arm | None"
     ) -> "tuple[arms.Arm | None, tuple[str, ...], arms.Arm | None]":
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
-        content = document.parse_document(source)
         if not (isinstance(content, dict) and content.get("schema") == document.SCHEMA):
             return None, (), nominal
         effects, alone = command.load_own_effects(self.effects), self.into is None

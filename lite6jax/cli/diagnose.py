@@ -32,6 +32,7 @@ with import_lazily():
     from lite6jax.domains import predict
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
+    from lite6jax.domains.tracking import predict as tracking_predict
     from lite6jax.fleet import diagnoses, folder, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
@@ -495,7 +496,13 @@ class Predict:
 
 @dataclass(frozen=True)
 class Compensate:
-    """Compute the joint positions at which a diagnosed arm reaches given poses.
+    """Compute the joint positions at which a diagnosed arm reaches given poses, or commands that its joints follow to
+    where they are wanted.
+
+    Of a diagnosis of commands FILE has time_s and cmd1_rad …, commands as they would be given, and run where a motion
+    begins anew. The output has the commands with which encoders show the joints where these wanted them: ahead of delay
+    and lag, with what sag and friction take. `outside` is 1 in rows where a joint is faster, or carries more, than what
+    was recorded. The errors before and after are predicted.
 
     The targets are a table with x_m y_m z_m or x_mm y_mm z_mm (X, Y, Z are recognised; --column says what else a column
     is); with qw qx qy qz where orientation matters; with q1_rad … where the joints are to stay near given ones (such as
@@ -509,13 +516,14 @@ class Compensate:
         lite6jax compensate diagnosis.json targets.csv --frame base --approach 1 --out joints.csv
         lite6jax compensate diagnosis.json targets.csv --column A=yaw_deg --column B=pitch_deg --column C=roll_deg
             --out joints.csv
+        lite6jax compensate diagnosis.json commands.csv --out corrected.csv
     """
 
     diagnosis: DiagnosisFile
     targets: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Poses to reach, of the point that was measured (.csv, .parquet)."""
+    """Poses to reach, of the point that was measured (.csv, .parquet); or commands."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """Write the joint positions here (.csv), one row per target."""
+    """Write the joint positions, or the commands, here (.csv), one row per target."""
     frame: Literal["sensor", "base"] = "sensor"
     """The frame of the targets: that of the diagnosed recording's sensor, or the arm's base."""
     approach: Annotated[tuple[int, ...], arg(metavar="-1|0|1")] = ()
@@ -539,7 +547,10 @@ class Compensate:
             )
         import pyarrow as pa
 
-        model = diagnosis_file.read_model(self.diagnosis, command.load_own_effects(self.effects), domain="poses")
+        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        if diagnosis_file.is_of_tracking(document):
+            return self._correct(document, effects)
+        model = diagnosis_file.read_model(self.diagnosis, effects, domain="poses")
         approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
         if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
             raise InputError(
@@ -563,3 +574,20 @@ class Compensate:
         page = compensations.compensation_report(found, model, str(self.targets), self.frame)
         code = command.DONE if found.reached.all() else command.NOT_REACHED
         return command.present(self.json, found, chain(origin, page), written, code)
+
+    def _correct(self, document: Any, effects: Sequence[Any]) -> int:
+        """As `run`, of commands."""
+        import pyarrow as pa
+
+        asked = {"--frame": self.frame != "sensor", "--approach": bool(self.approach), "--column": bool(self.column)}
+        for option, used in asked.items():
+            if used:
+                raise InputError(f"{option}: is of poses, and {self.diagnosis} is of commands; leave it out")
+        model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
+        assert isinstance(model, tracking_predict.DiagnosedServos)
+        motion = recording_files.read_commands(self.targets, model)
+        found = tracking_predict.commands_to_follow(model, motion)
+        columns = pa.table(found.columns())
+        path = write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
+        page = chain(compensations.corrected_report(found, str(self.targets)), screen.notes(motion.notes))
+        return command.present(self.json, found, page, [path])

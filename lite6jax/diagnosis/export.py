@@ -73,7 +73,7 @@ def read_diagnosed_arm(
     if isinstance(model, DiagnosedMotors):
         return diagnosed_arm(model)
     if isinstance(model, DiagnosedServos):
-        raise InputError(f"{path}: is of commands, and no file of an arm holds servos; use it with lite6jax predict")
+        raise InputError(f"{path}: is of commands; give its model to convert_servos")
     chain, left_out = diagnosed_chain(model, nominal, alone)
     if find_torques(document) is None:
         return chain, left_out

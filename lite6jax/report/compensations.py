@@ -12,6 +12,7 @@ from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
+from lite6jax.domains.tracking.predict import CorrectedCommands
 from lite6jax.report import screen
 from lite6jax.report.words import SCREEN, fill, fixed, joint_units, listing, number, read_texts, say
 
@@ -118,6 +119,23 @@ def _missed(compensation: Compensation, rows: NDArray) -> str:
         if worst > tolerance:
             largest.append(f"{number(scale * worst)} {unit}")
     return f", with errors up to {' and '.join(largest)}" if largest else ""
+
+
+def corrected_sentences(found: CorrectedCommands) -> list[str]:
+    """What corrected commands are worth by the model, and which rows it was not fitted to."""
+    before, after = (float(1e3 * np.sqrt(np.mean(part**2))) for part in (found.error_before, found.error_after))
+    facts = {"found": found, "before": before, "after": after}
+    return list(say(_SAID["corrected"], facts))
+
+
+def corrected_report(found: CorrectedCommands, source: str) -> Iterator[RenderableType]:
+    """What a terminal shows of corrected commands: the errors of each joint, as predicted."""
+    yield screen.unbroken(source)
+    joints = enumerate(zip(found.error_before, found.error_after, strict=True), 1)
+    rows = [(f"joint {joint}", *(fixed(1e3 * error) for error in errors)) for joint, errors in joints]
+    yield listing("predicted error (mrad RMS)", "before", "after", rows=rows)
+    yield ""
+    yield from corrected_sentences(found)
 
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:

@@ -27,7 +27,7 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.domains.tracking.predict import TrackedMotion
+from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.fleet.folder import ERRORS, columns
 from lite6jax.fleet.folder import STATISTICS as OF_FILES
 from lite6jax.report.compensations import reason_text
@@ -75,6 +75,10 @@ _FIELDS: dict[type, tuple[str, str]] = {
         " notes",
     ),
     Compensation: ("compensation", "omitted notes"),
+    CorrectedCommands: (
+        "commands",
+        "rms_before_rad=error_before rms_after_rad=error_after rows outside=rows_outside",
+    ),
     Sensitivity: ("sensitivity", ""),
 }
 """For each class the name of its schema, and the keys of its document.

@@ -31,12 +31,17 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
-from lite6jax.domains.tracking.predict import TrackedMotion
+from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study, tracking
-from lite6jax.report.compensations import compensation_columns, outside_sentence, registration_report
+from lite6jax.report.compensations import (
+    compensation_columns,
+    corrected_sentences,
+    outside_sentence,
+    registration_report,
+)
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
@@ -209,6 +214,11 @@ def _tracked_motion(tracked: TrackedMotion) -> Description:
 
 
 @describe.register
+def _corrected_commands(corrected: CorrectedCommands) -> Description:
+    return Description("Corrected commands", tuple(corrected_sentences(corrected)))
+
+
+@describe.register
 def _compensation(compensation: Compensation) -> Description:
     hit = int(compensation.reached.sum())
     largest = ""
@@ -314,6 +324,7 @@ _FIGURES: dict[type, dict[str, Callable[[Any, str], Figure | None]]] = {
     },
     TorquePrediction: {"torques": _over_rows(r"tau\d+_Nm?", "predicted torques")},
     TrackedMotion: {"joints": _over_rows(r"q\d+_rad", "predicted joints")},
+    CorrectedCommands: {"commands": _over_rows(r"cmd\d+_rad", "corrected commands")},
     Compensation: {"error": _over_rows(r"position_error_mm", "distance from the target"), "joints": _JOINTS},
     Registration: {"error": _over_rows(r"distance_m", "distance from the model")},
     Solution: {"error_by_joint": figures.error_by_joint},
@@ -358,7 +369,7 @@ def _draw_diagnosis(diagnosis: DomainDiagnosis, title: str) -> Figures:
 
 
 tabulate.register(Compensation, compensation_columns)
-for kind in (Recording, Prediction, TorquePrediction, TrackedMotion):
+for kind in (Recording, Prediction, TorquePrediction, TrackedMotion, CorrectedCommands):
     tabulate.register(kind, lambda result: result.columns())
 
 

@@ -1,6 +1,8 @@
-"""Where the joints of a diagnosed arm are in a motion, rolled out from its commands alone."""
+"""Where the joints of a diagnosed arm are in a motion, rolled out from its commands alone; and commands that bring
+them where they are wanted.
+"""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -11,6 +13,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
+from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.rollout import Commands, hold_commands
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
@@ -59,6 +62,58 @@ class TrackedMotion(PublicResult):
         columns: dict[str, Array | NDArray[np.integer]] = {
             f"q{joint}_rad": row for joint, row in enumerate(self.position.T, 1)
         }
+        return columns | {"outside": self.outside.astype(int)}
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class CorrectedCommands(PublicResult):
+    """Commands by which joints are where they are wanted, as far as they can.
+
+    Attributes:
+        time: `(sample,)` s.
+        run: `(sample,)`, which changes where a run begins.
+        wanted: `(sample, joint)` rad, where encoders are to show the joints.
+        command: `(sample, joint)` rad.
+        before: `(sample, joint)` rad, where they show them if `wanted` is commanded.
+        after: `(sample, joint)` rad, where they show them by `command`.
+        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
+    """
+
+    time: Array
+    run: Runs
+    wanted: Array
+    command: Array
+    before: Array
+    after: Array
+    outside: Mask
+
+    @property
+    def rows(self) -> int:
+        """Samples."""
+        return len(self.time)
+
+    @property
+    def rows_outside(self) -> int:
+        """Samples that are outside."""
+        return int(self.outside.sum())
+
+    @property
+    def error_before(self) -> Array:
+        """`(joint,)` rad RMS."""
+        return np.sqrt(np.mean((self.before - self.wanted) ** 2, 0))
+
+    @property
+    def error_after(self) -> Array:
+        """`(joint,)` rad RMS."""
+        return np.sqrt(np.mean((self.after - self.wanted) ** 2, 0))
+
+    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+        """Column name to values: `time_s`, `cmd1_rad` …, `run` where there are several, and `outside`, 0 or 1."""
+        columns: dict[str, Array | NDArray[np.integer]] = {"time_s": self.time}
+        columns |= {f"cmd{joint}_rad": row for joint, row in enumerate(self.command.T, 1)}
+        if np.any(np.diff(self.run)):
+            columns["run"] = np.cumsum(np.r_[0, np.diff(self.run) != 0])
         return columns | {"outside": self.outside.astype(int)}
 
 
@@ -151,6 +206,47 @@ class DiagnosedServos(JointModel):
             position[rows], outside[rows] = self._predict_run(t[rows], u[rows])
         return TrackedMotion(position, outside)
 
+    def commands_for(self, time: ArrayLike, position: ArrayLike, run: ArrayLike | None = None) -> CorrectedCommands:
+        """Commands by which encoders show the joints where they are wanted, at the times of the rows.
+
+        They look ahead of delay and lag, and add what sag and friction take. Where the arm moves before they can, or
+        faster than its servos follow, an error is left; so it is of joints that friction holds. Before a run its first
+        command holds. Commands stay within the limits of the joints, and near where these are wanted.
+
+        Args:
+            time: `(sample,)` s, of the commands.
+            position: `(sample, joint)` rad, where the joints are wanted; the commands as they would be given.
+            run: `(sample,)`, which changes where a run begins; one run where not given.
+
+        Raises:
+            InputError: as `predict`.
+        """
+        t, wanted, runs = _checked(time, position, run, self.dof)
+        command = wanted.copy()
+        for first, last in zip(*run_ends(runs), strict=True):
+            rows = slice(first, last)
+            command[rows] = self._correct_run(t[rows], wanted[rows])
+        before = self.predict(t, wanted, runs).position
+        after = self.predict(t, command, runs)
+        return CorrectedCommands(t, runs, wanted, command, before, after.position, after.outside)
+
+    def _correct_run(self, time: Array, wanted: Array) -> Array:
+        """`(sample, joint)` rad, the commands of one run."""
+        if len(time) == 1:
+            return self._correct_run(time[0] + np.array([0.0, self.step]), np.vstack([wanted, wanted]))[:1]
+        period = float(np.median(np.diff(time)))
+        grid = time[0] + period * np.arange(int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1)
+        even = np.stack([np.interp(grid, time, column) for column in wanted.T], 1)
+
+        def follow(command: Array) -> Array:
+            return self._predict_run(grid, command)[0]
+
+        model = self.model
+        mass = model.bodies.masses(even.T).mean(1)
+        response = responses(model.servo, mass, period, self.step, self.interpolated)
+        command = correct(follow, even, response, period, self.joint_limits).command
+        return np.stack([np.interp(time, grid, column) for column in command.T], 1)
+
     def _predict_run(self, time: Array, command: Array) -> tuple[Array, Mask]:
         """`(sample, joint)` rad, and `(sample,)`, of one run."""
         if len(time) == 1:
@@ -161,26 +257,33 @@ class DiagnosedServos(JointModel):
         period = float(np.median(np.diff(time)))
         before = int(np.ceil(_SETTLING / period))
         samples = int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1
-        grid = time[0] + period * np.arange(-before, samples)
+        # commands that are looked ahead to hold beyond the last row
+        servo = self.model.servo
+        ahead = np.max(servo.clock_rate) * (time[-1] - time[0]) - np.min(servo.delay)
+        after = int(np.ceil(max(float(ahead), 0.0) / period))
+        grid = time[0] + period * np.arange(-before, samples + after)
         held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
         u = command[held]
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
         run = np.zeros(len(u), int)
         commands = hold_commands(u, run, period, u, interpolated=self.interpolated, longest=self.step)
-        readout = self._rolled_out(commands, u.T)
+        readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
         outside = self._outside(readout, period)
-        later = slice(before, None)
-        position = np.stack([np.interp(time, grid[later], row[later]) for row in readout], 1)
+        position = np.stack([np.interp(time, grid[before:], row[before:]) for row in readout], 1)
         rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
         return position, outside[rows]
 
-    def _rolled_out(self, commands: Commands, command: Array) -> Array:
-        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before."""
+    def _rolled_out(self, commands: Commands, command: Array, early: float) -> Array:
+        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
+
+        The rollout begins some s before the run, at whose first row the two clocks agree.
+        """
         still = np.zeros_like(command)
-        model = self.model
+        servo = self.model.servo
+        model = replace(self.model, servo=servo._replace(delay=servo.delay + early * servo.clock_rate))
         coupled = bool(self.links.any())
         loads = loads_along(model.bodies, commands, command, still, still)
         readout, loads = roll_out(model, commands, loads, None, coupled)
@@ -267,10 +370,24 @@ def predicted_joints(model: DiagnosedServos, motion: Recording) -> TrackedMotion
     Raises:
         InputError: another number of joints, no commands or no times, or as `DiagnosedServos.predict`.
     """
+    return model.predict(*_commands_in(model, motion))
+
+
+def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCommands:
+    """Commands by which the joints are where the commands of a motion want them.
+
+    Raises:
+        InputError: as `predicted_joints`.
+    """
+    return model.commands_for(*_commands_in(model, motion))
+
+
+def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Runs]:
+    """Times, commands and runs of a motion of the diagnosed arm."""
     if motion.dof != model.dof:
         raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
     if motion.commanded_position is None:
         raise InputError(f"{motion.source}: has no commands; add cmd1_rad ...")
     if motion.time is None:
         raise InputError(f"{motion.source}: commands need times; add time_s")
-    return model.predict(motion.time, motion.commanded_position, motion.run)
+    return motion.time, motion.commanded_position, motion.run
