@@ -1,5 +1,7 @@
 """A simulator as the nominal arm of a log of commands, and how far its own rollouts are from the log and from ours."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -7,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.simulator import SimulatedMotion, Simulator
+from lite6jax.domains.torque.rows import require_joints
 from lite6jax.domains.tracking.coupling import loads_along
 from lite6jax.domains.tracking.model import TrackingModel, roll_out
 from lite6jax.domains.tracking.rollout import RETURN, hold_commands
@@ -19,6 +22,8 @@ Array = NDArray[np.floating]
 
 _DIFFERENT = 6e-5
 """rad RMS of a joint, from which two rollouts of one model are said to differ: some times what its steps are worth."""
+_CHOOSE = "choose the arm it is of"
+"""The remedy of what has another number of joints than its arm."""
 _NO_LIMIT = 1e7
 """Nm, of a joint without a limit beside one with."""
 _FINE = 1e-4
@@ -71,20 +76,30 @@ class SimulatorComparison:
         }
 
 
+@contextmanager
+def naming_the_chain(simulator: Simulator) -> Iterator[None]:
+    """Lets errors on the number of joints within say how the chain of a simulator is named.
+
+    Raises:
+        InputError: that of within.
+    """
+    file = simulator.path.name
+    names = ", ".join(simulator.arm.joint_names or ())
+    remedy = f"name the chain of the log, {file}#TIP or {file}#BASE:TIP, in place of {names}"
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error).replace(_CHOOSE, remedy)) from error
+
+
 def with_simulator(recording: Recording, simulator: Simulator) -> Recording:
     """The recording with the servos and the gravity of a simulator, in which a payload is a body of its own.
 
     Raises:
         InputError: another number of joints.
     """
-    arm = simulator.arm
-    file = simulator.path.name
-    if recording.dof != arm.dof:
-        names = ", ".join(arm.joint_names or ())
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, and {file} {arm.dof} ({names}); name the chain of the "
-            f"log, {file}#TIP or {file}#BASE:TIP"
-        )
+    with naming_the_chain(simulator):
+        require_joints(recording, simulator.arm)
     declared = recording.settings.servo
     limits = _reached_limits(simulator, recording)
     hold = declared.hold if isinstance(declared, ServoSettings) else "previous"
