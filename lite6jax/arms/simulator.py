@@ -24,8 +24,6 @@ _AFFINE_BIAS = 1
 _NO_DYNAMICS = 0
 _FILTERS = (2, 3)
 """mjDYN_FILTER and mjDYN_FILTEREXACT."""
-_LIMIT_OF_JOINT = 3
-"""mjCNSTR_LIMIT_JOINT."""
 _LOCKED = 1e10
 """kg·m², the armature by which joints that are not the arm's stand still."""
 _REACHED = 1 - 1e-6
@@ -120,7 +118,6 @@ class Simulator:
         filtered = model.actuator_dyntype[self.actuators] != _NO_DYNAMICS
         states = model.actuator_actadr[self.actuators][filtered]
         touching = np.zeros(len(command), bool)
-        at_limit = np.zeros(len(command), bool)
         at_torque_limit = np.zeros(command.shape, bool)
         position = np.empty(command.shape)
         begins = np.r_[True, np.diff(run) != 0]
@@ -142,7 +139,6 @@ class Simulator:
             touching[sample] = data.ncon > 0
             force = np.abs(data.qfrc_actuator[dofs])
             at_torque_limit[sample] = force > _REACHED * self.torque_limit
-            at_limit[sample] = np.any(np.asarray(data.efc_type) == _LIMIT_OF_JOINT)
             steps = int(np.floor((sample + 1 - first) * period / step + 1e-6)) - taken
             last = sample + 1 == len(command) or begins[sample + 1]
             if not interpolated or last:
@@ -155,6 +151,9 @@ class Simulator:
                     data.ctrl[controls] = gear * between
                     mujoco.mj_step(model, data)
             taken += steps
+        limited = np.asarray(model.jnt_limited)[self.joints] != 0
+        lower, upper = np.where(limited[:, None], model.jnt_range[self.joints], [-np.inf, np.inf]).T
+        at_limit = np.any((position < lower) | (position > upper), 1)
         return SimulatedMotion(position, self._clipped(command), touching, at_limit, at_torque_limit)
 
     def _locked(self) -> Any:
@@ -184,7 +183,7 @@ class SimulatedMotion:
         position: `(sample, joint)` rad.
         clipped: `(sample,)` bool, where a command is outside its range.
         touching: likewise, where bodies touch.
-        at_limit: likewise, where a joint is at the end of its range.
+        at_limit: likewise, where a joint is beyond the end of its range.
         at_torque_limit: `(sample, joint)` bool, where a servo exerts all it may.
     """
 
@@ -333,5 +332,6 @@ def _is_compensated(file: str, model: Any, joints: NDArray[np.integer]) -> bool:
     if np.allclose(shares, 1.0):
         return True
     raise InputError(
-        f"{file}: gravcomp of the bodies of the arm is from {shares.min():g} to {shares.max():g}; give all of them 0 or 1"
+        f"{file}: gravcomp of the bodies of the arm is from {shares.min():g} to {shares.max():g}; give all of them 0 "
+        "or 1"
     )

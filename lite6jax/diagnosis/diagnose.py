@@ -552,8 +552,8 @@ def diagnose(
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
             another what either shows is compared. `against` of the result, and of its `torques`, is the comparison.
         simulator: an MJCF file with position actuators, of commands only: its arm and servos are the nominal ones, and
-            what MuJoCo makes of the commands is compared with the log. `model.xml#tip` names a chain of several. Or what
-            `read_simulator` makes of it.
+            what MuJoCo makes of the commands is compared with the log. `model.xml#tip` names a chain of several.
+            Or what `read_simulator` makes of it.
         geometry: what is known of it, as in `fit`; of poses only.
         effects: a user's own candidates of either domain, tested like the catalogue's; those of a domain that is not
             diagnosed are not used.

@@ -26,6 +26,8 @@ _CHOOSE = "choose the arm it is of"
 """The remedy of what has another number of joints than its arm."""
 _NO_LIMIT = 1e7
 """Nm, of a joint without a limit beside one with."""
+_OFTEN = 1e-3
+"""Share of the samples, from which a torque limit counts as reached: runs may begin away from their commands."""
 _FINE = 1e-4
 """s, of the steps by which it is seen whether those of the file make the difference."""
 
@@ -43,7 +45,7 @@ class SimulatorComparison:
         apart_fine: likewise, with steps of 0.1 ms; None where `apart` is small.
         clipped: share of the samples at which a command is outside its range.
         touching: likewise, at which bodies touch.
-        at_limit: likewise, at which a joint is at the end of its range.
+        at_limit: likewise, at which a joint is beyond the end of its range.
         at_torque_limit: likewise, at which a servo exerts all it may.
         payload: kg at the flange in the log, which the file is not given.
     """
@@ -129,7 +131,7 @@ def _reached_limits(simulator: Simulator, recording: Recording) -> Array:
     assert even.time is not None
     period = float(np.median(np.diff(even.time)))
     motion = simulator.rolled_out(np.asarray(even.commanded_position), even.run, period, even.joint_position)
-    return np.where(motion.at_torque_limit.any(0), limits, np.inf)
+    return np.where(motion.at_torque_limit.mean(0) > _OFTEN, limits, np.inf)
 
 
 def compare_simulator(simulator: Simulator, data: TrackingRows, payload: float = 0.0) -> SimulatorComparison:
