@@ -54,6 +54,20 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
         InputWarning: springs that are not linear, or compensated gravity, for which an arm has no place; or as
             `read_urdf`.
     """
+    return read_chain(path, base, tip)[0]
+
+
+def read_chain(
+    path: str | Path, base: str | None = None, tip: str | None = None, warn_of_gravity: bool = True
+) -> tuple[Arm, Any, NDArray[np.integer]]:
+    """As `read_mjcf`, with MuJoCo's model and the numbers of its joints `(joint,)` that are those of the arm.
+
+    Args:
+        path: the file.
+        base: as of `read_mjcf`.
+        tip: likewise.
+        warn_of_gravity: whether to warn of compensated gravity, for which an arm has no place.
+    """
     model = _compiled(path)
     bodies = [model.body(b).name or f"(body {b})" for b in range(model.nbody)]
     links: dict[str, frames.Body | None] = {name: _body(model, b) for b, name in enumerate(bodies)}
@@ -78,7 +92,8 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
         links[tip] = None
     tree = find_chain(path, joints, links, base or bodies[0], tip, ("body", "bodies"), tuple(filter(None, sites)))
     moving = np.array([numbers[joint.child] for joint in tree.moving], int)
-    _warn_of_forces(path, model, moving, [bodies.index(j.child) for j in tree.chain if j.child in bodies])
+    in_chain = [bodies.index(joint.child) for joint in tree.chain if joint.child in bodies]
+    _warn_of_forces(path, model, moving, in_chain if warn_of_gravity else [])
     dofs = model.jnt_dofadr[moving]
     drives = {"viscous_friction": model.dof_damping, "coulomb_friction": model.dof_frictionloss}
     drives["rotor_inertia"] = model.dof_armature
@@ -87,7 +102,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
         fields |= {"spring_stiffness": stiffness, "spring_rest": model.qpos_spring[model.jnt_qposadr[moving]]}
     name = bytes(model.names).split(b"\0")[0].decode()
     name = "" if name == "MuJoCo Model" or not name.isprintable() else name  # the former is that of a file without one
-    return arm_of_chain(path, tree, name, "MJCF", links.get, fields)
+    return arm_of_chain(path, tree, name, "MJCF", links.get, fields), model, moving
 
 
 def _body(model: Any, b: int) -> frames.Body | None:
@@ -128,7 +143,7 @@ def _warn_of_forces(path: str | Path, model: Any, joints: NDArray[np.integer], b
             warnings.warn(
                 f"{path}: {what} {', '.join(names)} are left out, an arm has no place for them",
                 InputWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
 
 

@@ -25,6 +25,7 @@ from lite6jax.storage import exists, file_sha256, write_atomically
 
 with import_lazily():
     from lite6jax import recordings, workers
+    from lite6jax.arms import simulator as simulators
     from lite6jax.calibration import source
     from lite6jax.diagnosis import diagnose, fold_processes
     from lite6jax.diagnosis import document as diagnosis_file
@@ -33,6 +34,7 @@ with import_lazily():
     from lite6jax.domains.pose import compensate, registration
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.tracking import predict as tracking_predict
+    from lite6jax.domains.tracking import simulator as tracking_simulator
     from lite6jax.fleet import diagnoses, folder, reduction, terms
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
@@ -66,6 +68,7 @@ class Diagnose:
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
         lite6jax diagnose touched_left.csv touched_right.csv --out diagnosis.json
         lite6jax diagnose tracker_in_front.csv tracker_beside.csv --out diagnosis.json
+        lite6jax diagnose log.csv --simulator model.xml --out diagnosis.json
         lite6jax diagnose recordings --out results
         lite6jax diagnose --fleet recordings --out results
     """
@@ -84,6 +87,9 @@ class Diagnose:
     """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
     earlier. The report first states whether the model reproduces it, and the differences if not. Of torques in another
     motion, what each recording shows is compared."""
+    simulator: Annotated[str | None, arg(metavar="MODEL.xml")] = None
+    """Of commands, compare with this simulator: an MJCF with position actuators, whose arm and servos are then the
+    nominal ones. MODEL.xml#TIP or MODEL.xml#BASE:TIP names a chain of several."""
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: command.Geometry = "declared"
@@ -124,6 +130,10 @@ class Diagnose:
         asked = [f"--{name}" for name in ("poses", "torques", "tracking") if getattr(self, name)]
         if len(asked) > 1:
             raise InputError(f"{' and '.join(asked)}: give one of them, or none to diagnose both poses and torques")
+        if self.simulator is not None:
+            for option in ("poses", "torques", "arm", "reference"):
+                if getattr(self, option):
+                    raise InputError(f"--{option}: does not go with --simulator, the nominal arm of commands; keep one")
         if _is_folder(self.source):
             if self.more:
                 raise InputError(f"{self.source}: is a folder; name a folder, or files of one arm")
@@ -132,7 +142,7 @@ class Diagnose:
             if getattr(self, option):
                 raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
         command.check_processes(self.processes, None)
-        read = [self.source, *self.more, self.reference, self.arm, self.effects]
+        read = [self.source, *self.more, self.reference, self.arm, self.simulator, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
         recording, found = self.search()
         document = self.document(found)
@@ -157,7 +167,7 @@ class Diagnose:
         """What is diagnosed of a recording, None for all: of a fleet poses, or of what has none the torques."""
         if self.torques:
             return "torques"
-        if self.tracking:
+        if self.tracking or self.simulator:
             return "tracking"
         return "poses" if self.poses or (self.fleet and recording.numbers_per_sample) else None
 
@@ -167,12 +177,19 @@ class Diagnose:
         Of a recording that has both, poses and torques are diagnosed together, but of a fleet the poses.
         """
         assumed, arm = command.assumptions(self), source.load_nominal(self.arm)
-        recording = source.load_recording(self.source, arm, **assumed)
-        if self.more:
+        simulated = None
+        about_chain: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
+        if self.simulator is not None:
+            simulated = simulators.read_simulator(self.simulator)
+            arm = simulated.arm
+            about_chain = tracking_simulator.naming_the_chain(simulated)
+        with about_chain:
+            recording = source.load_recording(self.source, arm, **assumed)
             further = [source.load_recording(file, arm, **assumed) for file in self.more]
+        if further:
             recording = recordings.join_recordings([recording, *further])
         effects = command.load_own_effects(self.effects)
-        if recording.numbers_per_sample and not (self.torques or self.tracking):
+        if recording.numbers_per_sample and not (self.torques or self.tracking or self.simulator):
             arm = arm or source.arm_of(recording)
         given: dict[str, Any] = {
             "domain": self._domain(recording),
@@ -181,11 +198,16 @@ class Diagnose:
             "effects": effects,
             "options": diagnosis_options.QUICK if self.quick else None,
         }
+        if simulated is not None:
+            return recording, partial(diagnose.diagnose, recording, simulator=simulated, **given)
         return recording, partial(diagnose.diagnose, recording, arm, **given)
 
     def document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
         inputs = command.list_inputs(self.source, self.arm, self.reference, self.effects)
+        if self.simulator is not None:
+            file = Path(self.simulator.partition("#")[0])
+            inputs.append({"role": "simulator", "file": file.name, "sha256": file_sha256(file)})
         for file in self.more:
             inputs += [one for one in command.list_inputs(file) if one not in inputs]
         return statements.with_statements(found.to_dict() | {"inputs": inputs})
@@ -218,7 +240,7 @@ class Diagnose:
     def _diagnose_folder(self) -> int:
         """Diagnoses every recording, writes documents and table, and with --fleet pools them into fleet.json."""
         many = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
-        for option in ("reference", "report", "figures"):
+        for option in ("reference", "simulator", "report", "figures"):
             if getattr(self, option) is not None:
                 raise InputError(f"--{option}: is of one recording, and {many}; leave it out")
         if self.out is None:

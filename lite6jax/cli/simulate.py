@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,11 +19,20 @@ with import_lazily():
     from lite6jax.arms import factory as factories
     from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.report import fits, screen, words
 
 if TYPE_CHECKING:
     import numpy as np
     from rich.console import RenderableType
+
+_OF_POSES = (
+    *("sensor", "motion", "effects", "warm_up", "factory", "tolerance", "factory_uncertainty", "geometry", "frame"),
+    *("tool", "tool_at", "position_noise", "orientation_noise"),
+)
+"""Fields of `Simulate` that a log of commands has no use for."""
+_OF_COMMANDS = ("stiffness", "damping", "servo", "joint_quantum")
+"""Fields that are of such a log alone."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class Simulate:
         lite6jax simulate lite6 --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5 --tolerance --out run.csv
         lite6jax simulate lite6 --effect joint_backlash:joint=4,gap_rad=1e-3 --sensor motion_capture
             --motion trajectory --out run.csv
+        lite6jax simulate lite6 --tracking --effect coulomb_friction:joint=3,coulomb_Nm=1.5 --out log.csv
     """
 
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
@@ -51,14 +61,25 @@ class Simulate:
     corners of a board in images: the others, of which tool and places are unknown."""
     motion: Literal["static", "trajectory"] = "static"
     """static: poses over the joints' whole ranges, at which the arm stands still; trajectory: a smooth motion."""
+    tracking: bool = False
+    """Write a log of commands and measured joints, of an arm with position servos, in place of poses. Commands are
+    sines, trapezoids and steps; effects are those on how servos follow, such as command_delay:joint=2,delay_s=0.01."""
     samples: int | None = None
-    """400 of a static recording, 3000 of a trajectory where not given."""
+    """400 of a static recording, 3000 of a trajectory, 2000 of commands where not given."""
     runs: int = 1
     """In how many runs of equal length."""
     step: Annotated[float | None, arg(metavar="S")] = None
-    """From sample to sample; 8 s of a static recording, 0.02 s of a trajectory where not given."""
+    """From sample to sample; 8 s of a static recording, 0.02 s of a trajectory, 0.01 s of commands where not given."""
     speed: Annotated[float, arg(metavar="DEG_PER_S")] = 120.0
-    """That no joint of a trajectory exceeds."""
+    """That no joint of a trajectory exceeds, and no command but in steps."""
+    stiffness: Annotated[tuple[float, ...], arg(metavar="NM_PER_RAD…")] = ()
+    """Of servos: one for all joints or one for each; as inertia asks for where not given."""
+    damping: Annotated[tuple[float, ...], arg(metavar="NM_S_PER_RAD…")] = ()
+    """Of servos, likewise."""
+    servo: command.Known = "known"
+    """Whether the sidecar declares stiffness and damping of the servos."""
+    joint_quantum: Annotated[float, arg(metavar="DEG")] = 0.0
+    """Of commands, the step of encoders, to which read-outs are rounded."""
     payload: Annotated[tuple[float, ...], arg(metavar="KG…")] = (0.0,)
     """At the flange; several one after the other in equal parts of the recording."""
     payload_at: command.Triple = (0.0, 0.0, 0.0)
@@ -97,6 +118,9 @@ class Simulate:
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
         written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]
         command.check_outputs(written, [self.source, self.factory, self.effects], self.force)
+        self._check_options()
+        if self.tracking:
+            return self._write_log(written)
         arm = files.read_arm(self.source)
         physics, values = self._physics(arm.sliding)
         declared, kinematics = self._geometry(arm)
@@ -134,6 +158,81 @@ class Simulate:
         screen.show(self._page(arm, physics, values, measured))
         screen.written(written)
         return command.DONE
+
+    def _check_options(self) -> None:
+        """Refuses options of poses for a log of commands, and the other way round."""
+        usual = {field.name: field.default for field in fields(self)}
+        changed = [name for name in usual if getattr(self, name) != usual[name]]
+        refused = _OF_POSES if self.tracking else _OF_COMMANDS
+        for name in changed:
+            if name in refused:
+                option = f"--{name.replace('_', '-')}"
+                if self.tracking:
+                    raise InputError(f"{option}: is of poses, and --tracking of commands; keep one")
+                raise InputError(f"{option}: is of servos; add --tracking")
+
+    def _write_log(self, written: list[Path]) -> int:
+        """Simulates commands and measured joints, writes, prints."""
+        arm = files.read_arm(self.source)
+        if len(self.payload) != 1:
+            raise InputError("--payload: a log of commands has one; give one")
+        simulated = simulation.simulate_tracking(
+            arm,
+            effects=self.effect,
+            samples=simulation.TRACKING_SAMPLES if self.samples is None else self.samples,
+            runs=self.runs,
+            step=simulation.TRACKING_STEP_S if self.step is None else self.step,
+            speed=math.radians(self.speed),
+            servo=self._servo(arm),
+            servo_known=self.servo == "known",
+            payload=self.payload[0],
+            joint_noise=math.radians(self.joint_noise),
+            joint_quantum=math.radians(self.joint_quantum),
+            settings=recordings.RecordingSettings(
+                arm=command.name_arm(self.source, self.out), payload_com_m=command.metres(self.payload_at)
+            ),
+            seed=self.seed,
+        )
+        recordings.write_recording(simulated.recording, self.out, self.force)
+        screen.show(self._log_page(arm, simulated))
+        screen.written(written)
+        return command.DONE
+
+    def _servo(self, arm: "arms.Arm") -> "sidecar_settings.ServoSettings | None":
+        """The servos that were given, each number for all joints or one for each; None where none was."""
+        if not (self.stiffness or self.damping):
+            return None
+        usual = simulation.usual_servo(arm)
+        numbers: dict[str, tuple[float, ...]] = {}
+        for option, given, otherwise in (
+            ("stiffness", self.stiffness, usual.stiffness_Nm_per_rad),
+            ("damping", self.damping, usual.damping_Nm_s_per_rad),
+        ):
+            each = given * arm.dof if len(given) == 1 else given or otherwise
+            above = all(0 <= number < math.inf for number in each) and (option == "damping" or all(each))
+            if len(each) != arm.dof or not above:
+                raise InputError(
+                    f"--{option} {' '.join(f'{number:g}' for number in given)}: give one number above 0, or one for "
+                    f"each of the {arm.dof} joints"
+                )
+            numbers[option] = tuple(each)
+        return sidecar_settings.ServoSettings(
+            stiffness_Nm_per_rad=numbers["stiffness"], damping_Nm_s_per_rad=numbers["damping"]
+        )
+
+    def _log_page(self, arm: "arms.Arm", simulated: "simulation.TrackingSimulation") -> "Iterator[RenderableType]":
+        """What was simulated, with which numbers, and how far the effects move the joints."""
+        recording = simulated.recording
+        declared = self.servo == "known"
+        yield from command.say("simulated_log", c=self, r=recording, s=recording.settings, arm=arm.name, known=declared)
+        yield ""
+        model = simulated.model
+        if not model.terms.terms:
+            yield "No effects: the arm follows its commands as its servos do."
+            return
+        yield "Effects on how the arm follows its commands"
+        yield from command.list_effects(simulated.reported)
+        yield from command.say("moved_joints", moved=simulated.moved.tolist())
 
     def _physics(self, sliding: tuple[int, ...]) -> "tuple[composition.Physics, np.ndarray]":
         kinds = catalogue.kinds_of(command.load_own_effects(self.effects))

@@ -29,6 +29,7 @@ _FIELDS = {
     "joint_velocity": ("dq{}_rad_per_s", "measured, encoders"),
     "torque": ("tau{}_Nm", "estimated by the controller"),
     "current": ("current{}_A", "measured"),
+    "target_position": ("cmd{}_rad", "commanded, the controller's target"),
 }
 """Of each field of a report with a number per joint, the columns and their source."""
 

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.arms.simulator import Simulator, read_simulator
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
@@ -44,6 +45,7 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
+from lite6jax.domains.tracking.simulator import naming_the_chain
 from lite6jax.effects.composition import Physics, missing
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import JointHarmonic
@@ -494,6 +496,7 @@ class _Given(TypedDict, total=False):
     """The other arguments of `diagnose`, for type checkers."""
 
     reference: Source | None
+    simulator: Simulator | str | Path | None
     geometry: Geometry
     effects: Sequence[Effect]
     factory: FactoryCalibration | None
@@ -523,6 +526,7 @@ def diagnose(
     *,
     domain: Domain | None = None,
     reference: Source | None = None,
+    simulator: Simulator | str | Path | None = None,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
@@ -547,6 +551,9 @@ def diagnose(
         reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
             another what either shows is compared. `against` of the result, and of its `torques`, is the comparison.
+        simulator: an MJCF file with position actuators, of commands only: its arm and servos are the nominal ones, and
+            what MuJoCo makes of the commands is compared with the log. `model.xml#tip` names a chain of several.
+            Or what `read_simulator` makes of it.
         geometry: what is known of it, as in `fit`; of poses only.
         effects: a user's own candidates of either domain, tested like the catalogue's; those of a domain that is not
             diagnosed are not used.
@@ -564,11 +571,26 @@ def diagnose(
             declared, no times, gaps in most of them, an arm at rest, or another unit; or an argument that is of poses
             where torques alone are diagnosed.
     """
-    arm = load_nominal(arm)
-    recording = load_recording(recording, arm)
+    if simulator is None:
+        arm = load_nominal(arm)
+        simulated = None
+        recording = load_recording(recording, arm)
+    else:
+        if arm is not None:
+            raise InputError("simulator: is the nominal arm as well; leave the arm out")
+        simulated = simulator if isinstance(simulator, Simulator) else read_simulator(simulator)
+        with naming_the_chain(simulated):
+            recording = load_recording(recording, simulated.arm)
+        if domain is None and recording.commanded_position is not None:
+            domain = "tracking"
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     domains = domains_of(recording, domain)
+    if simulated is not None and domains != ("tracking",):
+        raise InputError(
+            f"simulator: is of commands, and {recording.source} is diagnosed by other columns; leave it out, or ask "
+            "for its commands with domain='tracking'"
+        )
     kinematic, dynamic = by_domain(effects)
     given: dict[str, Any] = {"options": options, "progress": progress}
     if domains == ("tracking",):
@@ -576,7 +598,7 @@ def diagnose(
         unused |= {"reference": reference is not None, "effects": bool(effects)}
         for name in (name for name, there in unused.items() if there):
             raise InputError(f"{name}: is not of commands, by which {recording.source} is diagnosed; leave it out")
-        return diagnose_tracking(recording, arm, **given)
+        return diagnose_tracking(recording, arm, simulator=simulated, **given)
     if domains == ("torques",):
         if geometry != "declared" or factory is not None:
             named = "geometry" if geometry != "declared" else "factory"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.document import Domain, model_entry
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, verify
@@ -28,6 +29,7 @@ from lite6jax.domains.tracking.problem import (
     with_likely_grip,
 )
 from lite6jax.domains.tracking.screening import screen_tracking
+from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import relinearise
@@ -55,12 +57,15 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     Attributes:
         peers: by name `(joint, sample)` rad, errors on held-out rows of what knows no arm: that joints are where they
-            are commanded, there after a time, or a linear system of second order.
+            are commanded, there after a time, or a linear system of second order; and those of `simulator` in all rows.
+        simulator: what MuJoCo makes of the commands, where a simulator was given; its arm and servos are the nominal
+            ones.
     """
 
     domain: ClassVar[Domain] = "tracking"
 
     peers: dict[str, Array] = field(default_factory=dict)
+    simulator: SimulatorComparison | None = None
 
     @property
     def recording(self) -> Recording:
@@ -168,6 +173,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
             "masses": problem.data.has_masses,
             "servos": self._servos,
             "peers": {name: self._statistics(errors, kept) for name, errors in self.peers.items()},
+            **({} if self.simulator is None else {"simulator": self.simulator.to_dict()}),
             "nuisance": {"numbers": len(problem.unknowns)},
             "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
         }
@@ -311,13 +317,14 @@ def diagnose_tracking(
     recording: Recording,
     arm: Arm | None = None,
     *,
+    simulator: Simulator | None = None,
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
 ) -> TrackingDiagnosis:
     """Locates, names, models and verifies why an arm does not follow its commands as its description says.
 
     Residuals are rollouts from the commands alone minus the measured joints. Effects are kept if rollouts with them,
-    fitted to other blocks of each run, have smaller errors. Arguments are as of `diagnose`.
+    fitted to other blocks of each run, have smaller errors. Arguments are as of `diagnose`, but the simulator is read.
 
     Raises:
         InputError: no arm is declared, or as `screen_tracking`.
@@ -326,6 +333,11 @@ def diagnose_tracking(
     # A rollout takes as long whether few or all of its samples are compared; and it is iterated until what is left
     # moves log-likelihoods by some hundredths, which shorter steps do not overcome.
     engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED, damping=_DAMPING)
+    payload = 0.0
+    if simulator is not None:
+        arm = simulator.arm
+        payload = float(np.max(recording.payload))
+        recording = with_simulator(recording, simulator)
     with followed(progress):
         arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 2):
@@ -351,6 +363,10 @@ def diagnose_tracking(
         problem = verified.selection.problem
         assert isinstance(problem, TrackingProblem)
         peers = _peer_errors(problem, folds)
+        compared = None
+        if simulator is not None:
+            compared = compare_simulator(simulator, problem.data, payload)
+            peers["simulator"] = compared.position - problem.data.measured
     return TrackingDiagnosis(
         problem=problem,
         faults=screened.found,
@@ -358,5 +374,6 @@ def diagnose_tracking(
         options=options,
         outliers=~problem.valid,
         peers=peers,
+        simulator=compared,
         **verified._asdict(),
     )

@@ -136,18 +136,24 @@ Rate = Annotated[float, Meta(ge=0.0, le=1e7)]
 PerJoint = Annotated[tuple[Rate, ...], Meta(min_length=1)]
 
 
-class ServoSettings(_Record, frozen=True):
-    """Position servos with a stiffness and a damping of each joint, the delay of all, and how commands are held."""
+class ServoSettings(_Record, frozen=True, omit_defaults=True):
+    """Position servos with a stiffness and a damping of each joint, the delay of all, and how commands are held.
+
+    A torque limit and the time constant of a low pass of the command, of each joint, where there are such.
+    """
 
     stiffness_Nm_per_rad: PerJoint  # noqa: N815 (the sidecar's key)
     damping_Nm_s_per_rad: PerJoint  # noqa: N815 (the sidecar's key)
     delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     hold: Literal["previous", "interpolated"] = "previous"
     gravity_compensation: bool = False
+    torque_limit_Nm: PerJoint | None = None  # noqa: N815 (the sidecar's key)
+    time_constant_s: PerJoint | None = None
 
     def __post_init__(self) -> None:
-        if 0.0 in self.stiffness_Nm_per_rad:
-            raise ValueError("stiffness_Nm_per_rad: is zero")
+        for name in ("stiffness_Nm_per_rad", "torque_limit_Nm"):
+            if 0.0 in (getattr(self, name) or ()):
+                raise ValueError(f"{name}: is zero")
 
 
 @dataclass(frozen=True)
@@ -221,7 +227,8 @@ class RecordingSettings:
     servo: Annotated[
         Unknown | ServoSettings,
         "unknown, or {stiffness_Nm_per_rad: [...], damping_Nm_s_per_rad: [...], delay_s: 0.0, hold: previous or "
-        "interpolated, gravity_compensation: false}, with one stiffness and one damping per joint, in N m and rad",
+        "interpolated, gravity_compensation: false, torque_limit_Nm: [...], time_constant_s: [...]}, with one number "
+        "per joint, in N m, rad and s; all but the first two may be left out",
     ] = "unknown"
     contact_noise_m: Annotated[
         Sigma | None, "one sigma in m of the touched point about its contact, more than zero"
@@ -304,9 +311,9 @@ class RecordingSettings:
                     f"{source}: recording.{key} has {len(given)} numbers for {joints} joints; give one per joint"
                 )
         if isinstance(self.servo, ServoSettings):
-            for key in ("stiffness_Nm_per_rad", "damping_Nm_s_per_rad"):
+            for key in ("stiffness_Nm_per_rad", "damping_Nm_s_per_rad", "torque_limit_Nm", "time_constant_s"):
                 given = getattr(self.servo, key)
-                if len(given) != joints:
+                if given is not None and len(given) != joints:
                     raise InputError(
                         f"{source}: recording.servo.{key} has {len(given)} numbers for {joints} joints; give one per "
                         "joint"

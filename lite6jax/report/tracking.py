@@ -24,8 +24,17 @@ _TEXTS = read_texts("tracking.yaml")
 _MRAD = 1e3
 _ERROR = "heldout_rollout_rms_rad"
 _BY_JOINT = "heldout_rollout_rms_by_joint_rad"
-_PEERS = {"commanded": "measured = commanded", "best_delay": "best delay", "second_order": "second order"}
-"""What knows no arm, by its key in the document, as it is called."""
+_PEERS = {
+    "commanded": "measured = commanded",
+    "best_delay": "best delay",
+    "second_order": "second order",
+    "simulator": "your simulator",
+}
+"""What is compared with, by its key in the document, as it is called: without a model of the arm, and a simulator."""
+_MENTIONED = 0.001
+"""Share of the samples, from which clipped commands, contacts and limits are said."""
+_MATTERS = 0.5
+"""Of the difference of two rollouts, that is left with fine steps where those of the file make the difference."""
 _NAMED = NAMED_OF_TORQUES | {"scale": (1e6, "ppm"), "ratio": (1.0, ""), "rate": (1e6, "ppm")}
 """Of numbers whose names do not say how they are read."""
 _TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
@@ -135,6 +144,37 @@ def cautions(document: Document) -> list[str]:
     return [fill(_TEXTS["withdrawn"], {"names": [effect_title(entry) for entry in withdrawn["effects"]]})]
 
 
+def simulator_statements(document: Document) -> list[str]:
+    """How far a simulator's own rollouts are from those of the same model here, where they differ, and why."""
+    simulator = document.get("simulator")
+    if simulator is None:
+        return []
+    said = []
+    if simulator["payload_left_out_kg"]:
+        said.append(fill(_TEXTS["simulator"]["payload"], simulator, payload=number(simulator["payload_left_out_kg"])))
+    if not simulator["differs"]:
+        return said
+    apart = simulator["apart_rms_by_joint_rad"]
+    fine = simulator["apart_rms_by_joint_rad_at_fine_steps"]
+    joint = max(range(len(apart)), key=lambda j: apart[j])
+    reasons = [
+        _TEXTS["simulator"]["reasons"][name]
+        for name in ("clipped", "touching", "at_limit", "at_torque_limit")
+        if simulator[f"{name}_share"] > _MENTIONED
+    ]
+    if max(fine) < _MATTERS * max(apart):
+        reasons.append(
+            fill(
+                _TEXTS["simulator"]["steps"],
+                simulator,
+                step=number(1e3 * simulator["timestep_s"]),
+                fine=number(_MRAD * fine[joint]),
+            )
+        )
+    sizes = {"apart": number(_MRAD * apart[joint]), "joint": joint + 1, "reasons": reasons}
+    return [*said, fill(_TEXTS["simulator"]["differs"], simulator, **sizes)]
+
+
 def rivals(finding: Entry, rejected: bool = False) -> list[str]:
     """The effects that the log does not distinguish from a finding, or the nearest that explain clearly less."""
     entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
@@ -169,7 +209,8 @@ def _motion_of(effects: set[str]) -> str:
 
 def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """The table of held-out errors in mrad RMS: headers, and a row for each joint and for all."""
-    columns = {name: document["peers"][key] for key, name in _PEERS.items()}
+    peers = document["peers"]
+    columns = {name: peers[key] for key, name in _PEERS.items() if key in peers}
     columns |= {"before": document["before"]}
     if document["findings"]:
         columns |= {"after": document["after"]}
@@ -178,7 +219,10 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
         for joint in range(1, len(document["before"][_BY_JOINT]) + 1)
     ]
     rows.append(["all", *(number(_MRAD * column[_ERROR]) for column in columns.values())])
-    return ["held-out error (mrad RMS)", *columns], rows
+    headers = ["held-out error (mrad RMS)", *columns]
+    if "simulator" in peers:  # one column more than a terminal is wide
+        headers = [header.replace(" ", "\n", 1) for header in headers]
+    return headers, rows
 
 
 def servo_rows(document: Document) -> tuple[list[str], list[list[str]]]:
@@ -223,7 +267,12 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
         ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in sentences)]),
         (
             "Held-out rollouts from the commands alone",
-            [("table", error_rows(document)), ("text", fill(_TEXTS["held_out"], document)), *drawn],
+            [
+                ("table", error_rows(document)),
+                ("text", fill(_TEXTS["held_out"], document)),
+                *(("text", line) for line in simulator_statements(document)),
+                *drawn,
+            ],
         ),
         ("Data faults", [("faults", faults)] if faults else []),
         ("Findings", findings),

@@ -13,6 +13,7 @@ from lite6jax.arms.factory import read_factory
 from lite6jax.controller import protocol, recorder
 from lite6jax.controller.recorder import record, record_poses
 from lite6jax.controller.station import read_station
+from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.emulator import Body, Faults, draw_sines, visit
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, estimated_torque, read_recording
@@ -59,6 +60,10 @@ def test_a_recording_is_what_the_arm_did_and_says_what_it_is(tmp_path):
     np.testing.assert_allclose(read.position, T[:, :3, 3], atol=4e-7)
     assert read.quaternion is not None
     assert read.joint_temperature.shape == read.motor_current.shape == read.joint_torque.shape == (1000, 6)
+    assert read.commanded_position is not None
+    np.testing.assert_allclose(read.joint_position[2:], read.commanded_position[:-2], atol=1e-6)  # two reports later
+    with pytest.raises(InputError, match="each command is the read-out of 2 rows after: the log holds measurements"):
+        diagnose(read, ARM, domain="tracking")
     slope = np.gradient(read.joint_position[:, 0], read.time)
     np.testing.assert_allclose(read.joint_velocity[5:-5, 0], slope[5:-5], atol=0.05)
     source = pyarrow.parquet.read_schema(tmp_path / "run.parquet").field("q1_rad").metadata[b"source"]

@@ -29,6 +29,7 @@ def reports(time_us, q=None, vector=False, length=784, seed=0):
     made = np.zeros(len(time_us), protocol.report_layout(protocol.REALTIME, length))
     made["length"], made["time_us"] = length, time_us
     made["joint_position"][:, :6] = q
+    made["target_position"][:, :6] = q + 0.01
     made["joint_velocity"][:, :6] = q / 2
     made["current"][:, :6], made["torque"][:, :6] = q / 3, q / 4
     T = six_parameter_poses(KINEMATICS, made["joint_position"][:, :6].astype(float))
@@ -50,6 +51,7 @@ def test_a_row_is_what_the_report_says_in_si():
     np.testing.assert_allclose(table["time_s"], 0.004 * np.arange(5), atol=1e-12)
     np.testing.assert_array_equal(np.stack([table[f"q{i}_rad"] for i in range(1, 7)], 1), sent)
     np.testing.assert_allclose(np.stack([table[f"dq{i}_rad_per_s"] for i in range(1, 7)], 1), sent / 2, rtol=1e-6)
+    np.testing.assert_allclose(np.stack([table[f"cmd{i}_rad"] for i in range(1, 7)], 1), q + 0.01, rtol=1e-6)
     np.testing.assert_allclose(np.stack([table[f"current{i}_A"] for i in range(1, 7)], 1), sent / 3, rtol=1e-6)
     np.testing.assert_allclose(np.stack([table[f"tau{i}_Nm"] for i in range(1, 7)], 1), sent / 4, rtol=1e-6)
     np.testing.assert_array_equal([table[f"temp{i}_degC"][0] for i in range(1, 7)], np.arange(20, 26))

@@ -171,6 +171,11 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
     if arm.spring_stiffness is not None and arm.spring_rest is not None:
         of_arm["spring"] = np.array(arm.spring_stiffness)
         of_arm["spring_torque"] = -arm.spring_stiffness * arm.spring_rest
+    if isinstance(given, ServoSettings):
+        if given.torque_limit_Nm is not None:
+            of_arm["torque_limit"] = np.array(given.torque_limit_Nm)
+        if given.time_constant_s is not None:
+            of_arm["time_constant"] = np.array(given.time_constant_s)
     servo = Servo.ideal(kp, kd)._replace(delay=np.full(joints, delay), grip=bodies.grip, **of_arm)
     return servo, known
 
