@@ -1,7 +1,7 @@
 """What is hidden in logs of commands: the effects of the public table, and families of physics that it lacks.
 
-An effect changes numbers of joints or of the arm (`START`), by which `physics` rolls an arm out. Shares no code with the
-library.
+An effect changes numbers of joints or of the arm (`START`), by which `physics` rolls an arm out. Shares no code with
+the library.
 """
 
 import hashlib
@@ -22,7 +22,8 @@ START: Values = {
     **dict.fromkeys(("stiffness", "damping", "rotor", "viscous", "coulomb"), 0.0),  # as declared
     **dict.fromkeys(("integral", "feedforward", "dead", "spring", "spring_torque"), 0.0),
     **dict.fromkeys(("delay", "filter", "stribeck", "load_friction"), 0.0),
-    **{"stribeck_speed": 0.1, "rate": NEVER, "limit": NEVER},
+    "stribeck_speed": 0.1,
+    **dict.fromkeys(("rate", "limit"), NEVER),
     **dict.fromkeys(("play", "offset", "scale", "sine", "cosine"), 0.0),
     **dict.fromkeys(("clock", "payload", "tilt_x", "tilt_y"), 0.0),  # of the arm
     # of families; lengths that divide are one
@@ -145,9 +146,7 @@ NAMED: dict[str, Named] = {
         *(_least("rate", "velocity_rad_per_s"), {"velocity_rad_per_s": "v"}),
     ),
     "servo_stiffness": Named((1e-5, 1.5), _ratio, _times("stiffness"), {"ratio": "ratio"}),
-    "servo_damping": Named(
-        (1e-5, 1.2), _ratio, _times("damping"), {"ratio": "ratio"}, also=("viscous_friction",)
-    ),
+    "servo_damping": Named((1e-5, 1.2), _ratio, _times("damping"), {"ratio": "ratio"}, also=("viscous_friction",)),
     "servo_integral": Named(
         (1e-4, 3.0),
         _of("integral_Nm_per_rad_s", "stiffness"),
@@ -168,14 +167,18 @@ NAMED: dict[str, Named] = {
         _add(viscous="viscous_Nm_s_per_rad"),
         *({"viscous_Nm_s_per_rad": "b"}, 1, ("servo_damping",)),
     ),
-    "coulomb_friction": Named((1e-5, 0.5), _of("coulomb_Nm", "strongest"), _add(coulomb="coulomb_Nm"), {"coulomb_Nm": "c"}),
+    "coulomb_friction": Named(
+        (1e-5, 0.5), _of("coulomb_Nm", "strongest"), _add(coulomb="coulomb_Nm"), {"coulomb_Nm": "c"}
+    ),
     "stribeck_friction": Named(
         (1e-4, 0.5),
         lambda size, drawn: {"stribeck_Nm": size * drawn["strongest"], "velocity_rad_per_s": drawn["speed"]},
         *(_stribeck, {"stribeck_Nm": "s"}),
     ),
     "load_friction": Named((1e-5, 0.5), _one("coefficient"), _add(load_friction="coefficient"), {"coefficient": "mu"}),
-    "rotor_inertia": Named((1e-5, 1.5), _of("inertia_kg_m2", "rotor"), _add(rotor="inertia_kg_m2"), {"inertia_kg_m2": "I"}),
+    "rotor_inertia": Named(
+        (1e-5, 1.5), _of("inertia_kg_m2", "rotor"), _add(rotor="inertia_kg_m2"), {"inertia_kg_m2": "I"}
+    ),
     "joint_spring": Named(
         (1e-5, 0.5),
         lambda size, drawn: {"stiffness_Nm_per_rad": size * drawn["stiffness"], "rest_rad": drawn["rest"]},
@@ -251,9 +254,7 @@ def _set(name: str, **others: str) -> Callable[[Numbers, Any, float, Values], No
 
 FAMILIES: dict[str, Family] = {
     # viscous friction that falls as oil warms
-    "warming_friction": Family(
-        (1e-5, 0.6), "damping", _set("warming"), "time, velocity", beside=_FRICTION
-    ),
+    "warming_friction": Family((1e-5, 0.6), "damping", _set("warming"), "time, velocity", beside=_FRICTION),
     # dry friction where the joint passes a place
     "sticky_zone": Family(
         (1e-5, 1.0),
@@ -289,8 +290,13 @@ FAMILIES: dict[str, Family] = {
     "skipping_commands": Family((1e-3, 0.5), "one", _set("skipped"), "", nameless=True, site="clock"),
     # a base that rocks to and fro, on a vehicle or a bench
     "rocking_base": Family(
-        (1e-4, 2.0), "one", _set("rocking", rocking_pulse="pulse", rocking_way="phase"), "", ("pulse", "phase"),
-        nameless=True, site="base",
+        (1e-4, 2.0),
+        "one",
+        _set("rocking", rocking_pulse="pulse", rocking_way="phase"),
+        "",
+        ("pulse", "phase"),
+        nameless=True,
+        site="base",
     ),
 }
 """By name."""

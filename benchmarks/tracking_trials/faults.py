@@ -24,7 +24,7 @@ class Log(NamedTuple):
     q: Array  # `(sample, joint)` rad, or whatever it is
     u: Array  # `(sample, joint)` rad
     joints: list[int]  # that a fault concerns, counted from 1
-    rows: list[int]  # likewise, from 0
+    rows: list[int]  # likewise, from 0; these repeat the row before, with its noise
 
 
 def before(plan: Plan, rng: np.random.Generator, u: Array) -> tuple[Hidden, ...]:
@@ -76,10 +76,7 @@ def spoil(plan: Plan, rng: np.random.Generator, q: Array, u: Array, run: Array) 
         case "stale_rows":
             stale = np.flatnonzero(rng.random(len(q)) < _STALE)
             stale = stale[(stale > 0) & (run[stale] == run[np.maximum(stale - 1, 0)])]
-            repeated = q.copy()
-            for row in stale:
-                repeated[row] = repeated[row - 1]
-            return right._replace(q=repeated, rows=[int(row) for row in stale])
+            return right._replace(rows=[int(row) for row in stale])
         case "saturated_readout":
             most = float(np.percentile(q[:, joint], rng.uniform(*_SATURATED)))
             return right._replace(q=np.where(here, np.minimum(q, most), q), joints=[joint + 1])

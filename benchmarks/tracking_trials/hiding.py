@@ -1,9 +1,9 @@
 """What is hidden: an effect somewhere it can be, of so many thresholds, and all that is known of it beforehand.
 
-All from the generator's own rollouts. An effect is as large as the standard deviations by which it moves the read-outs,
-in what the unknown numbers of servos cannot do as well. The threshold is where that is `detection.least_power`, so that a
-test that knows name, site and noise finds half of such effects. Many effects are not linear in their numbers: sizes
-are looked for among rollouts.
+All from the generator's own rollouts. An effect is as large as the standard deviations by which it moves read-outs,
+in what the unknown numbers of servos cannot do as well. At the threshold their square is `detection.least_power`, so
+that a test that knows name, site and noise finds half of such effects. Many effects are not linear in their numbers:
+sizes are looked for among rollouts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -80,8 +80,10 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         return ()
     limits = asked(view.setup, view.commands)
     drawn = [_draw(name, rng, view, limits) for name in plan.effects]
-    ladders = [[effect(size) for size in np.geomspace(*_sizes(name), _RUNGS)] for name, effect in
-               zip(plan.effects, drawn, strict=True)]
+    ladders = [
+        [effect(size) for size in np.geomspace(*_sizes(name), _RUNGS)]
+        for name, effect in zip(plan.effects, drawn, strict=True)
+    ]
     flat = [(effect,) for ladder in ladders for effect in ladder]
     servos = view.servos(())
     with np.errstate(all="ignore"):
@@ -234,7 +236,9 @@ def _ranked(candidates: Sequence[tuple[str, list[Hidden]]], shown: Iterator[Arra
         yield name, effects[0].site, np.stack([next(shown) - without for _ in effects], 1)
 
 
-def _slopes(hidden: tuple[Hidden, ...], place: int) -> Iterator[tuple[str, tuple[Hidden, ...], tuple[Hidden, ...], float]]:
+def _slopes(
+    hidden: tuple[Hidden, ...], place: int
+) -> Iterator[tuple[str, tuple[Hidden, ...], tuple[Hidden, ...], float]]:
     """Of each number of an effect, its name, the hidden with more and with less of it, and the difference."""
     effect = hidden[place]
     largest = max(abs(value) for value in effect.values.values())
@@ -261,7 +265,7 @@ def _bounds(span: Array, columns: Sequence[Array], names: Sequence[Sequence[str]
 
 
 def _candidates(view: View, effect: Hidden) -> Iterator[tuple[str, list[Hidden]]]:
-    """What an effect may be taken for: the table, at its joint and for the whole arm; small, in one or two ways each."""
+    """What an effect may be taken for: the table, at its joint and for the whole arm, in one or two ways each."""
     limits = asked(view.setup, view.commands)
     dof = view.setup.arm.chain.dof
     joints = range(1, dof + 1) if effect.joint < 0 else [effect.joint + 1]

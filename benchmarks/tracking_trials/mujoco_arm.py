@@ -1,4 +1,4 @@
-"""The same arms in MuJoCo, a second physics: position actuators with their filters and limits, damping, dry friction."""
+"""The same arms in MuJoCo, a second physics: actuators with filters and limits, damping, dry friction."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,7 +21,7 @@ SIMULATED = (
     "encoder_offset",
 )
 """What MuJoCo can be given; a delay is of the command that it is given, an offset of what it shows."""
-GRIP = "0.99 0.99 0.001 0.5 2"
+GRIP = "0.999 0.999 0.001 0.5 2"
 """`solimpfriction` of friction that holds nearly rigidly."""
 _DIRECT = "0.001 1"  # s and 1, `solreffriction`: twice the step
 
@@ -71,7 +71,10 @@ def _follow(model: Any, numbers: Numbers, u: Array, period: float) -> Array:
 
 
 def model_text(setup: Setup, numbers: Numbers, grip: str) -> str:
-    """The arm as an MJCF with the actuators of position servos; their damping stands at the joints, beyond every limit of torque."""
+    """The arm as an MJCF with the actuators of position servos.
+
+    Their damping stands at the joints, where no limit of torque reaches it.
+    """
     arm = setup.arm
     tilt = rotation_from_vector(np.array([numbers["tilt_x"][0], numbers["tilt_y"][0], 0.0]))
     bodies = Bodies.of(arm, np.array([setup.payload + numbers["payload"][0]]), setup.payload_center)

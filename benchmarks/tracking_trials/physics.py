@@ -65,7 +65,9 @@ class Rolled(NamedTuple):
 def start_of(arm: Arm) -> Numbers:
     """The numbers of an arm in which nothing is hidden."""
     numbers = {name: np.full(arm.chain.dof, float(value)) for name, value in START.items()}
-    joints = {name: getattr(arm.joints, name).copy() for name in ("stiffness", "damping", "rotor", "viscous", "coulomb")}
+    joints = {
+        name: getattr(arm.joints, name).copy() for name in ("stiffness", "damping", "rotor", "viscous", "coulomb")
+    }
     return numbers | joints
 
 
@@ -270,8 +272,8 @@ def _processed(
 ) -> tuple[Array, Array]:
     """What servos see of their commands: `(step, column)` rad, and the column of each `(joint, lane)`.
 
-    A delay, a clock, a low pass and a limit of the rate, in this order. The value of a step is the mean over it, from half
-    a step before to half a step after.
+    A delay, a clock, a low pass and a limit of the rate, in this order. The value of a step is the mean over it, from
+    half a step before to half a step after.
     """
     dof, lanes = n["delay"].shape
     keys: dict[tuple[float, ...], int] = {}

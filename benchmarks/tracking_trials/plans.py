@@ -23,6 +23,7 @@ RATES = (50.0, 100.0, 125.0, 200.0, 250.0, 500.0)  # Hz
 ARMS = {"serial3": 0.42, "serial4": 0.38, "serial5": 0.08, "lite6": 0.04, "ur5e": 0.04, "xarm7": 0.04}
 """With the share of trials that each is drawn in: most are small, for a diagnosis takes the time of its joints."""
 _ROWS = 600, 1200
+_LONGEST = 6.0  # s of a run: runs are rolled out side by side
 _NOISE = 1e-5, 3e-4  # rad
 _QUANTA = (0.0, 0.0, 1.0, 3.0)  # of the noise, a step of the encoder
 _NEEDS_RUNS = ("zero_per_run",)
@@ -64,7 +65,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     quantum = sigma * float(rng.choice(_QUANTA))
     rate = float(rng.choice(RATES))
     rows = float(np.exp(rng.uniform(*np.log(_ROWS))))
-    runs = int(rng.choice([1, 2, 3], p=[0.5, 0.3, 0.2]))
+    runs = int(rng.choice([1, 2, 3], p=[0.5, 0.3, 0.2])) + int(rows / rate / _LONGEST)
     if fault in _NEEDS_RUNS:
         runs = max(runs, 2)
     motions = tuple(str(name) for name in rng.choice(MOTIONS, runs))

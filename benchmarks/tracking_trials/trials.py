@@ -59,10 +59,8 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     if log is None:
         return None
     read = log.q + rng.normal(0, plan.sigma, log.q.shape)
-    if log.rows:
-        read[log.rows] = read[np.array(log.rows) - 1]  # a row that is stale repeats its noise
-        for row in log.rows:
-            read[row] = read[row - 1]
+    for row in log.rows:
+        read[row] = read[row - 1]  # a row that is stale repeats its noise
     if plan.quantum:
         read = np.round(read / plan.quantum) * plan.quantum
     commanded = _rms(unseen.u[0] - later)
@@ -113,12 +111,11 @@ def _rolled(
         np.concatenate([commands.begins, [end]]),
         np.concatenate([commands.luck, unseen.luck]),
     )
-    readout = roll(setup, [hidden, ()], both).readout
-    shown, plainly = readout[0], readout[1, -1]
     if plan.engine == "mujoco":
         shown = mujoco_arm.follow(setup, hidden, both)
-        plainly = mujoco_arm.follow(setup, (), unseen)[0]
-    return shown[:-1], shown[-1], plainly
+        return shown[:-1], shown[-1], mujoco_arm.follow(setup, (), unseen)[0]
+    shown, plainly = roll(setup, [hidden, ()], both).readout
+    return shown[:-1], shown[-1], plainly[-1]
 
 
 def _shared_form(plan: Plan, hidden: Sequence[Hidden], joints: Sequence[int]) -> list[dict[str, Any]]:
