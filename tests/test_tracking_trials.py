@@ -31,7 +31,14 @@ from tests.oracles.pinocchio_dynamics import pinocchio_model
 ROOT = Path(__file__).resolve().parents[1]
 AT = np.array([0.01, -0.02, 0.03])
 CLOSE = 5e-5  # rad, within which NumPy and MuJoCo agree
-FIRM = 2e-5  # rad, that dry friction may creep in MuJoCo beside
+FIRM = 1e-5  # rad, that dry friction may creep in MuJoCo beside
+
+
+@pytest.fixture(autouse=True)
+def _hurried(monkeypatch):
+    """Runs begin sooner, and arms need not have settled: both simulators, and all variants, are alike in it."""
+    for module in (physics, mujoco_arm):
+        monkeypatch.setattr(module, "LEAD", 0.2)
 
 
 def a_setup(name="serial3", seed=1, payload=0.3, sliding=False):
@@ -76,7 +83,7 @@ BUILT = [
     (Hidden("command_filter", "joint2", {"time_constant_s": 0.03}),),
     (Hidden("servo_stiffness", "joint3", {"ratio": 0.7}),),
     (Hidden("servo_damping", "joint1", {"ratio": 1.6}),),
-    (Hidden("torque_limit", "joint2", {"torque_Nm": 4.3}),),
+    (Hidden("torque_limit", "joint2", {"torque_Nm": 2.5}),),
     (Hidden("viscous_friction", "joint2", {"viscous_Nm_s_per_rad": 3.0}),),
     (Hidden("rotor_inertia", "joint3", {"inertia_kg_m2": 0.05}),),
     (Hidden("joint_spring", "joint3", {"stiffness_Nm_per_rad": 5.0, "rest_rad": 0.2}),),
@@ -104,7 +111,7 @@ def test_dry_friction_is_that_of_mujoco_but_for_its_creep():
     ours = roll(setup, [hidden, ()], commands, hiding.STEP).readout
     theirs = mujoco_arm.follow(setup, hidden, commands)
     assert np.sqrt(np.mean((ours[0] - theirs) ** 2)) < FIRM
-    assert np.abs(ours[0] - ours[1]).max() > 50 * FIRM
+    assert np.abs(ours[0] - ours[1]).max() > 100 * FIRM
 
 
 def test_what_mujoco_has_not_is_refused():
@@ -115,17 +122,18 @@ def test_what_mujoco_has_not_is_refused():
 
 def test_half_the_step_changes_microradians():
     setup = a_setup()
-    commands = some_commands(setup.arm, 60)
+    commands = some_commands(setup.arm, 40)
     steps = (physics.STEP, physics.STEP / 2)
     whole, half = (roll(setup, [()], commands, step).readout for step in steps)
     assert np.abs(whole - half).max() < 1e-5
 
 
-def test_an_arm_at_rest_stays_where_friction_holds_it():
+def test_an_arm_at_rest_stays_where_friction_holds_it(monkeypatch):
     """Beside the weight: the servo's torque and gravity differ by no more than friction."""
+    monkeypatch.setattr(physics, "LEAD", 1.0)
     setup = a_setup(payload=0.0)
-    commands = at_rest(setup.arm, 40)
-    q = roll(setup, [()], commands).readout[0, 0]
+    commands = at_rest(setup.arm, 10)
+    q = roll(setup, [()], commands, hiding.STEP).readout[0, 0]
     assert np.ptp(q, axis=0).max() < 1e-9
     dynamics = Dynamics(Bodies.of(setup.arm, np.zeros(1), AT))
     _, weight = dynamics.terms(q[-1][:, None], 0 * q[-1][:, None], GRAVITY[:, None])
@@ -200,7 +208,7 @@ def an_effect(name, setup, commands, size, seed=0):
 
 def test_every_effect_and_family_moves_the_arm_and_the_more_the_larger_it_is():
     setup = a_setup()
-    commands = some_commands(setup.arm, 100)
+    commands = some_commands(setup.arm, 60)
     names = [*NAMED, *FAMILIES]
     ranges = {name: each.sizes for name, each in {**NAMED, **FAMILIES}.items()}
     sizes = {name: np.geomspace(*ranges[name], 5)[2:4] for name in names}
@@ -237,7 +245,9 @@ def test_commands_keep_within_reach_and_begin_at_rest(kind):
             assert np.abs(np.diff(u, axis=0)).max() / commands.period < 2.5
 
 
-@pytest.mark.parametrize("free", [False, True], ids=["declared", "unknown"])
+@pytest.mark.parametrize(
+    "free", [pytest.param(False, id="declared"), pytest.param(True, id="unknown", marks=pytest.mark.long)]
+)
 def test_at_the_threshold_half_are_found(free):
     """A test that knows name and site, in noise: beside what stiffness and damping of a servo can do."""
     rng = np.random.default_rng(17)
@@ -257,6 +267,7 @@ def test_at_the_threshold_half_are_found(free):
     assert (about["seen"] < 1 - 1e-6) == free
 
 
+@pytest.mark.long
 def test_bounds_are_what_a_fit_reaches():
     rng = np.random.default_rng(19)
     setup = a_setup()
@@ -274,6 +285,7 @@ def test_bounds_are_what_a_fit_reaches():
     np.testing.assert_allclose(off.std(1), wanted, rtol=0.12)
 
 
+@pytest.mark.long
 def test_viscous_friction_is_what_comes_nearest_to_a_servos_damping():
     setup = a_setup()
     view = View(setup, some_commands(setup.arm, 100), 1e-4, False)
@@ -339,7 +351,9 @@ def a_small_plan(monkeypatch, **fixed):
     monkeypatch.setattr(trials, "draw_plan", small)
 
 
-@pytest.mark.parametrize("kind", ["clean", "single", "outside", "faulty"])
+@pytest.mark.parametrize(
+    "kind", ["clean", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("single", "outside", "faulty"))]
+)
 def test_a_seed_gives_the_same_trial_of_about_the_planned_size(kind, monkeypatch, tmp_path):
     a_small_plan(monkeypatch)
     index = plans.ROUNDS.indices(1, 1, kind)[0]
