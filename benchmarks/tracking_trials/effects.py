@@ -65,7 +65,7 @@ class Named:
     # and `strongest` Nm where nothing is hidden, `stiffness` and `damping`
     values: Callable[[float, Values], dict[str, float]]
     alter: Callable[[Numbers, Any, Values], None]  # changes numbers at a joint, or at all joints
-    arguments: Values | Mapping[str, str]  # the numbers' names in the shared form of truths
+    arguments: Mapping[str, str]  # the numbers' names in the shared form of truths
     linear: int = 1  # in how many coordinates it is linear
     also: tuple[str, ...] = ()  # effects that no log of commands tells from it
 

@@ -283,5 +283,5 @@ def _candidates(view: View, effect: Hidden) -> Iterator[tuple[str, list[Hidden]]
             phases: Sequence[Values] = [values | {"phase": phase} for phase in (0.0, np.pi / 2)[: named.linear]]
             effects = [Hidden(name, site, named.values(size, each)) for each in phases]
             if name == "joint_spring":
-                effects[1] = Hidden(name, site, effects[0].values | {"rest_rad": 1.0})
+                effects[1] = Hidden(name, site, {**effects[0].values, "rest_rad": 1.0})
             yield name, effects

@@ -289,7 +289,7 @@ def _processed(
     for (joint, run, clock, skipped, delay, _, _), k in keys.items():
         u = _skip(commands.u[int(run), :, int(joint)], commands.luck[int(run)], skipped)
         integral = np.concatenate([[0.0], np.cumsum(u)]) * per_sample
-        knots = np.arange(len(u) + 1) * per_sample
+        knots = np.arange(len(u) + 1.0) * per_sample
 
         def area(x: Array, integral: Array = integral, knots: Array = knots, u: Array = u) -> Array:
             """∫u in steps; the first command holds before, and the last behind."""

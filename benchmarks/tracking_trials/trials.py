@@ -126,8 +126,7 @@ def _shared_form(plan: Plan, hidden: Sequence[Hidden], joints: Sequence[int]) ->
         also: list[list[str]] = []
         if effect.name in NAMED:
             named = NAMED[effect.name]
-            short = {name: str(argument) for name, argument in named.arguments.items()}
-            arguments |= {argument: effect.values[name] for name, argument in short.items()}
+            arguments |= {argument: effect.values[name] for name, argument in named.arguments.items()}
             also += [[name, effect.site] for name in (effect.name, *named.also)]
         else:
             arguments |= dict(effect.values) | dict(effect.fixed)
