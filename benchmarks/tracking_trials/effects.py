@@ -139,9 +139,9 @@ NAMED: dict[str, Named] = {
     "command_filter": Named(
         (1e-4, 0.2), _one("time_constant_s"), _add(filter="time_constant_s"), {"time_constant_s": "tau"}
     ),
-    # held commands are steps: a limit far above the speed of the motion delays them a little
+    # below the speed of the motion: held commands are steps, which any limit delays, and nobody would call that one
     "rate_limit": Named(
-        (0.005, 6.0),
+        (1.0, 6.0),
         lambda size, drawn: {"velocity_rad_per_s": drawn["fastest"] / size},
         *(_least("rate", "velocity_rad_per_s"), {"velocity_rad_per_s": "v"}),
     ),
@@ -204,6 +204,8 @@ NAMED: dict[str, Named] = {
 }
 """By name."""
 
+AT_LEAST = ("rate_limit",)
+"""What does much wherever it does anything: the size that is planned is the least."""
 FREE_SERVO = ("servo_stiffness", "servo_damping")
 """What is fitted before anything else where the servo is unknown, and `viscous_friction` with it."""
 

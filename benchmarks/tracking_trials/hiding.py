@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.campaigns import detection
 from benchmarks.campaigns.detection import Array, project_out
 from benchmarks.tracking_trials.arms import Bodies, Dynamics
-from benchmarks.tracking_trials.effects import FAMILIES, FREE_SERVO, NAMED, SITES, Hidden, Values
+from benchmarks.tracking_trials.effects import AT_LEAST, FAMILIES, FREE_SERVO, NAMED, SITES, Hidden, Values
 from benchmarks.tracking_trials.physics import Commands, Setup, roll
 from benchmarks.tracking_trials.plans import Plan
 
@@ -101,7 +101,9 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         clear = np.linalg.norm(left(np.where(usable[:, None], rungs, 0.0).T), axis=0)
         clear = np.where(usable, clear, np.inf)
         sizes = np.geomspace(*_sizes(name), _RUNGS)
-        size = _size_at(sizes, clear, times * np.sqrt(detection.least_power(_linear(name))))
+        target = times * float(np.sqrt(detection.least_power(_linear(name))))
+        least = name in AT_LEAST and clear[0] >= target
+        size = float(sizes[0]) if least else _size_at(sizes, clear, target)
         if size is None:
             return None
         near = int(np.argmin(np.abs(np.log(sizes / size))))

@@ -11,7 +11,7 @@ from benchmarks.campaigns.rounds import Trial, csv_text, first_made
 from benchmarks.concealed.chain import Array
 from benchmarks.tracking_trials import mujoco_arm
 from benchmarks.tracking_trials.arms import GRAVITY, Arm, arm_text, draw_arm
-from benchmarks.tracking_trials.effects import FAMILIES, NAMED, Hidden
+from benchmarks.tracking_trials.effects import AT_LEAST, FAMILIES, NAMED, Hidden
 from benchmarks.tracking_trials.faults import before, spoil
 from benchmarks.tracking_trials.hiding import View, describe, hide
 from benchmarks.tracking_trials.motions import draw_commands
@@ -68,11 +68,14 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     wanted = commanded if view.free else effect
     share = _OUTSIDE_SHARE if plan.kind == "outside" else _SHARE
     limit = max(_LEAST_LIMIT, _OF_NOISE * noise, share * wanted)
+    described = describe(view, hidden, plan.kind in ("single", "outside"))
+    planned = zip(described, plan.sizes, strict=True)
     truth = {
         "schema": "tracking/truth/1",
         **asdict(plan),
+        "sizes": [about["size"] if about["effect"] in AT_LEAST else size for about, size in planned],
         "rows": len(read),
-        "hidden": describe(view, hidden, plan.kind in ("single", "outside")),
+        "hidden": described,
         "fault_joints": [effect.joint + 1 for effect in broken] or log.joints,
         "fault_rows": log.rows,
         "noise_rad": noise,
