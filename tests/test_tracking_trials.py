@@ -208,7 +208,7 @@ def an_effect(name, setup, commands, size, seed=0):
 
 def test_every_effect_and_family_moves_the_arm_and_the_more_the_larger_it_is():
     setup = a_setup()
-    commands = some_commands(setup.arm, 60)
+    commands = some_commands(setup.arm, 100)
     names = [*NAMED, *FAMILIES]
     ranges = {name: each.sizes for name, each in {**NAMED, **FAMILIES}.items()}
     sizes = {name: np.geomspace(*ranges[name], 5)[2:4] for name in names}
