@@ -31,6 +31,7 @@ OF_WORKLOADS = ("scipy", "pinocchio", "mujoco")  # what the workloads cannot do 
 COMMANDS = {
     "concealed": ("concealed.campaign", "mujoco"),
     "torque": ("torque_trials.campaign", "mujoco"),
+    "tracking": ("tracking_trials.campaign", "mujoco"),
     "frozen": ("frozen.command", "mujoco"),
     "ladder": ("ladder", "pinocchio"),
     "rivals": ("rivals", "sklearn"),

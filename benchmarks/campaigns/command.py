@@ -118,7 +118,7 @@ def _exported(campaign: Campaign, options: argparse.Namespace, console: Console)
     for index in wanted if options.trial is None else [options.trial]:
         trial = campaign.draw(options.seed, index, options.sealed)
         case = options.export / f"{options.seed}_{index:05d}_{trial.truth['kind']}"
-        write_files(trial.files | {"truth.json": truth_text(trial.truth)}, case)
+        write_files(trial.files | trial.beside | {"truth.json": truth_text(trial.truth)}, case)
         console.print(f"Wrote {case}", soft_wrap=True)
     return DONE
 

@@ -72,6 +72,7 @@ class Trial(NamedTuple):
     plan: Any  # what was drawn
     truth: dict[str, Any]  # for the sealed file
     files: dict[str, str]  # name to text, all that the diagnosis is given
+    beside: Mapping[str, str] = {}  # likewise, what an exported trial has beside its truth
 
 
 def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
