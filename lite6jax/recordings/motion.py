@@ -96,9 +96,9 @@ def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
             outside = np.abs(values - middle) > reach
             # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
             turned = np.median(values) if trajectory else np.where(outside, values, middle)
-            back = values - 2 * np.pi * np.round((turned - middle) / (2 * np.pi))
-            if outside.any() and (np.abs(back - middle) <= reach).all():
-                q[part, joint] = back
+            unwound = values - 2 * np.pi * np.round((turned - middle) / (2 * np.pi))
+            if outside.any() and (np.abs(unwound - middle) <= reach).all():
+                q[part, joint] = unwound
     return q
 
 
