@@ -109,7 +109,7 @@ def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple
     slides = np.isin(np.arange(len(dq)), sliding)
     at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
     (turning, sliding_rate), (change, sliding_change) = (
-        tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
+        tuple(jnp.where(mask[:, None], rate, 0.0) for mask in (~slides, slides)) for rate in (dq, ddq)
     )
     return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
@@ -205,14 +205,14 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
     def walk(carry: _Carry, step: _Step) -> tuple[_Carry, _Carry]:
         number, axis, velocity, motion = carry
         shifted = step.into(_sum(velocity, _cross(axis, step.p)))
-        own = (jnp.arange(joints) == number)[:, None]
+        is_current = (jnp.arange(joints) == number)[:, None]
         x, y, z = step.into(axis)
         if step.slide is None:
-            turned = (x, y, jnp.where(own, 1.0, z))
+            turned = (x, y, jnp.where(is_current, 1.0, z))
         else:
             slides, _, _ = step.slide
-            turned = (x, y, jnp.where(own & ~slides, 1.0, z))
-            shifted = (*shifted[:2], jnp.where(own & slides, 1.0, shifted[2]))
+            turned = (x, y, jnp.where(is_current & ~slides, 1.0, z))
+            shifted = (*shifted[:2], jnp.where(is_current & slides, 1.0, shifted[2]))
         carry = (number + 1, turned, shifted, _next(motion, step))
         return carry, carry
 
@@ -278,8 +278,8 @@ def inverse_dynamics(
         M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
         force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
-        own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
-        moment = _sum(moment, _sum(own, _cross(first, a)))
+        momentum_rate = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
+        moment = _sum(moment, _sum(momentum_rate, _cross(first, a)))
         before = step.out_of(force)
         effort = moment[2] if step.slide is None else jnp.where(step.slide[0], force[2], moment[2])
         return (before, _sum(step.out_of(moment), _cross(step.p, before))), effort
@@ -351,16 +351,16 @@ def _independent(W: Numbers) -> NDArray[np.integer]:
 
     A QR decomposition without pivots would take the rounding of a dependent column for a direction.
     """
-    found: list[int] = []
+    independent: list[int] = []
     Q = np.zeros((len(W), 0))
-    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
+    threshold = INDEPENDENT * np.linalg.norm(W, axis=0).max()
     for k, column in enumerate(W.T):
-        left = column - Q @ (Q.T @ column)
-        left -= Q @ (Q.T @ left)
-        if np.linalg.norm(left) > least:
-            found.append(k)
-            Q = np.column_stack([Q, left / np.linalg.norm(left)])
-    return np.array(found, int)
+        remainder = column - Q @ (Q.T @ column)
+        remainder -= Q @ (Q.T @ remainder)
+        if np.linalg.norm(remainder) > threshold:
+            independent.append(k)
+            Q = np.column_stack([Q, remainder / np.linalg.norm(remainder)])
+    return np.array(independent, int)
 
 
 _THIN = 1e-6
@@ -411,8 +411,8 @@ def bodies_near(parameters: npt.ArrayLike) -> Numbers:
     """(joint, 10) links whose pseudo-inertias are those of `parameters` (joint, 10), made positive."""
     P = pseudo_inertia(parameters)
     scale, vectors = np.linalg.eigh(P)
-    least = np.where(scale[:, -1:] > 0, _THIN * scale[:, -1:], _THIN)
-    return _parameters_of((vectors * np.maximum(scale, least)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+    floor = np.where(scale[:, -1:] > 0, _THIN * scale[:, -1:], _THIN)
+    return _parameters_of((vectors * np.maximum(scale, floor)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
 def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
@@ -472,8 +472,8 @@ def _matrices(y: Numbers) -> Numbers:
 
 def _block_diagonal(blocks: Numbers) -> Numbers:
     """(10 × joint, 10 × joint) of the blocks (joint, 10, 10)."""
-    out, every = np.zeros((len(blocks), 10, len(blocks), 10)), np.arange(len(blocks))
-    out[every, :, every] = blocks
+    out, diagonal = np.zeros((len(blocks), 10, len(blocks), 10)), np.arange(len(blocks))
+    out[diagonal, :, diagonal] = blocks
     return out.reshape(10 * len(blocks), -1)
 
 
@@ -523,15 +523,15 @@ def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:
     for weight in 10.0 ** np.arange(6, np.log10(_NEAR / 2) - 0.5, -1):
         for _ in range(_STEPS):
             value, gradient, Hessian = _divergence(y)
-            slope, left = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
+            slope, objective = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
             step = np.linalg.solve(A.T @ A + weight * Hessian, -slope)
             fall, length = -slope @ step, 1.0
             while length > 1e-10:
-                trial = y + length * step
-                if _positive(_matrices(trial)):
-                    cost = 0.5 * np.sum((A @ trial - b) ** 2) + weight * _divergence(trial)[0]
-                    if cost <= left - 0.01 * length * fall:
-                        y = trial
+                candidate = y + length * step
+                if _positive(_matrices(candidate)):
+                    cost = 0.5 * np.sum((A @ candidate - b) ** 2) + weight * _divergence(candidate)[0]
+                    if cost <= objective - 0.01 * length * fall:
+                        y = candidate
                         break
                 length *= 0.5
             if length <= 1e-10 or fall < 1e-6 * weight:

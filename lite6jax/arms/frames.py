@@ -105,10 +105,12 @@ def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()
     `sliding`, counted from 0, which move along their z. The axes of many chains come before those of the positions.
     """
     position = np.asarray(joint_position, float)
-    each = position.reshape(-1, position.shape[-1])
-    T = np.empty((*links.shape[:-3], len(each), 4, 4))
-    for first in range(0, len(each), BLOCK):
-        *_, T[..., first : first + BLOCK, :, :] = walk(np.moveaxis(links, -3, 0), each[first : first + BLOCK], sliding)
+    flat_positions = position.reshape(-1, position.shape[-1])
+    T = np.empty((*links.shape[:-3], len(flat_positions), 4, 4))
+    for first in range(0, len(flat_positions), BLOCK):
+        *_, T[..., first : first + BLOCK, :, :] = walk(
+            np.moveaxis(links, -3, 0), flat_positions[first : first + BLOCK], sliding
+        )
     return T.reshape(*links.shape[:-3], *position.shape[:-1], 4, 4)
 
 
