@@ -59,7 +59,7 @@ class Measured(Sensor):
         """Its unknowns: the constant errors, and then the frames of further stations."""
         spread = np.asarray(self.deviation) ** -2.0
         off = np.asarray(self.at) - np.asarray(self.mean)
-        constant = (OwnNumber("camera and board", "", *map(float, one)) for one in zip(spread, off, strict=True))
+        constant = (OwnNumber("camera and board", "", *map(float, prior)) for prior in zip(spread, off, strict=True))
         frames = (
             OwnNumber(f"frame of station {k + 2}", unit) for k in range(len(self.stations)) for unit in _UNITS_OF_TWIST
         )
