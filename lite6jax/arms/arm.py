@@ -190,7 +190,8 @@ class Arm:
         )
         self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
         for field, term in ({"mass": "mass"} | JOINT_TERMS).items():
-            values, part = getattr(self, field), "link" if field == "mass" else "joint"
+            values = getattr(self, field)
+            part = "link" if field == "mass" else "joint"
             for i in [] if values is None else np.flatnonzero(values < 0)[:1]:
                 self._require(False, f"{part}{i + 1}'s {term} is negative; correct it")
         for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):

@@ -145,9 +145,11 @@ def _limits(content: Mapping[str, Any], where: str, joints: int, sliding: tuple[
         raise InputError(f"{where}: {key} must list one [lower, upper] for each of the {joints} joints")
     limits = np.array([entries.numbers(row, f"{where}: joint{i + 1}'s limits", 2) for i, row in enumerate(value)])
     for i, row in enumerate(limits):
-        largest, remark = LARGEST_LIMIT, "many turns, so they seem to be in degrees; write radians"
+        largest = LARGEST_LIMIT
+        remark = "many turns, so they seem to be in degrees; write radians"
         if i in sliding:
-            largest, remark = LARGEST_SHIFT, "beyond any arm, so they seem to be in millimetres; write metres"
+            largest = LARGEST_SHIFT
+            remark = "beyond any arm, so they seem to be in millimetres; write metres"
         if np.abs(row).max() > largest:
             raise InputError(f"{where}: joint{i + 1}'s limits {row[0]:g} … {row[1]:g} are {remark}")
     return limits
@@ -189,7 +191,8 @@ def _dynamics(value: Any, where: str, joints: int, sliding: tuple[int, ...]) -> 
     fields: dict[str, Array] = {}
     for i, name in enumerate(names):
         keys = [(group, joint_unit(key, i in sliding), field) for group, key, field in _DRIVES]
-        tops, place = tuple(dict.fromkeys(group or key for group, key, _ in keys)), f"{where}: dynamics: {name}"
+        tops = tuple(dict.fromkeys(group or key for group, key, _ in keys))
+        place = f"{where}: dynamics: {name}"
         drive = entries.mapping(table.get(name, {}), place, (), tops)
         for group in ("friction", "spring"):
             group_keys = tuple(key for within, key, _ in keys if within == group)

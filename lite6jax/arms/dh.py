@@ -79,7 +79,9 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
     H = frames.transform_from_row(base[:, [BASE.index(name) for name in entries.SIX]]) @ form.T_axes
     links = np.zeros((len(kinematics), form.dof, len(LINK)))
     for i, guess in enumerate(near):
-        last, parallel, names = i == form.dof - 1, i in form.parallel, form.of_link(i)
+        last = i == form.dof - 1
+        parallel = i in form.parallel
+        names = form.of_link(i)
         to_joint = joints[:, i if last else i + 1]
         offset = to_joint[:, :3, 3] - H[:, :3, 3]
         x, u, p = (np.einsum("aji,aj->ia", H[:, :3, :3], v) for v in (to_joint[:, :3, 0], to_joint[:, :3, 2], offset))
@@ -129,7 +131,9 @@ def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> I
 
 def _base(form: HayatiForm, joint: Array, near_yaw: float) -> tuple[Array, Irregular]:
     """The bases `(arm, 6)`, `BASE`, that lead to frames of joint 1 `(arm, 4, 4)`."""
-    names, k, u = form.of_link(-1), form.first_axis, joint[:, :3, 2].T
+    names = form.of_link(-1)
+    k = form.first_axis
+    u = joint[:, :3, 2].T
     coordinates: dict[str, Array] = {}
     irregular: Irregular = []
     if 0 not in form.sliding:
@@ -252,7 +256,8 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit")
     entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
-    read, rows = _reader(content["units"], f"{path}: units"), content["dh"]
+    read = _reader(content["units"], f"{path}: units")
+    rows = content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
     stated_convention = entries.convention(content.get("convention"), f"{path}: convention")
@@ -436,7 +441,8 @@ def _reader(units: Any, where: str) -> _Read:
     millimetres, degrees = lengths == ["mm"], angles == ["deg"]
 
     def read(key: str, value: Any, where: str) -> float:
-        number, place = _decimal(value, f"{where}: {key}"), f"{where}: {key}"
+        number = _decimal(value, f"{where}: {key}")
+        place = f"{where}: {key}"
         if key in _LENGTHS:
             length = float(number.scaleb(-3 if millimetres else 0, _EXACT))
             if abs(length) > LENGTH_LIMIT:

@@ -274,7 +274,8 @@ def inverse_dynamics(
 
     def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
         (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
-        first, a = (hx, hy, hz), motion.acceleration
+        first = (hx, hy, hz)
+        a = motion.acceleration
         M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
         force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
@@ -398,7 +399,8 @@ def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt
     Q, R = np.linalg.qr(G.T)
     C, d = Q.T, np.linalg.solve(R.T, values)
     start = np.tile(_coordinates(np.eye(4)), len(reference))
-    y, exact = _constrained(start, C, d), True
+    y = _constrained(start, C, d)
+    exact = True
     if y is None:
         whitened = np.linalg.inv(np.linalg.cholesky(G @ G.T))
         nearest = _penalised(start, whitened @ G, whitened @ values)
@@ -420,7 +422,8 @@ def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
     parameters = np.asarray(parameters, float)
     if parameters.shape != (arm.dof, 10) or not is_consistent(parameters):
         raise InputError(f"arm {arm.name!r}: these links are no bodies; take such as consistent_links gives")
-    mass, center = parameters[:, 0], parameters[:, 1:4] / parameters[:, :1]
+    mass = parameters[:, 0]
+    center = parameters[:, 1:4] / parameters[:, :1]
     about_center = frames.tensor(parameters[:, 4:]) - frames.point_tensor(mass, center)
     return replace(arm, mass=mass, center_of_mass=center, inertia=about_center)
 
@@ -472,7 +475,8 @@ def _matrices(y: Numbers) -> Numbers:
 
 def _block_diagonal(blocks: Numbers) -> Numbers:
     """(10 × joint, 10 × joint) of the blocks (joint, 10, 10)."""
-    out, diagonal = np.zeros((len(blocks), 10, len(blocks), 10)), np.arange(len(blocks))
+    out = np.zeros((len(blocks), 10, len(blocks), 10))
+    diagonal = np.arange(len(blocks))
     out[diagonal, :, diagonal] = blocks
     return out.reshape(10 * len(blocks), -1)
 
@@ -502,8 +506,10 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
         gradient, Hessian = _divergence(y)[1:]
         system = np.block([[Hessian, C.T], [C, np.zeros((len(d), len(d)))]])
         solved = np.linalg.solve(system, np.concatenate([-gradient, d - C @ y]))
-        step, turn = solved[: len(y)], solved[len(y) :] - multiplier
-        before, length = np.linalg.norm(residual(y, multiplier)), 1.0
+        step = solved[: len(y)]
+        turn = solved[len(y) :] - multiplier
+        before = np.linalg.norm(residual(y, multiplier))
+        length = 1.0
         while length > 1e-8:
             if _positive(_matrices(y + length * step)):
                 after = np.linalg.norm(residual(y + length * step, multiplier + length * turn))
@@ -525,7 +531,8 @@ def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:
             value, gradient, Hessian = _divergence(y)
             slope, objective = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
             step = np.linalg.solve(A.T @ A + weight * Hessian, -slope)
-            fall, length = -slope @ step, 1.0
+            fall = -slope @ step
+            length = 1.0
             while length > 1e-10:
                 candidate = y + length * step
                 if _positive(_matrices(candidate)):

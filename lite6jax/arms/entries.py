@@ -141,7 +141,8 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
     keys = {str(key): entry for key, entry in value.items()}
     if any(key in UR_JOINTS for key in keys):
         keys.pop("hash", None)  # it identifies the record in the controller and is not a parameter of the chain
-        joints, names = UR_JOINTS, tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
+        joints = UR_JOINTS
+        names = tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
     else:
         joint_numbers = [int(key[5:]) for key in keys if re.fullmatch(r"joint[1-9][0-9]?", key)]
         joints = names = tuple(f"joint{i + 1}" for i in range(max(joint_numbers, default=1)))

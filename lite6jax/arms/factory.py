@@ -130,7 +130,8 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
             f"{calibration.source}: a table cannot hold what follows joint {arm.dof} of an arm with prismatic joints"
             f" ({described}); write a .urdf or --to description"
         )
-    a, alpha = beyond[0, 3], np.arctan2(beyond[2, 1], beyond[2, 2])
+    a = beyond[0, 3]
+    alpha = np.arctan2(beyond[2, 1], beyond[2, 2])
     if np.abs(frames.transform_from_row([a, 0, 0, alpha, 0, 0]) - beyond).max() > _SAME:
         raise InputError(
             f"{calibration.source}: a and alpha of joint {arm.dof} cannot hold what follows it ({described});"
@@ -212,7 +213,8 @@ def _align(calibration: FactoryCalibration) -> FactoryCalibration:
     Raises:
         InputError: lengths of no arm, by where the flange goes: single lengths cancel where axes are nearly parallel.
     """
-    arm, links = calibration.arm, frames.transform_from_row(calibration.kinematics)
+    arm = calibration.arm
+    links = frames.transform_from_row(calibration.kinematics)
     is_own_nominal = np.array_equal(arm.kinematics, calibration.kinematics)
     if is_own_nominal and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
         return calibration

@@ -182,7 +182,8 @@ def align_frames(links: Array, nominal: Array | None = None) -> Array:
         T = T @ link
         if nominal is not None:
             N = N @ nominal[i]
-            near, turn = N[:3, 3], T[:3, :3].T @ N[:3, :3]
+            near = N[:3, 3]
+            turn = T[:3, :3].T @ N[:3, :3]
             shift = transform_from_row([0, 0, 0, 0, 0, np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])])
         shift[2, 3] = T[:3, 2] @ (near - T[:3, 3])
         shift = shift if i < len(links) - 1 else np.eye(4)

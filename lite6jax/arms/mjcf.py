@@ -60,7 +60,8 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     joints: list[Joint] = []
     numbers: dict[str, int] = {}  # in MuJoCo's model, of the joint that moves a link
     for b, body in enumerate(bodies[1:], 1):
-        parent, T = bodies[model.body_parentid[b]], _pose(model.body_pos[b], model.body_quat[b])
+        parent = bodies[model.body_parentid[b]]
+        T = _pose(model.body_pos[b], model.body_quat[b])
         first, count = model.body_jntadr[b], model.body_jntnum[b]
         for j in range(first, first + count):
             # the link that a joint moves has its frame at the joint's anchor; the body's own frame is fixed to it
@@ -102,10 +103,13 @@ def _body(model: Any, b: int) -> frames.Body | None:
 def _joint(model: Any, j: int, parent: str, child: str, T: Array) -> Joint:
     """A joint at its reference, in a frame at T (4, 4) in that of its parent."""
     kind = _KINDS.get(int(model.jnt_type[j]), "")
-    R, zero, widest = axis_frame(model.jnt_axis[j]), -model.qpos0[model.jnt_qposadr[j]], 2 * np.pi
+    R = axis_frame(model.jnt_axis[j])
+    zero = -model.qpos0[model.jnt_qposadr[j]]
+    widest = 2 * np.pi
     reference = [0, 0, 0, 0, 0, zero]
     if kind == "prismatic":
-        reference, widest = [0, 0, zero, 0, 0, 0], 1.0
+        reference = [0, 0, zero, 0, 0, 0]
+        widest = 1.0
     row = frames.row_from_transform(T @ R @ frames.transform_from_row(reference) @ R.T)
     lower, upper = model.jnt_range[j] if model.jnt_limited[j] else (-widest, widest)
     refused = "" if kind else "is neither hinge nor slide, which an arm here is made of;"

@@ -168,12 +168,14 @@ def _ends(file: str, chains: Mapping[str, list[Joint]], beside: tuple[str, ...])
     """
     names = {leaf: [joint.name for joint in joints] for leaf, joints in chains.items()}
     likeliest = last = max(names, key=lambda leaf: len(names[leaf]))
-    longest, count = names[last], len(names[last])
+    longest = names[last]
+    count = len(names[last])
     pairs = (enumerate(zip_longest(longest, joint_names)) for joint_names in names.values() if joint_names != longest)
     common = (next(number for number, (mine, theirs) in pair if mine != theirs) for pair in pairs)
     shared = min((number for number in common if number >= count - _LONGEST_FINGER), default=0)
     if count - shared <= min(_LONGEST_FINGER, shared - 1):  # fingers of one hand
-        likeliest, count = chains[last][shared].parent, shared
+        likeliest = chains[last][shared].parent
+        count = shared
     order = {likeliest: count} | {leaf: len(joints) for leaf, joints in names.items()}
     listed = [f"{end} ({number} joint{'s' * (number != 1)})" for end, number in list(order.items())[:_SHOWN]]
     text = (
@@ -185,7 +187,8 @@ def _ends(file: str, chains: Mapping[str, list[Joint]], beside: tuple[str, ...])
     ]
     if not starts:
         return text
-    without, start = ", ".join(longest[: starts[-1]]), chains[last][starts[-1]].parent
+    without = ", ".join(longest[: starts[-1]])
+    start = chains[last][starts[-1]].parent
     return f"{text}; without {without}: {file}#{start}:{likeliest}, or --base {start} --tip {likeliest}"
 
 
@@ -206,7 +209,8 @@ def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
     beside = [name for name, _ in rigid_links(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
     if not beside and not jaw_recognised:
         return "", ""
-    likely, file = (beside or [first.parent])[0], Path(path).name
+    likely = (beside or [first.parent])[0]
+    file = Path(path).name
     return likely, (
         f"{path}: the chain ends in {tree.tip} after {len(moving)} joints, and joint {first.name!r} seems to move a"
         f" jaw: the tip of the arm is likely {likely}, after {len(arm)} joints; name {file}#{likely} for it, or"
@@ -272,7 +276,9 @@ def arm_of_chain(
     """
     if not tree.tip_named and (remark := jaw(path, tree)[1]):
         warnings.warn(remark, InputWarning, stacklevel=4)
-    rows, moving, before = [], tree.moving, IDENTITY
+    rows = []
+    moving = tree.moving
+    before = IDENTITY
     for place, joint in enumerate(tree.chain):
         T = frames.transform_from_row(joint.row)
         if joint.kind == "fixed":
@@ -308,7 +314,9 @@ def arm_of_chain(
 
 def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     """What to write for the longer chain beside the joint at a place of this one."""
-    joint, before, after = tree.chain[place], _movable(tree.chain[:place]), _movable(tree.chain[place + 1 :])
+    joint = tree.chain[place]
+    before = _movable(tree.chain[:place])
+    after = _movable(tree.chain[place + 1 :])
     option, chain = f"--tip {joint.parent}", joint.parent
     if len(after) > len(before) or not before:
         option, chain = f"--base {joint.child}", f"{joint.child}:{tree.tip}"
@@ -329,7 +337,8 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], frames.Body
     ]
     if not any(carried):
         return {}
-    links, inertia_valid = [frames.lump(bodies) for bodies in carried], True
+    links = [frames.lump(bodies) for bodies in carried]
+    inertia_valid = True
     for joint, bodies, link in zip(tree.moving, carried, links, strict=True):
         if wrong := next(filter(None, (frames.defect(body.inertia) for body in (*bodies, link))), ""):
             inertia_valid = False

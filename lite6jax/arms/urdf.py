@@ -133,7 +133,8 @@ def _name(element: ET.Element, path: str | Path) -> str:
 
 
 def _joint(element: ET.Element, path: str | Path) -> Joint:
-    name, kind = _name(element, path), element.get("type", "")
+    name = _name(element, path)
+    kind = element.get("type", "")
     where, refused = f"{path}: joint {name!r}", f"is {kind};"
     parent, child = (_attribute(element, tag, "link", where) for tag in ("parent", "child"))
     axis = np.array([1.0, 0.0, 0.0])  # URDF's default
@@ -160,7 +161,8 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
 
 def _drives(path: str | Path, robot: ET.Element, moving: list[Joint]) -> dict[str, Array]:
     """The fields of `Arm` that the joints' dynamics elements and springs give; a joint without one has none."""
-    dynamics, elements = [], _joint_elements(robot)
+    dynamics = []
+    elements = _joint_elements(robot)
     for joint in moving:
         entry = elements[joint.child].find("dynamics")
         attributes = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
@@ -302,8 +304,10 @@ def write_into_urdf(
                 f"{robot}: the frame of joint {i} stands {1e3 * moved:.3g} mm and {turned:.2g} rad from that of "
                 f"{arm.name}, which is no deviation of one arm; give the URDF of the description that was diagnosed"
             )
-    elements, left_out = _joint_elements(root), []
-    before, i = IDENTITY, 0
+    elements = _joint_elements(root)
+    left_out = []
+    before = IDENTITY
+    i = 0
     for joint in tree.chain:
         if joint.kind == "fixed":
             before = before @ frames.transform_from_row(joint.row)
@@ -312,7 +316,8 @@ def write_into_urdf(
         if np.abs(arm.links[i] - old.links[i]).max() > _SAME:
             _set_origin(elements[joint.child], np.linalg.inv(before) @ arm.links[i] @ R.T)
         _set_drive(root, elements[joint.child], arm, i)
-        before, i = R.T, i + 1
+        before = R.T
+        i = i + 1
     last = tree.chain[-1]
     if with_flange and np.abs(arm.T_joint_flange - old.T_joint_flange).max() > _SAME:
         if last.kind == "fixed":
@@ -378,7 +383,8 @@ def _set_body(link: ET.Element, body: frames.Body) -> None:
 
 def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
     """Writes friction and spring of an arm's joint `i`, from 0; what the arm does not know stays."""
-    entry, extensions = joint.find("dynamics"), _extensions(robot, joint)
+    entry = joint.find("dynamics")
+    extensions = _extensions(robot, joint)
     for field, key in (_DYNAMICS | _SPRINGS).items():
         if (values := getattr(arm, field)) is None:
             continue

@@ -216,7 +216,8 @@ def _detector(cv2: ModuleType, board: Board, legacy: bool) -> Any:
     if number is None:
         listed = sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.endswith("_50"))
         raise InputError(f"--board: OpenCV has no dictionary {board.dictionary}; take one such as {', '.join(listed)}")
-    shape, markers = (board.columns, board.rows), cv2.aruco.getPredefinedDictionary(number)
+    shape = (board.columns, board.rows)
+    markers = cv2.aruco.getPredefinedDictionary(number)
     if board.columns * board.rows // 2 > len(markers.bytesList):
         raise InputError(
             f"--board: {board.columns} x {board.rows} squares hold more markers than {board.dictionary} has; take a "

@@ -56,7 +56,8 @@ def check_torque_scale(recording: Recording, arm: Arm) -> None:
     weight_torque = np.maximum(weight * np.where(arm.slides, 1.0, arm.reach), _FRICTION)
     joint = int(np.argmax(torque / weight_torque))
     if torque[joint] > HEAVIEST * weight_torque[joint]:
-        slides, computed = bool(arm.slides[joint]), recording.joint_torque is None
+        slides = bool(arm.slides[joint])
+        computed = recording.joint_torque is None
         column = f"current{joint + 1}_A" if computed else joint_unit(f"tau{joint + 1}_Nm", slides)
         quantity, unit = ("force", "N") if slides else ("torque", "N m")
         remedy = "check the unit" if slides else "are these mN m? name the columns tau1_mNm ..."

@@ -198,7 +198,8 @@ def _parse_name(name: str) -> Column | _Misspelling | None:
     quantity = match["quantity"].lower() if match else ""
     if match is None or quantity not in QUANTITIES or (match["joint"] and not is_per_joint(quantity)):
         return None
-    joint, definition = int(match["joint"][:3] or 0), QUANTITIES[quantity]
+    joint = int(match["joint"][:3] or 0)
+    definition = QUANTITIES[quantity]
     for unit, divisor in (*definition.units.items(), *definition.of_slide.items()):
         if name == spelled(quantity, joint, unit) and (joint or not definition.per_joint):
             return Column(name, 0, quantity, joint, unit, divisor)
@@ -269,7 +270,8 @@ def recognise(
         the columns by their SI name; how many joints; names that mean nothing here and are not to be ignored; and what
         makes the table unusable, each with its remedy.
     """
-    declared, present = renamed or {}, {*names, *(name.strip() for name in names)}
+    declared = renamed or {}
+    present = {*names, *(name.strip() for name in names)}
     recognised: dict[str, Column] = {}
     ignored: list[str] = []
     problems = [
@@ -290,7 +292,8 @@ def recognise(
         if meant is None and name != stripped:
             problem = f"the sidecar names it {name[:40]!r}, which means nothing here"
             remedy = f"{nearest_known(name) or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
-            meant, name = _Misspelling(name, problem, remedy), stripped
+            meant = _Misspelling(name, problem, remedy)
+            name = stripped
         if meant is None:
             ignored.append(raw)
         elif isinstance(meant, _Misspelling):
@@ -315,7 +318,8 @@ def recognise(
         problems.append(
             f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {list_names(names)}"
         )
-    highest_joint, joints = joints, joints or (dof or 0) * joints_optional
+    highest_joint = joints
+    joints = joints or (dof or 0) * joints_optional
     if "q" not in unclear:
         problems += _check_joints(recognised, highest_joint, joints, unclear)
     if joints and dof is not None and joints != dof:
@@ -331,7 +335,8 @@ def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
 def _check_joints(recognised: Mapping[str, Column], highest_joint: int, joints: int, unclear: set[str]) -> list[str]:
     """What is wrong with columns of some joints, or of another kind of joint than its position is."""
     problems = []
-    expected, positions = set(range(1, joints + 1)), {c.joint: c for c in recognised.values() if c.quantity == "q"}
+    expected = set(range(1, joints + 1))
+    positions = {c.joint: c for c in recognised.values() if c.quantity == "q"}
     problems += [
         f"{_forms('q', joint)} is missing while q{highest_joint} is there; give every joint"
         for joint in sorted(set(range(1, highest_joint)) - positions.keys())
@@ -348,7 +353,8 @@ def _check_joints(recognised: Mapping[str, Column], highest_joint: int, joints: 
         if missing := expected - present:
             problems.append(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
     for column in recognised.values():
-        position, slide_units = positions.get(column.joint), QUANTITIES[column.quantity].of_slide
+        position = positions.get(column.joint)
+        slide_units = QUANTITIES[column.quantity].of_slide
         if slide_units and position is not None and column.slides != position.slides:
             forms = " or ".join(spelled(column.quantity, column.joint, unit)
                                 for unit in units_of(column.quantity, position.slides))  # fmt: skip

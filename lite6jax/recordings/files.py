@@ -57,7 +57,8 @@ _STRANGERS = {
 
 def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
     """The file or folder and the topics of `run.mcap#/joint_states,/pose`; no topics where none are named."""
-    file, topics = str(path), ""
+    file = str(path)
+    topics = ""
     if match := _LOG.fullmatch(file):
         file, topics = match.groups()
     elif "#/" in file and os.path.isdir(file.partition("#/")[0]):
@@ -239,7 +240,8 @@ def read_motion(path: str | Path, model: Any) -> Recording:
     Raises:
         InputError: as `read_recording`.
     """
-    sidecar, usual = sidecar_path(path), RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    sidecar = sidecar_path(path)
+    usual = RecordingSettings(reference_temperature_degC=model.reference_temperature)
     settings = read_settings(sidecar) if exists(sidecar) else usual
     recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
     if settings.motion is None and recording.motion != model.motion:
@@ -332,7 +334,8 @@ def read_targets(
     Raises:
         InputError: as `read_recording`; or there are no positions, or none in any row.
     """
-    path, notes = require_table(path), []
+    path = require_table(path)
+    notes = []
     sidecar = read_sidecar(sidecar_path(path))
     path, raw = open_table(path, (), ArmJoints(dof), notes)
     renamed = raw.renamed(str(path), columns or sidecar.columns)

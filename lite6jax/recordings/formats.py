@@ -160,7 +160,8 @@ FORMATS = (
 
 def find_format(path: Path) -> Format | None:
     """The format of a file or folder by its suffix and, where others have it too, its content; None of none."""
-    suffix, start = path.suffix.lower(), None
+    suffix = path.suffix.lower()
+    start = None
     for candidate in FORMATS:
         if suffix not in candidate.suffixes:
             continue

@@ -392,7 +392,8 @@ def source_words(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _taken_apart(name: str) -> _Word:
-    text, unit = name, None
+    text = name
+    unit = None
     match = _UNIT.search(name)
     if match and _SPLIT_STAMP.search(name):
         match = None  # whole seconds alone are no time
@@ -402,7 +403,9 @@ def _taken_apart(name: str) -> _Word:
     plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     all_words = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
-    parts, number, component = [*all_words], None, None
+    parts = [*all_words]
+    number = None
+    component = None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
     places = [k for k, part in enumerate(parts) if _COMPONENT.fullmatch(part)]
     digits = [k for k, part in enumerate(parts) if part.isdecimal()]
@@ -549,7 +552,8 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
 
 def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
     for word in words:
-        present, stated = set(word.words), word.unit
+        present = set(word.words)
+        stated = word.unit
         if word.component is not None or word.number is not None or not present:
             continue
         timed = stated in units_allowed("time")
@@ -569,7 +573,8 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
     for stem, group in _grouped(words, "component").items():
         if _quantity({*stem} - {*_POSE, *_PLACE}) not in (None, "q"):
             continue
-        turned, source = bool(_TURNED & {*stem}), _source(stem)
+        turned = bool(_TURNED & {*stem})
+        source = _source(stem)
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
@@ -587,7 +592,8 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
             if {*parts} <= {*group}:
                 members = [group[part] for part in parts]
                 if all(is_standard(word.name) for word in members):
-                    form, sure = parts[0] if parts in ANGLES else form, "certain"
+                    form = parts[0] if parts in ANGLES else form
+                    sure = "certain"
                 yield from _block("rotation", members, stem, form=by_name(form, sure) if form else None, source=source)
 
 
@@ -602,10 +608,12 @@ def _unnumbered(words: Sequence[_Word]) -> list[Block]:
 def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
     for stem, group in _grouped(words, "number").items():
-        count, present = len(group), set(stem)
+        count = len(group)
+        present = set(stem)
         if not _counts(group):
             continue
-        members, options = [group[number] for number in sorted(group)], {"source": _source(stem, "qrt")}
+        members = [group[number] for number in sorted(group)]
+        options = {"source": _source(stem, "qrt")}
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else stem, (word.unit for word in members))
         if turned and count in (3, 4):

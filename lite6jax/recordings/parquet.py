@@ -54,7 +54,8 @@ def open_parquet(*paths: Path, name_leaf: Named = _name_element) -> RawTable:
     leaves = [leaf for name, values in starts for leaf in _leaves(name, values, (name,), name_leaf)]
 
     def load(quantities: Mapping[int, str]) -> dict[int, Values]:
-        names, parts = list(dict.fromkeys(str(leaves[index].path[0]) for index in quantities)), []
+        names = list(dict.fromkeys(str(leaves[index].path[0]) for index in quantities))
+        parts = []
         for path in paths:
             with _opened(path) as file:
                 if lacking := set(names) - set(file.schema_arrow.names):

@@ -61,7 +61,8 @@ class Readings:
             key = "camera" if settings.camera is None else "board (or points_m)"
             raise InputError(f"{source}: has corners of images and no {key} in its sidecar; declare {key}")
         points = settings.board.points if settings.board is not None else settings.points_m
-        corners, count = np.array(points, float).reshape(-1, 3), self.pixels.shape[1]
+        corners = np.array(points, float).reshape(-1, 3)
+        count = self.pixels.shape[1]
         if count > len(corners):
             raise InputError(f"{source}: has corner {count - 1}, and the board only {len(corners)}, counted from 0")
         camera = settings.camera
@@ -144,14 +145,18 @@ def with_readings(
             f"{source}: has readings of several kinds, columns {present[0]} and {present[1]}; write each kind to a "
             "file of its own, and name both files: `lite6jax diagnose a.csv b.csv`"
         )
-    kind, samples = kinds[present[0]], len(arrays["joint_position"])
+    kind = kinds[present[0]]
+    samples = len(arrays["joint_position"])
     if kind == "camera":
         return _of_corners(arrays, values, source)
     value = np.zeros(samples) if kind in ("contact", "plane") else values[present[0]]
-    names, group, label = (kind,), np.zeros(samples, np.int64), "anchor" if kind == "distance" else kind
+    names = (kind,)
+    group = np.zeros(samples, np.int64)
+    label = "anchor" if kind == "distance" else kind
     if label in labels:
         missing = ~np.isfinite(values[label])
-        names, group = labels[label], np.where(missing, 0, values[label]).astype(np.int64)
+        names = labels[label]
+        group = np.where(missing, 0, values[label]).astype(np.int64)
         value = np.where(missing, np.nan, value)
     return arrays | {"readings": Readings(kind, group, names, value, np.zeros((samples, 0, 2)))}
 
@@ -169,7 +174,8 @@ def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str
         raise InputError(f"{source}: no row has image, corner, u_px and v_px; record corners")
     rows = np.flatnonzero(complete)
     numbers, first, inverse = np.unique(image[rows].astype(int), return_index=True, return_inverse=True)
-    first_rows, at = rows[first], corner[rows].astype(int)
+    first_rows = rows[first]
+    at = corner[rows].astype(int)
     q = arrays["joint_position"]
     differs = np.flatnonzero((np.abs(q[rows] - q[first_rows][inverse]) > 1e-9).any(1))
     if differs.size:

@@ -256,13 +256,17 @@ class Recording(PublicResult):
                 raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
             arrays["quaternion"], note = unit_quaternions(arrays["quaternion"], arrays["row"], source)
             sentences += [note] if note else []
-        motion, time, velocity = settings.motion, arrays["time"], arrays["joint_velocity"]
+        motion = settings.motion
+        time = arrays["time"]
+        velocity = arrays["joint_velocity"]
         if motion is None:
             motion, reason = inferred_motion(time, velocity)
             sentences.append(f"the motion is not declared and is taken as {motion}: {reason}")
-        segment, differentiated = run_segments(arrays["run"]), False
+        segment = run_segments(arrays["run"])
+        differentiated = False
         if velocity is None and time is not None and motion == "trajectory":
-            velocity, differentiated = differentiate(q, time, segment), True
+            velocity = differentiate(q, time, segment)
+            differentiated = True
             arrays["joint_velocity"] = velocity
             sentences.append(
                 "the joint velocities were not recorded and come from differentiating the positions over time"
@@ -538,9 +542,11 @@ def check_scale(
         return
     with np.errstate(over="ignore"):
         middle = np.median(finite, axis=0)
-        distance, origin = float(np.median(np.linalg.norm(finite - middle, axis=1))), "from their middle"
+        distance = float(np.median(np.linalg.norm(finite - middle, axis=1)))
+        origin = "from their middle"
     if recording.settings.pose_frame == "base" and np.linalg.norm(middle) > distance:
-        distance, origin = float(np.linalg.norm(middle)), "from the base"
+        distance = float(np.linalg.norm(middle))
+        origin = "from the base"
     if distance > FAR_REACHES * reach:
         names = [spelling.get(name, name) for name in name_columns("position")]
         place = "position" if provenance == "arrays" else f"columns {' '.join(names)}"
@@ -610,7 +616,8 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     usual = {field.name: field.default for field in fields(RecordingSettings)}
     # keys of which each file has its own; of all others they have the same
     merged: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
-    first, touched = recordings[0], [recording.touches for recording in recordings if recording.touches is not None]
+    first = recordings[0]
+    touched = [recording.touches for recording in recordings if recording.touches is not None]
     kinds = {_kind_of(recording) for recording in recordings}
     if len(kinds) > 1 or not kinds <= {"poses", "contact", "plane", "distance", "commands"}:
         raise InputError(

@@ -152,7 +152,8 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 
 def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
     """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
-    available, chosen = _topics_of(types), []
+    available = _topics_of(types)
+    chosen = []
     for name in topics:
         topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
         chosen.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))

@@ -528,7 +528,8 @@ def _with_tip_in_arm(settings: Mapping[Any, Any], path: Path) -> dict[Any, Any]:
     content = dict(settings)
     if "tip" not in content:
         return content
-    tip, arm = content.pop("tip"), content.get("arm")
+    tip = content.pop("tip")
+    arm = content.get("arm")
     if not isinstance(tip, str) or not tip.strip():
         raise InputError(f"{path}: recording.tip: {_shorten(tip)} is not accepted; give the name of a link")
     if not isinstance(arm, str) or Path(arm).suffix.lower() not in suffixes.ARM_XML:

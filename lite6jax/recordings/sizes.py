@@ -228,7 +228,8 @@ def current_unit(current: Array) -> Decision:
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
-    decided, finite = _by_largest(torque, LARGE_NM, "Nm", "mNm"), torque[np.isfinite(torque)]
+    decided = _by_largest(torque, LARGE_NM, "Nm", "mNm")
+    finite = torque[np.isfinite(torque)]
     if 100 < decided.numbers["largest"] <= LARGE_NM and (finite == np.round(finite)).all():
         return decided._replace(reason="register")
     return decided

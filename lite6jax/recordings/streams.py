@@ -242,7 +242,8 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     Raises:
         InputError: times begin anew, and no column says where a run begins.
     """
-    clock, finite = columns[time], np.isfinite(columns[time])
+    clock = columns[time]
+    finite = np.isfinite(columns[time])
     width = float(np.ptp(clock[finite])) if finite.any() else 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         anew = np.diff(clock[finite]) < -0.5 * width

@@ -140,10 +140,13 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
     """
     ticks: list[int | None]
     if types.is_timestamp(column.type):
-        ticks, per_second = column.cast(pa.int64()).to_pylist(), _PER_SECOND[column.type.unit]
+        ticks = column.cast(pa.int64()).to_pylist()
+        per_second = _PER_SECOND[column.type.unit]
         texts = ["" if tick is None else str(np.datetime64(tick, column.type.unit)) for tick in ticks]
     else:
-        ticks, per_second, zoned = [], 10**9, set()
+        ticks = []
+        per_second = 10**9
+        zoned = set()
         texts = [(text or "").strip() for text in column.to_pylist()]
         for row, text in enumerate(texts, 1):
             moment = _parse_moment(text) if text else (None, None)
@@ -258,7 +261,10 @@ def tabulate(
             problems, or several columns are over half empty, all are named.
     """
     columns, joints, ignored, of_names = recognise(raw.names, dof, joints_optional, renamed)
-    problems, values, labels, row = [*of_names], {}, {}, None
+    problems = [*of_names]
+    values = {}
+    labels = {}
+    row = None
     try:
         loaded = raw.load({column.place: column.quantity for column in columns.values()})
         for name, column in columns.items():
@@ -364,7 +370,8 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     Raises:
         InputError: a run that is not a whole number.
     """
-    values, arrays = with_quaternions(add_deviations(table.values, notes), source), {}
+    values = with_quaternions(add_deviations(table.values, notes), source)
+    arrays = {}
     for name in OF_ARRAY:
         listed = name_columns(name, table.joints)
         block = [values[column] for column in listed if column in values]

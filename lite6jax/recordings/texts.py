@@ -330,7 +330,8 @@ def _group_names(row: Row) -> Row | None:
 
 def _with_heads(names: Sequence[str]) -> list[str]:
     """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
-    head, full_names = "", []
+    head = ""
+    full_names = []
     for k, name in enumerate(names):
         match = re.fullmatch(r"(.+ )X", name)
         if match and [*names[k + 1 : k + 3]] == ["Y", "Z"]:
@@ -477,7 +478,8 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
         return _filled(rewritten(), layout)
 
     def load(columns: Mapping[int, str]) -> dict[int, Values]:
-        indices, wrong = [*columns], {}
+        indices = [*columns]
+        wrong = {}
         texts = {index for index, quantity in columns.items() if quantity in LABELS}
         ragged = False
         while True:

@@ -139,7 +139,8 @@ def blank_implausible(arrays: dict[str, Any], source: str, spelling: Mapping[str
         InputError: over half of the rows have such a number.
     """
     samples, dof = arrays["joint_position"].shape
-    bad, first = np.zeros(samples, bool), ""
+    bad = np.zeros(samples, bool)
+    first = ""
     for name, array in arrays.items():
         if array is None:
             continue

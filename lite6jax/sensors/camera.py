@@ -204,7 +204,8 @@ def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Arra
 
     Corners count by Student's t of a scale in pixels.
     """
-    T, visible = T.copy(), np.isfinite(pixels).all(2)
+    T = T.copy()
+    visible = np.isfinite(pixels).all(2)
     damping = np.full(len(T), 1e-3)
 
     def cost_at(T: Array) -> tuple[Array, Array, Array]:
@@ -248,7 +249,8 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
     candidate_poses = np.tile(np.eye(4), (2, len(pixels), 1, 1))
     for k in range(len(pixels)):
         x, y = flat[visible[k]].T
-        row, none = np.stack([x, y, np.ones_like(x)], 1), np.zeros((len(x), 3))
+        row = np.stack([x, y, np.ones_like(x)], 1)
+        none = np.zeros((len(x), 3))
         u, v = rays[k, visible[k]].T
         A = np.concatenate([np.hstack([row, none, -u[:, None] * row]), np.hstack([none, row, -v[:, None] * row])])
         H = np.linalg.svd(A)[2][-1].reshape(3, 3)

@@ -227,7 +227,8 @@ class Distance(PointSensor):
         return tuple(unknowns + [OwnNumber("constant of the distances", "m")] * self.offset_free)
 
     def moved(self, numbers: Any) -> "Distance":
-        numbers, free = jnp.asarray(numbers), np.flatnonzero(self.free)
+        numbers = jnp.asarray(numbers)
+        free = np.flatnonzero(self.free)
         shift = numbers[: 3 * len(free)].reshape(-1, 3).T
         constant = self.constant + numbers[-1] if self.offset_free else self.constant
         return replace(self, anchors=jnp.asarray(self.anchors).at[:, free].add(shift), constant=constant)
@@ -280,7 +281,9 @@ class Axis(PointSensor):
         return replace(self, constant=self.constant + numbers[:1], direction=direction)
 
     def shown(self, tool: Array) -> "Axis":
-        p, direction, value = tool[:, :3, 3], np.array(self.direction), np.asarray(self.value)
+        p = tool[:, :3, 3]
+        direction = np.array(self.direction)
+        value = np.asarray(self.value)
         if self.free:
             direction = np.linalg.lstsq(p - p.mean(0), value - value.mean(), rcond=1e-9)[0]
             direction = direction / max(float(np.linalg.norm(direction)), 1e-9)

@@ -80,7 +80,8 @@ class RecordingCheck:
 
 def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions | None = None) -> list[Cause]:
     """A calibration's distance to each nominal table, and a constant displacement of the flange."""
-    options, arm = options or ScreeningOptions(), calibration.arm
+    options = options or ScreeningOptions()
+    arm = calibration.arm
     q = check_positions(arm)
     pose = calibration_poses(calibration, q)
     # the arm's own nominal table first, then those of the same model that the vendor publishes elsewhere
@@ -141,7 +142,8 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     path = settings.factory_path(Path(recording.source).parent)
     calibration = nominal_calibration(arm) if path is None else read_factory(path, arm)
     flange = calibration_poses(calibration, recording.joint_position)
-    declared, position = declared_tool(recording), recording.position
+    declared = declared_tool(recording)
+    position = recording.position
     assert position is not None
     squares, tools = [], []
     for tool in (declared, None):
@@ -174,7 +176,8 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     of_median = _RMS_OF_MEDIAN if recording.numbers_per_sample > 1 else _RMS_OF_ONE
     pair = solution.nominal_errors, solution.checked
     before, after = (float(np.median(errors.position)) * of_median for errors in pair)
-    share, noise = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0, solution.noise
+    share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
+    noise = solution.noise
     length = np.sqrt(min(recording.numbers_per_sample, 3))
     declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
     if before <= options.as_noise_ratio * declared:

@@ -133,7 +133,8 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
     """
     lasting = _window(time, position)
-    rows, fits = lasting[spread_rows(len(lasting), _REFINED_ROWS)], []
+    rows = lasting[spread_rows(len(lasting), _REFINED_ROWS)]
+    fits = []
     for offset in _candidates(arm, joints, time[lasting], position[lasting], likely):
         fits.append(_fitted(arm, joints, time[rows], position[rows], Clocks(offset, 0.0, float(np.mean(time[rows])))))
     fits.sort(key=lambda clocks: clocks.ratio)
@@ -155,7 +156,8 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         )
     first = first if likely is None else min([first, *rivals], key=lambda clocks: abs(clocks.offset - likely))
     half = max(_LONGEST_WINDOW_S / 2, 1.0)
-    center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
+    center = first.middle
+    reach = float(np.max(np.abs(time - first.middle)))
     while True:
         rows = np.flatnonzero(np.abs(time - center) <= half)
         rows = rows[spread_rows(len(rows), _MOST_ROWS)]
@@ -292,7 +294,8 @@ def _misfit(R: Array, p: Array, y: Array, covered: Flags, rounds: int) -> Array:
         M[:, :, axis, 3 * axis : 3 * axis + 3] = y
         M[:, :, axis, 9 + axis] = -1.0
     M[..., 12:] = -R
-    weight, scale = covered.astype(float), np.zeros(offsets)
+    weight = covered.astype(float)
+    scale = np.zeros(offsets)
     for _ in range(rounds):
         A = _least_squares(M, p, weight)[:, :9].reshape(-1, 3, 3)
         U, _, Vt = np.linalg.svd(A)
@@ -340,7 +343,8 @@ def _fitted(
     if covered.sum() < FEWEST:
         return nothing
     middle = float(np.mean(time[covered]))
-    now, kinematics = start._replace(offset=start.offset + start.drift * (middle - start.middle), middle=middle), 0.0
+    now = start._replace(offset=start.offset + start.drift * (middle - start.middle), middle=middle)
+    kinematics = 0.0
     T, T_tool = frames_from_poses(
         flange_poses(arm, joints.at(now.robot_time(time[covered]))), position[covered], None, None, None
     )
@@ -352,13 +356,16 @@ def _fitted(
 
     # beforehand nothing is known of frame and point; an offset is believed as it is
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
-    rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
+    rounds = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY
+    done = False
     while True:
         at = now.robot_time(time)
         covered = joints.known(at)
         if covered.sum() < FEWEST:
             return nothing
-        at, since, measured = at[covered], time[covered] - middle, position[covered]
+        at = at[covered]
+        since = time[covered] - middle
+        measured = position[covered]
         q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
         predicted = placed(q, kinematics)
         flange = flange_poses(replace(arm, kinematics=arm.kinematics + kinematics, dh=None), q)
@@ -368,7 +375,8 @@ def _fitted(
         columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
         for unit in _DIFFERENCE * np.eye(arm.kinematics.size).reshape(-1, arm.dof, 6) if geometry else ():
             columns.append(((placed(q, kinematics + unit) - predicted) / _DIFFERENCE)[:, :, None])
-        missed, J = measured - predicted - t, np.concatenate(columns, axis=2)
+        missed = measured - predicted - t
+        J = np.concatenate(columns, axis=2)
         distance = np.linalg.norm(missed, axis=1)
         scale = 2 * max(float(np.median(distance)), 1e-9)
         weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly

@@ -105,10 +105,12 @@ class Deflections:
         """
         if self.inertia is None:
             return None
-        inertia, errors = self.inertia, errors or self.errors or self._exact
+        inertia = self.inertia
+        errors = errors or self.errors or self._exact
         if physics is not None and any(isinstance(effect, Loading) for effect in physics.effects):
             # an effect alters the masses as they are
-            inertia, errors = _with_mass_errors(inertia, errors.links), errors._replace(links=self._exact.links)
+            inertia = _with_mass_errors(inertia, errors.links)
+            errors = errors._replace(links=self._exact.links)
             inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
         return jax.tree.map(np.asarray, _loads(motion.chain, self.kinematics.ravel(), motion, inertia, errors))
 
@@ -148,7 +150,8 @@ class Deflections:
 
     def basis(self, effect: Unnamed) -> Array:
         """The functions `(function, sample)` that coefficients of a nonparametric effect multiply; computed once."""
-        cache, key = self._cache(effect), effect.process
+        cache = self._cache(effect)
+        key = effect.process
         if key not in cache:
             values = effect.values_at(self.host_motion, self.loads)
             cache[key] = np.asarray(effect.functions_at(values, self.host_motion.run))
@@ -201,7 +204,8 @@ class Deflections:
         def deflected(numbers: Array) -> Deflection:
             all_numbers = physics.join([numbers, *(loading_numbers for _, loading_numbers in loadings)])
             motion = physics.alter(all_numbers, self.host_motion)  # type: ignore[arg-type]
-            on_arm, total = self.loads_in(motion, physics, all_numbers), Deflection()
+            on_arm = self.loads_in(motion, physics, all_numbers)
+            total = Deflection()
             for term, its_numbers in bending:
                 total = total + term.deflect(its_numbers, motion, on_arm)  # type: ignore[arg-type]
             return total
@@ -268,7 +272,8 @@ _with_mass_errors = jax.jit(with_mass_errors)
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
     """The loads on an arm whose masses are off by some errors."""
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
-    payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
+    payload = motion.payload + errors.payload
+    inertia = with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
 
 
@@ -332,11 +337,13 @@ def quantities(motion: Motion, loads: Loads | None) -> tuple[Quantity, ...]:
 
 def _drivers(motion: Motion) -> Iterator[tuple[Driver, frozenset[str], str]]:
     """All drivers, the sites whose own each is (all of them where that is `""`), and the one site where it can act."""
-    dof, slides = motion.dof, motion.sliding.mask(motion.dof)
+    dof = motion.dof
+    slides = motion.sliding.mask(motion.dof)
     rise = motion.joint_temperature_rise
     apart = rise is not None and np.ptp(np.asarray(rise), 0).any()  # else that of the whole arm would be there twice
     for j in range(1, dof + 1):
-        joint_sites, last = {f"joint{j}", f"link{j}"}, {"tool"} if j == dof else set()
+        joint_sites = {f"joint{j}", f"link{j}"}
+        last = {"tool"} if j == dof else set()
         ends = ({"base"} if j <= _NEAR else set()) | ({"tool"} if j > dof - _NEAR else set())
         moved: Callable[[str], Driver] = lambda quantity, j=j: joint_driver(quantity, j, bool(slides[j - 1]))  # noqa: E731
         for driver in (moved("position"), moved("velocity"), Driver("direction of motion", j)):

@@ -168,7 +168,8 @@ def compensate(
         full[complete] = values
         return full
 
-    q, hit = spread(solved.joint_position.T), _reached(solved)
+    q = spread(solved.joint_position.T)
+    hit = _reached(solved)
     correction = None if targets.start is None else q - targets.start
     reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
     for k, row in enumerate(np.flatnonzero(complete)):
@@ -349,7 +350,8 @@ class _Search:
 
     def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> Solved:
         """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
-        m, target = self.model, self._target(rows)
+        m = self.model
+        target = self._target(rows)
         at = jax.tree.map(lambda leaf: np.asarray(leaf)[..., rows], motion)._replace(joint_position=q.T)
         return inverse.solve(m.physics, m.model, m.values, at, m.inertia, target, self.limits, **options)
 
@@ -393,7 +395,8 @@ class _Search:
         motion = self.motion(q)
         solved = self.solve(motion, rows, q)
         for _ in range(_SETTLINGS):
-            before, motion = motion, self.motion(solved.joint_position.T)
+            before = motion
+            motion = self.motion(solved.joint_position.T)
             changed = np.flatnonzero(self._differ(before, motion))
             if not changed.size:
                 break
@@ -406,7 +409,8 @@ class _Search:
 
     def _evaluated(self, q: Array) -> Solved:
         """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
-        motion, m = self.motion(q), self.model
+        motion = self.motion(q)
+        m = self.model
         solved = self.solve(motion, np.arange(len(q)), q, steps=0)
         if not any(effect.hysteretic for effect in m.physics.effects):
             return solved
@@ -484,7 +488,8 @@ def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, has_start: Fl
     """
     order = np.argsort(rows, kind="stable")
     groups = np.split(order, np.searchsorted(rows[order], np.arange(1, len(start))))
-    layers, inside = [], np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
+    layers = []
+    inside = np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
     for row, group in enumerate(groups):
         solutions = group[cost[group] < REACHED[0] ** 2]
         if not solutions.size:
@@ -494,7 +499,8 @@ def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, has_start: Fl
         if has_start[row]:
             solutions = solutions[[np.argmin(np.abs(q[solutions] - start[row]).max(1))]]
         layers.append(solutions)
-    length, before = np.sum((q[layers[0]] - usual.mean(1)) ** 2, 1), []
+    length = np.sum((q[layers[0]] - usual.mean(1)) ** 2, 1)
+    before = []
     for previous, current in pairwise(layers):
         steps = length[:, None] + np.sum((q[previous][:, None] - q[current]) ** 2, 2)
         before.append(np.argmin(steps, 0))

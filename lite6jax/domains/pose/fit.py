@@ -161,10 +161,13 @@ def fit_touches(begun: RigidArm) -> Solution:
     require_determined(begun)
     unknowns = int(np.sum(begun.precision == 0)) + 1
     require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
-    arm, steps, converged = begun, 0, False
+    arm = begun
+    steps = 0
+    converged = False
     while not converged and steps < DEFAULTS.steps:
         arm, before = relinearise(arm, DEFAULTS, steps=1), arm
-        steps, converged = steps + 1, bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)
+        steps = steps + 1
+        converged = bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)
     estimated = fit_numbers(arm, Terms(), DEFAULTS)
     checked = np.empty(recording.samples)
     for fold in recording.contiguous_folds(FOLDS):
@@ -175,11 +178,14 @@ def fit_touches(begun: RigidArm) -> Solution:
     J = (arm.frame_columns * np.sqrt(estimated.residuals.row_weight)).reshape(len(arm.unknown), -1)
     factor = variance_factor(estimated.residuals.squares, arm.rows, FREEDOM, 0)
     covariance = scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
-    form, q, of_steps = begun.form, recording.joint_position, _by_unknowns(arm)
+    form = begun.form
+    q = recording.joint_position
+    of_steps = _by_unknowns(arm)
     tolerance = np.zeros(form.size)
     if recording.settings.factory_calibration is None:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
-    noise, first_of_sensor = float(estimated.scale[0] * arm.noise[0]), len(arm.unknown) - arm.measured.numbers
+    noise = float(estimated.scale[0] * arm.noise[0])
+    first_of_sensor = len(arm.unknown) - arm.measured.numbers
     assert isinstance(arm.measured, PointSensor)
     return Solution(
         arm=arm.arm,
@@ -204,10 +210,12 @@ def fit_touches(begun: RigidArm) -> Solution:
 
 def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
     """What is known of each point, plane, anchor or axis, with the covariance `(number, number)` of its unknowns."""
-    kind, places = type(sensor).__name__.lower().replace("distance", "anchor"), []
+    kind = type(sensor).__name__.lower().replace("distance", "anchor")
+    places = []
     moved = [sensor.displaced(_STEP * unit) for unit in np.eye(sensor.numbers)]
     for k, name in enumerate(sensor.names):
-        values, std = sensor.place(k), {}
+        values = sensor.place(k)
+        std = {}
         for key, at in values.items():
             J = np.array([(np.array(displaced.place(k)[key]) - at) / _STEP for displaced in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
@@ -217,7 +225,8 @@ def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
 
 def _by_unknowns(arm: RigidArm) -> Array:
     """How the entries of a step `(size, unknown)` change with the unknowns."""
-    form, count = arm.form, len(arm.unknown)
+    form = arm.form
+    count = len(arm.unknown)
     out = np.zeros((form.size, count))
     for k, (name, _, axis) in enumerate(arm.unknown):
         if name == "reading":

@@ -579,7 +579,8 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     joint = np.stack([numbers[name] for name in columns.values()], 1)
     read, wobbles = [], []
     for rotation in source.rotations or (None,):
-        parts, pose_blocks = [joint, position], (source.position, *(() if rotation is None else (rotation,)))
+        parts = [joint, position]
+        pose_blocks = (source.position, *(() if rotation is None else (rotation,)))
         by_matrix = rotation is not None and rotation.form is not None and rotation.form.choice == MATRIX[0]
         if rotation is not None:
             turned = rotation.values(numbers)

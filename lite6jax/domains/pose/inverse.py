@@ -182,7 +182,8 @@ def reach(
         `(sample, joint)`, the start where none leads there, and where that succeeded `(sample,)`.
     """
     lower, upper = limits.T
-    q, reached = start.copy(), np.zeros(len(start), bool)
+    q = start.copy()
+    reached = np.zeros(len(start), bool)
     for attempt in range(_TRIES):
         rows = np.flatnonzero(~reached)
         if not rows.size:
@@ -235,7 +236,8 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     for start in branches:
         q, reached = _followed(solved, start, moved, turned)
         if reached.mean() >= _FOLLOWED:
-            joints, followed = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
+            joints = np.full((len(position), arm.dof), np.nan)
+            followed = np.zeros(len(position), bool)
             joints[rows[reached]], followed[rows[reached]] = q[reached], True
             return JointPath(joints, followed, len(branches))
     return None
@@ -259,7 +261,8 @@ def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray
     if reached.any(1).mean() < _FOLLOWED:
         return None
     last = arm.joint_limits.mean(1)
-    joints, solvable = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
+    joints = np.full((len(position), arm.dof), np.nan)
+    solvable = np.zeros(len(position), bool)
     for k in np.flatnonzero(reached.any(1)):
         candidates = q[k, reached[k]]
         last = candidates[np.argmin(np.sum((candidates - last) ** 2, 1))]
@@ -294,7 +297,8 @@ def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
     starts = _starts(arm)
     parts = [solved(np.zeros(len(part), int), part) for part in np.split(starts, _STARTS // _TOGETHER)]
     ends = np.concatenate([q[reached] for q, reached in parts])
-    turn, branches = np.where(arm.slides, 0.0, 2 * np.pi), []
+    turn = np.where(arm.slides, 0.0, 2 * np.pi)
+    branches = []
     for end in sorted(ends, key=lambda end: float(np.sum((end - middle) ** 2))):
         apart = (end - branch for branch in branches)
         if all(np.abs(d - turn * np.round(d / (2 * np.pi))).max() > _SAME for d in apart):
@@ -308,7 +312,8 @@ def _followed(
     """`(row, joint)` from the joints of the first row on, and where the poses are reached without a jump."""
     count = len(moved)
     q, reached = np.zeros((count, len(start))), np.zeros(count, bool)
-    last, first = start, 0
+    last = start
+    first = 0
     while first < count:
         travelled = np.cumsum(moved[first + 1 : first + _TOGETHER]), np.cumsum(turned[first + 1 : first + _TOGETHER])
         together = 1 + int(np.sum((travelled[0] <= _NEAR[0]) & (travelled[1] <= _NEAR[1])))
@@ -385,8 +390,10 @@ def _solve(
 
     eye = jnp.eye(dof)[:, :, None]
     start = jnp.clip(motion.joint_position, lower, upper)
-    samples, rows = start.shape[1], 3 if target.rotation is None else 6
-    nowhere, undone = jnp.full(samples, jnp.inf), jnp.zeros(samples, bool)
+    samples = start.shape[1]
+    rows = 3 if target.rotation is None else 6
+    nowhere = jnp.full(samples, jnp.inf)
+    undone = jnp.zeros(samples, bool)
     flat, none, unmet = (jnp.zeros((*shape, samples)) for shape in ((dof, dof), (dof,), (rows,)))
     damping = jnp.full(samples, 1e-3)
     state = _State(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))

@@ -205,7 +205,8 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     values = dict(zip(map(spelled, FORMS[rotation.form.choice]), rotation.in_si(columns).T, strict=True))
     turns = with_quaternions(values, file.source)
     R = Rotation.from_quat(np.stack([turns[name] for name in QUATERNION], 1), scalar_first=True)
-    places, flange = position.in_si(columns), flange_poses(arm, q)
+    places = position.in_si(columns)
+    flange = flange_poses(arm, q)
     inverse = -R.inv().apply(places)
     errors = (match_poses(flange, places)[0], match_poses(flange, inverse)[0])
     if errors[1] * CLEARLY > errors[0]:
@@ -223,7 +224,8 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    position, q = in_si(poses.found.blocks, "position", poses.columns), _joint_columns(joints, arm)
+    position = in_si(poses.found.blocks, "position", poses.columns)
+    q = _joint_columns(joints, arm)
     assert position is not None
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -347,7 +349,8 @@ def _assumed(*files: File) -> str:
             continue
         unit = block.unit.choice
         alternative = next(unit_name for unit_name in block.units if unit_name != unit)
-        name, of_all = block.columns[0], " and so on" if len(block.columns) > 1 else ""
+        name = block.columns[0]
+        of_all = " and so on" if len(block.columns) > 1 else ""
         verb = "" if assumptions else " was taken"
         assumptions.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
         remedies.append(f"--column {name}={block.renamed(unit=alternative)[name]}{of_all}")

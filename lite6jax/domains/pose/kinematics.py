@@ -154,7 +154,8 @@ def unit_quaternions(rotation: Array) -> Array:
 
 def measured_poses(recording: Recording, whitener: Array) -> Measured:
     """The poses of a recording."""
-    position, turned = recording.position, measured_rotations(recording)
+    position = recording.position
+    turned = measured_rotations(recording)
     assert position is not None
     rotation = np.zeros((3, 3, 0)) if turned is None else np.moveaxis(turned, 0, -1)
     measured = Measured(np.ascontiguousarray(position.T), rotation, whitener)

@@ -59,7 +59,8 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
 
     The frames of the problem are near the true ones. Rows that are not for training divide a run.
     """
-    recording, moving = problem.recording, problem.recording.motion == "trajectory"
+    recording = problem.recording
+    moving = problem.recording.motion == "trajectory"
     if not moving or recording.time is None or problem.samples < _FEWEST or not isinstance(problem.measured, Measured):
         return 0.0
     measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T

@@ -153,7 +153,8 @@ class DiagnosedArm:
             limits = None if isinstance(self.joint_limits, Tracer) else self.joint_limits
             require_radians(q, limits)
 
-        batch_shape, samples = q.shape[:-1], int(np.prod(q.shape[:-1], dtype=int))
+        batch_shape = q.shape[:-1]
+        samples = int(np.prod(q.shape[:-1], dtype=int))
 
         def row(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> jax.Array | None:
             if value is None:
@@ -260,7 +261,8 @@ class Prediction(PublicResult):
 def predicted_poses(model: DiagnosedArm, recording: Recording) -> Prediction:
     """The poses that the sensor shows in a motion, with their standard deviations, as `predicted`."""
     motion = model.motion_of(recording)
-    poses, bars = shown_poses(model, motion), predict_deviations(model, motion)
+    poses = shown_poses(model, motion)
+    bars = predict_deviations(model, motion)
     for std in bars[:2]:
         if std is not None:
             std[np.isnan(poses[:, 0, 0])] = np.nan
@@ -317,7 +319,8 @@ class Derivatives:
         Those are `(6, row)` and `(number, 6, row)`: of positions in the sensor's axes (m) and of rotations about the
         predicted tool's axes (rad).
         """
-        units, sliding = self._units(), self.model.sliding
+        units = self._units()
+        sliding = self.model.sliding
         q = np.asarray(self._altered.joint_position)
         for first in range(0, q.shape[1], _ROWS_AT_ONCE):
             rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
@@ -340,11 +343,10 @@ class Derivatives:
 
         With that of nonparametric effects beyond the range of their drivers.
         """
-        directions, variance = independent_directions(covariance), np.zeros((6, self.motion.samples))
-        unnamed, of = (
-            [effect for effect in self.model.physics.effects if isinstance(effect, Unnamed)],
-            self._deflections,
-        )
+        directions = independent_directions(covariance)
+        variance = np.zeros((6, self.motion.samples))
+        unnamed = [effect for effect in self.model.physics.effects if isinstance(effect, Unnamed)]
+        of = self._deflections
         unknown = [effect.unknown_at(effect.values_at(of.host_motion, of.loads)) for effect in unnamed]
         for rows, sites, J in self.blocks():
             variance[:, rows] = np.sum(np.tensordot(directions, J, 1) ** 2, 0)
@@ -364,11 +366,13 @@ class Derivatives:
 
     def _units(self) -> list[Deflection]:
         """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
-        physics, values = self.model.physics, np.asarray(self.model.values)
+        physics = self.model.physics
+        values = np.asarray(self.model.values)
         masses = [site for site in self.sites if site[0] not in FRAMES]
         units = [self._deflections.through_masses(masses, physics, values)] if masses else []
         for effect, part in zip(physics.effects, physics.slices, strict=True):
-            free_effect, at = freed(effect), values[part]
+            free_effect = freed(effect)
+            at = values[part]
             if free_effect is not effect and effect.chosen is not None:
                 at = np.append(at, effect.chosen)
             units.append(self._deflections.by_each(free_effect, at, physics, values))
@@ -404,11 +408,9 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
     uncertainty = model.uncertainty
     if uncertainty is None:
         return None, None, None
-    change, recorded, q = (
-        Derivatives(model, motion, uncertainty.sites),
-        uncertainty.recorded,
-        np.asarray(motion.joint_position).T,
-    )
+    change = Derivatives(model, motion, uncertainty.sites)
+    recorded = uncertainty.recorded
+    q = np.asarray(motion.joint_position).T
     beyond = recorded.beyond(change.driver_values())
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
     estimated = change.variance(uncertainty.covariance)

@@ -231,7 +231,8 @@ class PoseProblem(RigidArm):
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
         if not self.masses:
             return self.frame_columns
-        physics, at = physics_of(terms), self.deflections
+        physics = physics_of(terms)
+        at = self.deflections
         through = np.zeros((len(self.masses), self.rows, self.samples))
 
         def through_masses(effect: Effect, numbers: Array) -> Array:
@@ -257,7 +258,8 @@ class PoseProblem(RigidArm):
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Harmonics of each revolute joint."""
-        motion, families = self.deflections.host_motion, []
+        motion = self.deflections.host_motion
+        families = []
         for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
             column, q = self.sites["joint", j, 0], np.asarray(motion.joint_position)[j]
             families.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(JointHarmonic, j + 1), _order))
@@ -296,10 +298,8 @@ class PoseProblem(RigidArm):
     ) -> Unnamed:
         """A nonparametric effect over the ranges of these rows."""
         (lower, upper), *further = [quantity.bounds for quantity in quantities]
-        driver, further_bounds = (
-            " and ".join(quantity.driver.phrase for quantity in quantities),
-            tuple(chain.from_iterable(further)),
-        )
+        driver = " and ".join(quantity.driver.phrase for quantity in quantities)
+        further_bounds = tuple(chain.from_iterable(further))
         return Unnamed(component.site, driver, lower, upper, kernel, component.name, further_bounds, spread, rolloff)
 
     def seen(self, functions: Array) -> Array:
@@ -407,7 +407,9 @@ class PoseProblem(RigidArm):
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
-        physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
+        physics = physics_of(terms)
+        values = np.asarray(values, float)
+        dof = self.motion.dof
         motion, host_motion, on_arm = self.motion, self.deflections.host_motion, self.deflections.loads
         bent = self._undeflected
         heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()

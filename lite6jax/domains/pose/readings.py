@@ -248,7 +248,9 @@ def decide(
     """
     decided: dict[tuple[str, bool], Block] = {}
     for block in sorted(blocks, key=lambda block: _FIRST.index(block.kind) if block.kind in _FIRST else len(_FIRST)):
-        values, unit, form = block.values(numbers), block.unit, None
+        values = block.values(numbers)
+        unit = block.unit
+        form = None
         q = decided.get(("q", block.slides))
         if q is None and block.kind in ("dq", "ddq", "cmd"):
             continue

@@ -206,12 +206,14 @@ def compare(
     combinations = ((False, False), (True, False), (False, True), (True, True))
     freed = [fitted for fitted in combinations if (tool or not fitted[0]) and (frame or not fitted[1])]
     candidates = [_explained_by(reference, arm, chain, fitted) for fitted in freed for chain in chains]
-    declared, chosen = candidates[0], _simplest(candidates, noise)
+    declared = candidates[0]
+    chosen = _simplest(candidates, noise)
     explained = chosen.within(noise)
     if not explained and not chain_known:
         chosen = declared  # frames fitted together with a wrong geometry mean nothing
     differences = _differences(declared, chosen)
-    nearest, shared = chosen, None
+    nearest = chosen
+    shared = None
     if not explained:
         free = _with_fitted_geometry(reference, arm, chosen)
         if free is not None and free.rms <= _SUBSTANTIAL * chosen.rms:
@@ -320,7 +322,9 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
     flange = flange_poses(replace(arm, kinematics=base, dh=None), recording.joint_position)
     P = _registered(recording, flange, (False, False)).T_sensor_base @ flange
     in_base = (measured - F[:3, 3]) @ F[:3, :3]
-    rotation, reference_rotation, quaternion = measured_rotations(recording), measured_rotations(reference), None
+    rotation = measured_rotations(recording)
+    reference_rotation = measured_rotations(reference)
+    quaternion = None
     if rotation is None or reference_rotation is None:
         offset = in_base - (common.flange @ U)[:, :3, 3]
         in_flange = np.einsum("sji,sj->si", common.flange[:, :3, :3], offset)
@@ -350,11 +354,9 @@ def _relative_to(reference: Recording, recording: Recording, fitted: tuple[bool,
         settings = replace(settings, tool="unknown")
     if fitted[1] or reference.settings.pose_frame == "unknown":
         settings = replace(settings, pose_frame="unknown")
-    reference_temperature, joints, ambient = (
-        _temperature(reference),
-        recording.joint_temperature,
-        recording.ambient_temperature,
-    )
+    reference_temperature = _temperature(reference)
+    joints = recording.joint_temperature
+    ambient = recording.ambient_temperature
     if reference_temperature is not None and _temperature(recording) is not None:
         mean = float(reference_temperature.mean())
         settings = replace(settings, reference_temperature_degC=mean)

@@ -161,7 +161,8 @@ def _rigid_pose(points: Array) -> RigidPose | None:
     if spread[1] < _FLAT * spread[0]:
         return None
     axes = shape
-    filled, weight = np.nan_to_num(points[rows]), visible[rows].astype(float)
+    filled = np.nan_to_num(points[rows])
+    weight = visible[rows].astype(float)
     for _ in range(_ROUNDS):
         R, t = _carried(shape, filled, weight)
         in_body = np.einsum("rji,rpj->rpi", R, filled - t[:, None])
@@ -175,7 +176,8 @@ def _rigid_pose(points: Array) -> RigidPose | None:
     usual = max(float(np.median(of_row)), 1e-12)
     fits = of_row <= _OUTLYING * usual
     fitted_rows = np.flatnonzero(rows)[fits]
-    is_fitted, pose = np.isin(np.arange(len(points)), fitted_rows), np.full((len(points), 7), np.nan)
+    is_fitted = np.isin(np.arange(len(points)), fitted_rows)
+    pose = np.full((len(points), 7), np.nan)
     pose[fitted_rows, :3], pose[fitted_rows, 3:] = t[fits], Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
     misfit = float(np.sqrt(np.sum((weight * missed**2)[fits]) / max(np.sum(weight[fits]), 1)))
     size = float(np.sqrt(np.mean(np.sum(shape**2, 1))))

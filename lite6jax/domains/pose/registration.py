@@ -117,7 +117,8 @@ def register(
     turned = None if rotation is None else problem.differences[3:].T
     squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
-    count, parameters = problem.rows * problem.samples, len(problem.unknown)
+    count = problem.rows * problem.samples
+    parameters = len(problem.unknown)
     lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
     remaining_noise = [
         None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)
@@ -154,9 +155,11 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     flange[:, :3, 3] /= growth[:, None]
     used = np.isfinite(growth)
     require_samples(recording.select(used), _NUMBERS[recording.numbers_per_sample])
-    position, rotation = recording.position, measured_rotations(recording)
+    position = recording.position
+    rotation = measured_rotations(recording)
     assert position is not None
-    rotation, noise = None if rotation is None else rotation[used], noise_of(recording.settings)
+    rotation = None if rotation is None else rotation[used]
+    noise = noise_of(recording.settings)
     before = np.asarray(model.model.T_flange_tool)[:3, :3]
     registration = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
     if not registration.determined:

@@ -355,7 +355,8 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    touches, T_frame = recording.touches, np.eye(4)
+    touches = recording.touches
+    T_frame = np.eye(4)
     if touches is not None:
         declaration = declared_geometry(recording, arm, geometry, factory)
         arm, form, movable, values = declaration.arm, declaration.form, declaration.movable, declaration.values
@@ -509,7 +510,8 @@ def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) 
     Raises:
         InputError: a ring of distances, or one between contacts of which both are known.
     """
-    source, place = recording.source, {name: k for k, name in enumerate(names)}
+    source = recording.source
+    place = {name: k for k, name in enumerate(names)}
     remaining = [distance for distance in recording.settings.contact_distances if set(distance.between) <= place.keys()]
     rods: list[Rod] = []
     fixed = {k for k in range(len(names)) if not free[k]}

@@ -83,7 +83,8 @@ class Change:
         R = measured_rotations(replace(recording, quaternion=quaternion))
         if self.code == "mirrored_sensor":
             M = _reflection(convention)
-            position, R = position @ M, None if R is None else M @ R @ M
+            position = position @ M
+            R = None if R is None else M @ R @ M
         elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
             R = np.swapaxes(R, 1, 2)
             position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
@@ -221,6 +222,7 @@ def differ_by_turns(a: Hypothesis, b: Hypothesis) -> bool:
 
 def _reflection(axes: str) -> Array:
     """`(3, 3)`: one axis reversed, or two exchanged."""
-    M, places = np.eye(3), ["xyz".index(axis) for axis in axes]
+    M = np.eye(3)
+    places = ["xyz".index(axis) for axis in axes]
     M[places] = M[places[::-1]] if len(places) > 1 else -M[places]
     return M

@@ -81,7 +81,8 @@ class Deviation:
     @cached_property
     def granted(self) -> Array:
         """`(number,)`, σ of the displacements of the chain and of a declared frame and tool; zero of all others."""
-        arm, sigma = self.arm, np.zeros(self.size)
+        arm = self.arm
+        sigma = np.zeros(self.size)
         unknown = zip(arm.unknown, arm.precision, strict=True)
         of_links = {axis: precision for (name, _, axis), precision in unknown if name == "link"}
         if not of_links:
@@ -94,7 +95,8 @@ class Deviation:
     @cached_property
     def free(self) -> Array:
         """`(number,)`, standard deviations of what every hypothesis leaves free; zero of all others."""
-        sigma, sensor_places = np.zeros(self.size), self._own
+        sigma = np.zeros(self.size)
+        sensor_places = self._own
         sigma[self._free_places] = _WIDE
         precision = self.arm.precision[sensor_places]
         first = 6 * self.frames
@@ -120,7 +122,9 @@ class Deviation:
     @cached_property
     def displaced(self) -> Array:
         """`(number,)`, where the fit has displaced the frames to."""
-        arm, start, u = self.arm, self.start, np.zeros(self.size)
+        arm = self.arm
+        start = self.start
+        u = np.zeros(self.size)
         steps = [np.linalg.inv(start.T_sensor_base) @ arm.T_sensor_base, *(arm.links @ np.linalg.inv(start.links))[1:]]
         for frame, T in enumerate(steps):
             u[6 * frame : 6 * frame + 3] = T[:3, 3]
@@ -186,7 +190,8 @@ class Deviation:
 
     def summary(self) -> dict[str, Any]:
         """How far the fitted arm is from the nominal one, and which frame is furthest beside what is granted."""
-        weighed, granted = self.weighed(()), self.granted
+        weighed = self.weighed(())
+        granted = self.granted
         apart = self.arm.rigid.tool[:, :3, 3] - self.start.rigid.tool[:, :3, 3]
         shares = np.abs(weighed.displacements) / np.where(granted > 0, granted, np.inf)
         equal = shares > (1 - 1e-3) * shares.max()  # along one axis, two frames share a displacement alike

@@ -243,7 +243,8 @@ def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
     reading_places = [k for k, (name, _, _) in enumerate(arm.unknown) if name == "reading"]
     precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[reading_places]]
-    offset, last = np.r_[np.zeros(len(unknown)), arm.offset[reading_places]], len(unknown)
+    offset = np.r_[np.zeros(len(unknown)), arm.offset[reading_places]]
+    last = len(unknown)
     unknown += [arm.unknown[k] for k in reading_places]
     numbers = {"precision": precision, "offset": offset, "informative": precision > 0}
     fit = replace(arm, unknown=tuple(unknown), **numbers).fitted(thinned.samples)
@@ -412,7 +413,8 @@ def use_other_table(state: Screened) -> Screened:
     if not alternatives:
         reason = "own_chain" if arm.exact else "single_table"
         return state.rule_out("nominal_table", reason=reason, declared=arm.arm.name)
-    alternative, vague = alternatives[0], False
+    alternative = alternatives[0]
+    vague = False
     numbers: dict[str, Any] = {"declared": declared[0].name, "table": alternative.name}
     theirs = _with_table(arm, alternative).fitted(options.most_fitted)
     if arm.exact:
@@ -431,18 +433,24 @@ def use_other_table(state: Screened) -> Screened:
         more = len(arm.unknown) - len(theirs.unknown)
         fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
         required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("nominal_table"))
-        decided, likelier = bool(theirs.log_likelihood(arm.scale) > required), False
+        decided = bool(theirs.log_likelihood(arm.scale) > required)
+        likelier = False
         ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}
         numbers |= {"decided": decided} | ratios
     if not decided and alternative.name != state.corrections.table:
         reason = "indistinguishable" if vague else "declared_fits"
         return state.rule_out("nominal_table", reason=reason, likelier=likelier, **numbers, fitted=not arm.exact)
-    recording, nominal, factory, used = arm.recording, arm.arm, state.factory, "none"
+    recording = arm.recording
+    nominal = arm.arm
+    factory = state.factory
+    used = "none"
     if not arm.exact or state.geometry == "declared":
         # its factory calibration was not that arm's
         settings = replace(recording.settings, factory_calibration=None, factory_uncertainty=None)
         settings = settings if settings.arm_is_file else replace(settings, arm=alternative.name)
-        recording, nominal, factory = replace(recording, settings=settings), alternative, None
+        recording = replace(recording, settings=settings)
+        nominal = alternative
+        factory = None
         used = "instead_of_file" if arm.exact else "table"
     fault = DataFault("nominal_table", (), numbers | {"used": used})
     return replace(state.corrected(fault, recording), arm=nominal, factory=factory)

@@ -298,7 +298,8 @@ def screen(
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
-            state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
+            state = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted))
+            fitted = True
         state = entry.run(state)
         if state.count("other_arm") and not allow_undecided:
             n = state.found[-1].numbers

@@ -94,7 +94,9 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     future = np.roll(future, -1, axis=0)[sampled_rows]
     columns: dict[Shape, Array] = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
     nuisance = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
-    tests, smallest_p, ordered = len(shapes) * (1 + dof), 1.0, False
+    tests = len(shapes) * (1 + dof)
+    smallest_p = 1.0
+    ordered = False
     candidates: list[tuple[float, Unsettled]] = []
     for name, tested in columns.items():
         rival_columns = [columns[rival] for rival in columns if rival != name]
@@ -116,7 +118,8 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
             explained = float(np.sum((remainder / std) ** 2))
         else:
             remainder, std = np.full(dof, shared[0]), np.full(dof, np.sqrt(variance[0, 0]))
-            concerned, explained = np.ones(dof, bool), common
+            concerned = np.ones(dof, bool)
+            explained = common
         if explained < options.settling_share * projected.freedom:
             continue
         if name != "velocity":
@@ -136,10 +139,13 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
 
 def settled(arm: RigidArm, unsettled: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
-    remainder, concerned = np.zeros(len(unsettled.rest)), np.isin(np.arange(len(unsettled.rest)), unsettled.joints)
+    remainder = np.zeros(len(unsettled.rest))
+    concerned = np.isin(np.arange(len(unsettled.rest)), unsettled.joints)
     common = np.ptp(unsettled.rest) == 0
-    sampled_rows, step = spread_rows(arm.samples, options.most_samples), unsettled.rest
-    start, shape = arm.recording, _rests(arm.recording)[unsettled.shape]
+    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    step = unsettled.rest
+    start = arm.recording
+    shape = _rests(arm.recording)[unsettled.shape]
     for _ in range(options.refinements):
         remainder = remainder + step
         moved = replace(start, joint_position=start.joint_position + shape * remainder)
