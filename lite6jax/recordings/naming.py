@@ -273,7 +273,7 @@ class _Word(NamedTuple):
     number: int | None
     component: str | None
     unit: str | None
-    every: tuple[str, ...]
+    all_words: tuple[str, ...]
 
 
 def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Block]:
@@ -296,7 +296,7 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
 
 def _is_unused(word: _Word) -> bool:
     """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
-    unused = _UNUSED & {*word.every}
+    unused = _UNUSED & {*word.all_words}
     return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
@@ -377,12 +377,12 @@ def spoken_words(name: str) -> set[str]:
 
 def is_of_gripper(name: str) -> bool:
     """Whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
-    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).every})
+    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).all_words})
 
 
 def says_torque(name: str) -> bool:
     """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
-    return not {"effort", "efforts"} & {*_taken_apart(name).every} and not is_standard(name)
+    return not {"effort", "efforts"} & {*_taken_apart(name).all_words} and not is_standard(name)
 
 
 def source_words(names: Iterable[str]) -> tuple[str, ...]:
@@ -499,21 +499,23 @@ def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterato
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
     used: set[str] = set()
     state = [
-        "_".join(word.every[2:])
+        "_".join(word.all_words[2:])
         for word in words
-        if word.every[:2] == ("observation", "state") and word.number is word.component is None
-        if not _UNUSED & set(word.every)
+        if word.all_words[:2] == ("observation", "state") and word.number is word.component is None
+        if not _UNUSED & set(word.all_words)
     ]
     for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
-        labels = [_taken_apart(name).every for name in names]
+        labels = [_taken_apart(name).all_words for name in names]
         labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
         if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
             continue  # numbers say which joint it is
         groups: dict[tuple[str, ...], dict[int, _Word]] = {}
         for (k, label), word in product(enumerate(labels), words):
-            at = next((i for i in range(len(word.every)) if label and word.every[i : i + len(label)] == label), None)
+            at = next(
+                (i for i in range(len(word.all_words)) if label and word.all_words[i : i + len(label)] == label), None
+            )
             if at is not None and word.name not in used:
-                stem = (*word.every[:at], "", *word.every[at + len(label) :])
+                stem = (*word.all_words[:at], "", *word.all_words[at + len(label) :])
                 groups.setdefault(stem, {})[k] = word
         for stem, group in groups.items():
             kind = _quantity(stem, (word.unit for word in group.values())) or "q"
@@ -527,7 +529,7 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
     """Homogeneous and rotation matrices, by two indices (`T00`, `r_1_1`) or by one in either order (`O_T_EE_0`)."""
     pairs: dict[tuple[str, ...], dict[tuple[int, int], _Word]] = {}
     for word in words:
-        if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.every)):
+        if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.all_words)):
             pairs.setdefault(tuple(match[1].split()), {})[int(match[2]), int(match[3])] = word
     layouts = []
     for (stem, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):

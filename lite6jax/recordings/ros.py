@@ -310,13 +310,13 @@ def _at_poses(
     base = min(stamp[0], at.min())
     times = _seconds(stamp, base), _seconds(at, base)
     joined = join(times[0], columns, [name for name in columns if re.match(r"q\d", name)], times[1])
-    if not joined.kept.any():
+    if not joined.usable.any():
         moved, measured = (f"{time.min():.3f} to {time.max():.3f} s" for time in times)
         raise InputError(
             f"{path}: no pose lies between joint states (joints {moved}, poses {measured}); stamp both by one clock"
         )
     notes += said_of(joined)
-    return joined.kept, joined.columns
+    return joined.usable, joined.columns
 
 
 def _seconds(stamp: NDArray[np.int64], start: np.int64) -> Array:

@@ -30,8 +30,8 @@ class Joined(NamedTuple):
     """Joint states at the times of poses.
 
     Attributes:
-        kept: `(pose,)` bool, where the joints are known.
-        columns: by their names, `(kept,)` each.
+        usable: `(pose,)` bool, where the joints are known.
+        columns: by their names, `(usable,)` each.
         method: how they are found between joint states; `nearest` where each pose has a capture of its own.
         outside: poses before the first or after the last joint state.
         wide: poses between joint states that are too far apart.
@@ -41,7 +41,7 @@ class Joined(NamedTuple):
         resolved: whether the joint states follow the motion; else what is interpolated means nothing.
     """
 
-    kept: Flags
+    usable: Flags
     columns: dict[str, Array]
     method: Method
     outside: int
@@ -192,7 +192,7 @@ def merge(
         return None
     start = clock[states[0]]
     joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
-    rows = poses[joined.kept]
+    rows = poses[joined.usable]
     if not joined.resolved or not rows.size:
         why = "no pose lies between joint states" if joined.resolved else "the joints move too far from one to the next"
         raise InputError(

@@ -73,7 +73,7 @@ class Pose(NamedTuple):
         blocks: its position, and its orientation where it has one.
         role: whose it is by its name, or the controller's where it is computed.
         arm: the given one, or the bundled one that clearly fits best; None where several do.
-        tried: the arms that were tried, the nearest first.
+        agreements: of the arms that were tried, the nearest first.
         agreed: the units and the form with which the arm agrees, and the median error of its positions.
         travel: the largest extent of its positions along an axis, in their unit.
         computed: whether the arm reproduces it as exactly as only the controller's own computation.
@@ -83,7 +83,7 @@ class Pose(NamedTuple):
     blocks: tuple[Block, ...] = ()
     role: Role | None = None
     arm: Arm | None = None
-    tried: Sequence[tuple[Arm, Agreement]] = ()
+    agreements: Sequence[tuple[Arm, Agreement]] = ()
     agreed: Agreement = Agreement()
     travel: float = 0.0
     computed: bool = False
@@ -315,7 +315,7 @@ def inspect(
         denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
         arm=best_pose.arm,
-        arms=tuple((candidate.name, agreement.error) for candidate, agreement in best_pose.tried),
+        arms=tuple((candidate.name, agreement.error) for candidate, agreement in best_pose.agreements),
         error=best_pose.error,
         motion=(motion, "as given") if motion else motion_of(decided, numbers),
         sources=tuple(pose._replace(taken=place == selected) for place, pose in enumerate(read)),
@@ -606,7 +606,9 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
             computed = computed_by_controller(nearest.error, in_m, in_rad)
         role = "controller" if computed else source.role
         read.append(
-            pose._replace(blocks=pose_blocks, role=role, arm=chosen, tried=agreements, agreed=agreed, computed=computed)
+            pose._replace(
+                blocks=pose_blocks, role=role, arm=chosen, agreements=agreements, agreed=agreed, computed=computed
+            )
         )
     steadiest = read[int(np.argmin(wobbles))]
     form = steadiest.agreed.form

@@ -330,7 +330,7 @@ class _State(NamedTuple):
     """Each sample's joints and where to try next; normal equations, residual, cost; damping, and whether it is done."""
 
     joints: Array
-    trial: Array
+    proposal: Array
     curvature: Array
     gradient: Array
     missed: Array
@@ -374,10 +374,10 @@ def _solve(
         return ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
 
     def improve(state: _State) -> _State:
-        new = normal(state.trial)
+        new = normal(state.proposal)
         cost = jnp.sum(new[2] ** 2, 0)
         better = cost < state.cost
-        now, before = (state.trial, *new, cost), (state.joints, *state[2:6])
+        now, before = (state.proposal, *new, cost), (state.joints, *state[2:6])
         q, H, g, r, smallest = (jnp.where(better, a, b) for a, b in zip(now, before, strict=True))
         damping = jnp.clip(jnp.where(better, state.damping / 8, state.damping * 4), 1e-14, 1e4)
         free = 1.0 - held(q, g)

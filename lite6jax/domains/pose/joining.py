@@ -300,8 +300,8 @@ def _joined_by_time(
     used = _kept(joints, _OF_JOINTS)
     names = [name for name in _columns(joints, "q") if name in used]
     joined = join(stream.time, {name: column[states] for name, column in used.items()}, names, robot_times)
-    rows = placed[joined.kept]
-    table = {_TIME: robot_times[joined.kept] + first} | _table(joints, poses, joined.columns, rows)
+    rows = placed[joined.usable]
+    table = {_TIME: robot_times[joined.usable] + first} | _table(joints, poses, joined.columns, rows)
     unit = next(block.unit.choice for block in joints.found.blocks if block.kind == "q" and block.unit)
     return JoinedFiles(
         table, len(rows), len(placed), len(states), clocks, float(first - start), joined=joined, unit=unit

@@ -21,12 +21,12 @@ class Projected:
 
     Attributes:
         arm: fitted.
-        known: `(number, row, sample)`, beside the arm's own unknowns.
+        nuisance: `(number, row, sample)`, beside the arm's own unknowns.
         options: the thresholds.
     """
 
     arm: RigidArm
-    known: Array
+    nuisance: Array
     options: ScreeningOptions
 
     @cached_property
@@ -38,7 +38,7 @@ class Projected:
     @cached_property
     def basis(self) -> Array:
         """`(rank, row sample)`, orthonormal, of the known columns."""
-        columns = np.concatenate([self.arm.frame_columns, self.known]) * self.weight
+        columns = np.concatenate([self.arm.frame_columns, self.nuisance]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
         return orthonormal(unit_rows(flat), DEFAULTS.rounding)
 

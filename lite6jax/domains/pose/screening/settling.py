@@ -28,13 +28,13 @@ class Unsettled(NamedTuple):
         shape: "move", a share of each move was left; "velocity", a time at the recorded velocity; "constant", the same
             angle after each move.
         joints: concerned, from 0.
-        rest: `(joint,)` share, s or rad.
+        remainder: `(joint,)` share, s or rad.
         std: of it.
     """
 
     shape: Shape
     joints: tuple[int, ...]
-    rest: Array
+    remainder: Array
     std: Array
 
 
@@ -50,20 +50,21 @@ def settle_joints(state: Screened) -> Screened:
         return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
     joints = [j + 1 for j in unsettled.joints]
     arm, unsettled = settled(state.rigid_arm, unsettled, state.options)
-    largest = int(np.argmax(np.abs(unsettled.rest)))
-    correction = _rests(state.recording)[unsettled.shape] * unsettled.rest
+    largest = int(np.argmax(np.abs(unsettled.remainder)))
+    correction = _rests(state.recording)[unsettled.shape] * unsettled.remainder
     numbers = {
         "shape": unsettled.shape,
         "joints": joints,
-        "all_joints": len(joints) == len(unsettled.rest),
-        "rest": float(unsettled.rest[largest]),
+        "all_joints": len(joints) == len(unsettled.remainder),
+        "rest": float(unsettled.remainder[largest]),
         "rest_std": float(unsettled.std[largest]),
         "largest_rms_rad": float(np.sqrt(np.mean(correction**2, 0)).max()),
     }
 
     def settle(recording: Recording) -> Recording:
         return replace(
-            recording, joint_position=recording.joint_position + _rests(recording)[unsettled.shape] * unsettled.rest
+            recording,
+            joint_position=recording.joint_position + _rests(recording)[unsettled.shape] * unsettled.remainder,
         )
 
     return state.corrected(DataFault("unsettled_readouts", (), numbers), rigid=arm).transformed(settle)
@@ -139,11 +140,11 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
 
 def settled(arm: RigidArm, unsettled: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
-    remainder = np.zeros(len(unsettled.rest))
-    concerned = np.isin(np.arange(len(unsettled.rest)), unsettled.joints)
-    common = np.ptp(unsettled.rest) == 0
+    remainder = np.zeros(len(unsettled.remainder))
+    concerned = np.isin(np.arange(len(unsettled.remainder)), unsettled.joints)
+    common = np.ptp(unsettled.remainder) == 0
     sampled_rows = spread_rows(arm.samples, options.most_samples)
-    step = unsettled.rest
+    step = unsettled.remainder
     start = arm.recording
     shape = _rests(arm.recording)[unsettled.shape]
     for _ in range(options.refinements):
@@ -159,7 +160,7 @@ def settled(arm: RigidArm, unsettled: Unsettled, options: ScreeningOptions) -> t
             break
         step = np.zeros_like(remainder)
         step[concerned] = more
-    return arm, unsettled._replace(rest=remainder)
+    return arm, unsettled._replace(remainder=remainder)
 
 
 def _rests(recording: Recording) -> dict[Shape, Array]:
