@@ -33,7 +33,7 @@ def joint_unit(text: str, slides: bool) -> str:
 
     Nm·s/rad is N·s/m, and `viscous_Nm_s_per_rad` is `viscous_N_s_per_m`.
     """
-    return _WORD.sub(lambda found: _OF_SLIDE[found.group()][0], text) if slides else text
+    return _WORD.sub(lambda match: _OF_SLIDE[match.group()][0], text) if slides else text
 
 
 def joint_size(value: float, unit: str, slides: bool) -> float:
@@ -162,15 +162,15 @@ class Arm:
         object.__setattr__(self, "sliding", tuple(self.sliding))
         revolute = set(range(joints)) - set(self.sliding)
         self._require(set(self.endless) <= revolute, f"endless is {self.endless}; give revolute joints, counted from 0")
-        named = len(self.joint_names)
-        self._require(named in (0, joints), f"has {named} joint_names for {joints} joints; name each")
+        name_count = len(self.joint_names)
+        self._require(name_count in (0, joints), f"has {name_count} joint_names for {joints} joints; name each")
         widest = np.where(self.slides, 1.0, 2 * np.pi)
         for field, usual in (("joint_limits", np.column_stack([-widest, widest])), ("T_joint_flange", np.eye(4))):
             if getattr(self, field) is None:
                 object.__setattr__(self, field, usual)
-        for one, other in (("mass", "center_of_mass"), ("spring_stiffness", "spring_rest")):
-            both = (getattr(self, one) is None) == (getattr(self, other) is None)
-            self._require(both, f"{one} and {other} belong together; give both or neither")
+        for quantity, companion in (("mass", "center_of_mass"), ("spring_stiffness", "spring_rest")):
+            paired = (getattr(self, quantity) is None) == (getattr(self, companion) is None)
+            self._require(paired, f"{quantity} and {companion} belong together; give both or neither")
         self._require(
             self.inertia is None or self.mass is not None,
             "inertia needs the links' masses; give mass and center_of_mass too",
@@ -189,10 +189,11 @@ class Arm:
             frames.is_rotation(T[:3, :3]), "T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
         )
         self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
-        for field, what in ({"mass": "mass"} | JOINT_TERMS).items():
-            values, part = getattr(self, field), "link" if field == "mass" else "joint"
+        for field, term in ({"mass": "mass"} | JOINT_TERMS).items():
+            values = getattr(self, field)
+            part = "link" if field == "mass" else "joint"
             for i in [] if values is None else np.flatnonzero(values < 0)[:1]:
-                self._require(False, f"{part}{i + 1}'s {what} is negative; correct it")
+                self._require(False, f"{part}{i + 1}'s {term} is negative; correct it")
         for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):
             wrong = frames.defect(tensor)
             self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
@@ -233,7 +234,7 @@ class Arm:
 
     def __getstate__(self) -> dict[str, object]:
         """The fields alone: a pickle does not depend on what has been computed of an arm."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:

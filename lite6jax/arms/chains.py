@@ -281,23 +281,23 @@ class HayatiForm:
         base, links = np.asarray(base, float), np.asarray(links, float)
         if base.shape[-1:] != (len(BASE),) or links.shape[-2:] != (self.dof, len(LINK)):
             raise InputError(f"base {base.shape}, links {links.shape}: this form takes (6,) and ({self.dof}, 6)")
-        given = np.concatenate([base, links.reshape(*links.shape[:-2], -1)], -1)
-        for place in np.setdiff1d(np.arange(given.shape[-1]), self._places):
-            if np.any(given[..., place]):
+        full_parameters = np.concatenate([base, links.reshape(*links.shape[:-2], -1)], -1)
+        for place in np.setdiff1d(np.arange(full_parameters.shape[-1]), self._places):
+            if np.any(full_parameters[..., place]):
                 joint, k = divmod(place - len(BASE), len(LINK))
                 name = f"base_{BASE[place]}" if joint < 0 else f"{LINK[k]}{joint + 1}"
-                value = np.abs(given[..., place]).max()
+                value = np.abs(full_parameters[..., place]).max()
                 raise InputError(f"{name} is {value:g}, and this form has no such parameter; its are {self.names}")
-        return given[..., self._places]
+        return full_parameters[..., self._places]
 
     def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The inverse of `pack` for `(size,)`: base `(6,)` and links `(joint, 6)`, zero where there is no parameter."""
         parameters = np.asarray(parameters, float)
         if parameters.shape != (self.size,):
             raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
-        given = np.zeros(len(BASE) + self.dof * len(LINK))
-        given[self._places] = parameters
-        return given[: len(BASE)], given[len(BASE) :].reshape(self.dof, len(LINK))
+        full_parameters = np.zeros(len(BASE) + self.dof * len(LINK))
+        full_parameters[self._places] = parameters
+        return full_parameters[: len(BASE)], full_parameters[len(BASE) :].reshape(self.dof, len(LINK))
 
 
 BASE = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -313,9 +313,9 @@ def _turn_frame(frame: Frame, axis: int, angle: Array) -> tuple[Frame, Twist]:
     return rotate(frame, axis, turn(angle)), rotation_twist(frame, axis)
 
 
-def _require_joints(joints: tuple[int, ...], what: str, first: int, last: int) -> None:
+def _require_joints(joints: tuple[int, ...], kind: str, first: int, last: int) -> None:
     if any(not first <= i <= last for i in joints) or list(joints) != sorted(set(joints)):
-        raise InputError(f"{what} joints {joints}: give each once, in order, from {first} to {last}")
+        raise InputError(f"{kind} joints {joints}: give each once, in order, from {first} to {last}")
 
 
 Form = HayatiForm | SixParameterForm
@@ -401,8 +401,8 @@ def sweep(
             frame = displace(frame, bent.twist)
         return frame, () if emit is None else tuple(emit(twist) for twist in twists)
 
-    each = (steps, jnp.asarray(form.flags), joint, Bend() if bend is None else bend)
-    frame, of_joints = lax.scan(walk, frame, each)
+    per_joint = (steps, jnp.asarray(form.flags), joint, Bend() if bend is None else bend)
+    frame, of_joints = lax.scan(walk, frame, per_joint)
     return frame, [*of_frame, *of_joints]
 
 

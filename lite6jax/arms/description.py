@@ -145,10 +145,12 @@ def _limits(content: Mapping[str, Any], where: str, joints: int, sliding: tuple[
         raise InputError(f"{where}: {key} must list one [lower, upper] for each of the {joints} joints")
     limits = np.array([entries.numbers(row, f"{where}: joint{i + 1}'s limits", 2) for i, row in enumerate(value)])
     for i, row in enumerate(limits):
-        most, remark = LARGEST_LIMIT, "many turns, so they seem to be in degrees; write radians"
+        largest = LARGEST_LIMIT
+        remark = "many turns, so they seem to be in degrees; write radians"
         if i in sliding:
-            most, remark = LARGEST_SHIFT, "beyond any arm, so they seem to be in millimetres; write metres"
-        if np.abs(row).max() > most:
+            largest = LARGEST_SHIFT
+            remark = "beyond any arm, so they seem to be in millimetres; write metres"
+        if np.abs(row).max() > largest:
             raise InputError(f"{where}: joint{i + 1}'s limits {row[0]:g} … {row[1]:g} are {remark}")
     return limits
 
@@ -189,16 +191,19 @@ def _dynamics(value: Any, where: str, joints: int, sliding: tuple[int, ...]) -> 
     fields: dict[str, Array] = {}
     for i, name in enumerate(names):
         keys = [(group, joint_unit(key, i in sliding), field) for group, key, field in _DRIVES]
-        tops, place = tuple(dict.fromkeys(group or key for group, key, _ in keys)), f"{where}: dynamics: {name}"
+        tops = tuple(dict.fromkeys(group or key for group, key, _ in keys))
+        place = f"{where}: dynamics: {name}"
         drive = entries.mapping(table.get(name, {}), place, (), tops)
         for group in ("friction", "spring"):
-            own = tuple(key for within, key, _ in keys if within == group)
+            group_keys = tuple(key for within, key, _ in keys if within == group)
             if group in drive:
-                entries.mapping(drive[group], f"{place}: {group}", *((own, ()) if group == "spring" else ((), own)))
+                entries.mapping(
+                    drive[group], f"{place}: {group}", *((group_keys, ()) if group == "spring" else ((), group_keys))
+                )
         for group, key, field in keys:
-            given, at = (drive.get(group, {}), f"{place}: {group}") if group else (drive, place)
-            if key in given:
-                fields.setdefault(field, np.zeros(joints))[i] = entries.number(given[key], f"{at}: {key}")
+            section, at = (drive.get(group, {}), f"{place}: {group}") if group else (drive, place)
+            if key in section:
+                fields.setdefault(field, np.zeros(joints))[i] = entries.number(section[key], f"{at}: {key}")
     return fields
 
 
@@ -270,12 +275,12 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 def _drive(arm: Arm, i: int) -> dict[str, Any]:
     """What the arm knows of joint `i`, from 0, as `_dynamics` reads it."""
-    known: dict[str, Any] = {}
+    drive: dict[str, Any] = {}
     for group, key, field in _DRIVES:
         if (values := getattr(arm, field)) is not None:
-            within = known.setdefault(group, {}) if group else known
+            within = drive.setdefault(group, {}) if group else drive
             within[joint_unit(key, bool(arm.slides[i]))] = float(values[i])
-    return known
+    return drive
 
 
 def _row_mapping(keys: tuple[str, ...], values: Array) -> dict[str, float]:

@@ -79,7 +79,9 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
     H = frames.transform_from_row(base[:, [BASE.index(name) for name in entries.SIX]]) @ form.T_axes
     links = np.zeros((len(kinematics), form.dof, len(LINK)))
     for i, guess in enumerate(near):
-        last, parallel, names = i == form.dof - 1, i in form.parallel, form.of_link(i)
+        last = i == form.dof - 1
+        parallel = i in form.parallel
+        names = form.of_link(i)
         to_joint = joints[:, i if last else i + 1]
         offset = to_joint[:, :3, 3] - H[:, :3, 3]
         x, u, p = (np.einsum("aji,aj->ia", H[:, :3, :3], v) for v in (to_joint[:, :3, 0], to_joint[:, :3, 2], offset))
@@ -96,7 +98,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
         across, sine = c * u[0] + s * u[1], s * u[0] - c * u[1]
         at = foot if parallel else p
         opposite = nominal is None and parallel and not last
-        found = {
+        link_parameters = {
             "theta_off": theta,
             "d": p[2] if last else p[2] + u[2] * (c * p[1] - s * p[0]) / sine,
             "a": c * at[0] + s * at[1],
@@ -107,7 +109,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
         if last and "b" not in names:
             names = ("theta_off", "d")  # a frame about the same axis
         for name in names:
-            links[:, i, LINK.index(name)] = found[name]
+            links[:, i, LINK.index(name)] = link_parameters[name]
         if not last:
             irregular += _irregular_pair(form, i, np.hypot(u[0], u[1]), np.hypot(foot[0], foot[1]))
         along, beyond = _link_transforms(links[:, i])
@@ -120,33 +122,35 @@ def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> I
     pair = f"joints {i + 1} and {i + 2}: their axes"
     if i not in form.parallel:
         return [(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")]
-    found = [(sine > _PARALLEL, f"{pair} are not parallel as this form expects; check the arm's model")]
+    irregularities = [(sine > _PARALLEL, f"{pair} are not parallel as this form expects; check the arm's model")]
     if "theta_off" in form.of_link(i):
         message = f"{pair} coincide, so the two joints are indistinguishable; remove one"
-        found.append((distance < 1e-4, message))
-    return found
+        irregularities.append((distance < 1e-4, message))
+    return irregularities
 
 
 def _base(form: HayatiForm, joint: Array, near_yaw: float) -> tuple[Array, Irregular]:
     """The bases `(arm, 6)`, `BASE`, that lead to frames of joint 1 `(arm, 4, 4)`."""
-    names, k, u = form.of_link(-1), form.first_axis, joint[:, :3, 2].T
-    found: dict[str, Array] = {}
+    names = form.of_link(-1)
+    k = form.first_axis
+    u = joint[:, :3, 2].T
+    coordinates: dict[str, Array] = {}
     irregular: Irregular = []
     if 0 not in form.sliding:
         message = f"joint 1: its axis is at right angles to the base's {'xyz'[k]}, along which this form draws it;"
         irregular.append((np.abs(u[k]) < _UPRIGHT, f"{message} check the arm's model"))
-        found |= zip("xyz", joint[:, :3, 3].T - joint[:, k, 3] / u[k] * u, strict=True)
+        coordinates |= zip("xyz", joint[:, :3, 3].T - joint[:, k, 3] / u[k] * u, strict=True)
     if 0 in form.sliding and "yaw" in names:  # Rz(yaw) Rx(roll) takes z to u
         yaw = _nearest_direction(np.arctan2(u[0], -u[1]), near_yaw)
-        found |= {"yaw": yaw, "roll": np.arctan2(np.sin(yaw) * u[0] - np.cos(yaw) * u[1], u[2])}
+        coordinates |= {"yaw": yaw, "roll": np.arctan2(np.sin(yaw) * u[0] - np.cos(yaw) * u[1], u[2])}
     elif k == 0:  # Rz(yaw) Ry(pitch) takes x to u
-        found |= {"yaw": np.arctan2(u[1], u[0]), "pitch": -np.arcsin(u[2])}
+        coordinates |= {"yaw": np.arctan2(u[1], u[0]), "pitch": -np.arcsin(u[2])}
     elif k == 1:  # Rz(yaw) Rx(roll) takes y to u
-        found |= {"yaw": np.arctan2(-u[0], u[1]), "roll": np.arcsin(u[2])}
+        coordinates |= {"yaw": np.arctan2(-u[0], u[1]), "roll": np.arcsin(u[2])}
     else:  # Ry(pitch) Rx(roll) takes z to u
-        found |= {"pitch": np.arctan2(u[0], u[2]), "roll": -np.arcsin(u[1])}
+        coordinates |= {"pitch": np.arctan2(u[0], u[2]), "roll": -np.arcsin(u[1])}
     nothing = np.zeros(len(joint))
-    return np.stack([found[name] if name in names else nothing for name in BASE], 1), irregular
+    return np.stack([coordinates[name] if name in names else nothing for name in BASE], 1), irregular
 
 
 def _nearest_direction(angle: Array, near: Array | float) -> Array:
@@ -252,11 +256,12 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     further = (*(betas or ("beta_joint2",)), "convention", "first_axis", "fit")
     entries.mapping(content, f"{path}:", ("units", "dh"), ("base", *further))
-    read, rows = _reader(content["units"], f"{path}: units"), content["dh"]
+    read = _reader(content["units"], f"{path}: units")
+    rows = content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
-    said = entries.convention(content.get("convention"), f"{path}: convention")
-    if betas and said == entries.MODIFIED:
+    stated_convention = entries.convention(content.get("convention"), f"{path}: convention")
+    if betas and stated_convention == entries.MODIFIED:
         raise InputError(f"{path}: {next(iter(betas))} is of standard DH, and convention says modified; keep one")
     sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == _PRISMATIC)
     base, first = _table_base(content, path, 0 in sliding, read)
@@ -271,7 +276,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
         links[joint - 1, 5] = read(key, content[key], str(path))
     try:
-        if (said or convention) == entries.MODIFIED:
+        if (stated_convention or convention) == entries.MODIFIED:
             form, parameters = _modified_table(base, links, sliding)
         else:
             parallel = sorted(joint - 1 for joint in betas.values())
@@ -283,7 +288,9 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
         raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
     sure = betas or sliding  # what only the standard form has
-    return HayatiTable(form, np.asarray(parameters, np.float64), said or (entries.STANDARD if sure else None))
+    return HayatiTable(
+        form, np.asarray(parameters, np.float64), stated_convention or (entries.STANDARD if sure else None)
+    )
 
 
 def _table_base(content: Mapping[str, Any], path: str | Path, slides: bool, read: _Read) -> tuple[list[float], int]:
@@ -369,7 +376,7 @@ def _degrees(angle: float) -> Decimal:
     """The shortest decimal that is read as this float of radians."""
     exact = _EXACT.divide(Decimal(float(angle)), _DEGREE)
     candidates = (Context(prec=digits).create_decimal(exact) for digits in range(15, 40))
-    return next(each for each in candidates if float(_EXACT.multiply(each, _DEGREE)) == angle)
+    return next(degrees for degrees in candidates if float(_EXACT.multiply(degrees, _DEGREE)) == angle)
 
 
 def _plain(value: Decimal) -> str:
@@ -434,13 +441,14 @@ def _reader(units: Any, where: str) -> _Read:
     millimetres, degrees = lengths == ["mm"], angles == ["deg"]
 
     def read(key: str, value: Any, where: str) -> float:
-        given, place = _decimal(value, f"{where}: {key}"), f"{where}: {key}"
+        number = _decimal(value, f"{where}: {key}")
+        place = f"{where}: {key}"
         if key in _LENGTHS:
-            length = float(given.scaleb(-3 if millimetres else 0, _EXACT))
+            length = float(number.scaleb(-3 if millimetres else 0, _EXACT))
             if abs(length) > LENGTH_LIMIT:
                 raise InputError(f"{place} is {length:.6g} m, longer than any arm's link; correct it")
             return length
-        angle = float(_EXACT.multiply(given, _DEGREE) if degrees else given)
+        angle = float(_EXACT.multiply(number, _DEGREE) if degrees else number)
         if abs(angle) > ANGLE_LIMIT:
             raise InputError(f"{place} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
         return angle

@@ -109,7 +109,7 @@ def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple
     slides = np.isin(np.arange(len(dq)), sliding)
     at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
     (turning, sliding_rate), (change, sliding_change) = (
-        tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
+        tuple(jnp.where(mask[:, None], rate, 0.0) for mask in (~slides, slides)) for rate in (dq, ddq)
     )
     return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
@@ -205,14 +205,14 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
     def walk(carry: _Carry, step: _Step) -> tuple[_Carry, _Carry]:
         number, axis, velocity, motion = carry
         shifted = step.into(_sum(velocity, _cross(axis, step.p)))
-        own = (jnp.arange(joints) == number)[:, None]
+        is_current = (jnp.arange(joints) == number)[:, None]
         x, y, z = step.into(axis)
         if step.slide is None:
-            turned = (x, y, jnp.where(own, 1.0, z))
+            turned = (x, y, jnp.where(is_current, 1.0, z))
         else:
             slides, _, _ = step.slide
-            turned = (x, y, jnp.where(own & ~slides, 1.0, z))
-            shifted = (*shifted[:2], jnp.where(own & slides, 1.0, shifted[2]))
+            turned = (x, y, jnp.where(is_current & ~slides, 1.0, z))
+            shifted = (*shifted[:2], jnp.where(is_current & slides, 1.0, shifted[2]))
         carry = (number + 1, turned, shifted, _next(motion, step))
         return carry, carry
 
@@ -274,12 +274,13 @@ def inverse_dynamics(
 
     def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
         (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
-        first, a = (hx, hy, hz), motion.acceleration
+        first = (hx, hy, hz)
+        a = motion.acceleration
         M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
         force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
-        own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
-        moment = _sum(moment, _sum(own, _cross(first, a)))
+        momentum_rate = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
+        moment = _sum(moment, _sum(momentum_rate, _cross(first, a)))
         before = step.out_of(force)
         effort = moment[2] if step.slide is None else jnp.where(step.slide[0], force[2], moment[2])
         return (before, _sum(step.out_of(moment), _cross(step.p, before))), effort
@@ -351,16 +352,16 @@ def _independent(W: Numbers) -> NDArray[np.integer]:
 
     A QR decomposition without pivots would take the rounding of a dependent column for a direction.
     """
-    found: list[int] = []
+    independent: list[int] = []
     Q = np.zeros((len(W), 0))
-    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
+    threshold = INDEPENDENT * np.linalg.norm(W, axis=0).max()
     for k, column in enumerate(W.T):
-        left = column - Q @ (Q.T @ column)
-        left -= Q @ (Q.T @ left)
-        if np.linalg.norm(left) > least:
-            found.append(k)
-            Q = np.column_stack([Q, left / np.linalg.norm(left)])
-    return np.array(found, int)
+        remainder = column - Q @ (Q.T @ column)
+        remainder -= Q @ (Q.T @ remainder)
+        if np.linalg.norm(remainder) > threshold:
+            independent.append(k)
+            Q = np.column_stack([Q, remainder / np.linalg.norm(remainder)])
+    return np.array(independent, int)
 
 
 _THIN = 1e-6
@@ -398,7 +399,8 @@ def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt
     Q, R = np.linalg.qr(G.T)
     C, d = Q.T, np.linalg.solve(R.T, values)
     start = np.tile(_coordinates(np.eye(4)), len(reference))
-    y, exact = _constrained(start, C, d), True
+    y = _constrained(start, C, d)
+    exact = True
     if y is None:
         whitened = np.linalg.inv(np.linalg.cholesky(G @ G.T))
         nearest = _penalised(start, whitened @ G, whitened @ values)
@@ -411,8 +413,8 @@ def bodies_near(parameters: npt.ArrayLike) -> Numbers:
     """(joint, 10) links whose pseudo-inertias are those of `parameters` (joint, 10), made positive."""
     P = pseudo_inertia(parameters)
     scale, vectors = np.linalg.eigh(P)
-    least = np.where(scale[:, -1:] > 0, _THIN * scale[:, -1:], _THIN)
-    return _parameters_of((vectors * np.maximum(scale, least)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+    floor = np.where(scale[:, -1:] > 0, _THIN * scale[:, -1:], _THIN)
+    return _parameters_of((vectors * np.maximum(scale, floor)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
 def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
@@ -420,7 +422,8 @@ def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
     parameters = np.asarray(parameters, float)
     if parameters.shape != (arm.dof, 10) or not is_consistent(parameters):
         raise InputError(f"arm {arm.name!r}: these links are no bodies; take such as consistent_links gives")
-    mass, center = parameters[:, 0], parameters[:, 1:4] / parameters[:, :1]
+    mass = parameters[:, 0]
+    center = parameters[:, 1:4] / parameters[:, :1]
     about_center = frames.tensor(parameters[:, 4:]) - frames.point_tensor(mass, center)
     return replace(arm, mass=mass, center_of_mass=center, inertia=about_center)
 
@@ -472,8 +475,9 @@ def _matrices(y: Numbers) -> Numbers:
 
 def _block_diagonal(blocks: Numbers) -> Numbers:
     """(10 × joint, 10 × joint) of the blocks (joint, 10, 10)."""
-    out, every = np.zeros((len(blocks), 10, len(blocks), 10)), np.arange(len(blocks))
-    out[every, :, every] = blocks
+    out = np.zeros((len(blocks), 10, len(blocks), 10))
+    diagonal = np.arange(len(blocks))
+    out[diagonal, :, diagonal] = blocks
     return out.reshape(10 * len(blocks), -1)
 
 
@@ -502,8 +506,10 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
         gradient, Hessian = _divergence(y)[1:]
         system = np.block([[Hessian, C.T], [C, np.zeros((len(d), len(d)))]])
         solved = np.linalg.solve(system, np.concatenate([-gradient, d - C @ y]))
-        step, turn = solved[: len(y)], solved[len(y) :] - multiplier
-        before, length = np.linalg.norm(residual(y, multiplier)), 1.0
+        step = solved[: len(y)]
+        turn = solved[len(y) :] - multiplier
+        before = np.linalg.norm(residual(y, multiplier))
+        length = 1.0
         while length > 1e-8:
             if _positive(_matrices(y + length * step)):
                 after = np.linalg.norm(residual(y + length * step, multiplier + length * turn))
@@ -523,15 +529,16 @@ def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:
     for weight in 10.0 ** np.arange(6, np.log10(_NEAR / 2) - 0.5, -1):
         for _ in range(_STEPS):
             value, gradient, Hessian = _divergence(y)
-            slope, left = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
+            slope, objective = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
             step = np.linalg.solve(A.T @ A + weight * Hessian, -slope)
-            fall, length = -slope @ step, 1.0
+            fall = -slope @ step
+            length = 1.0
             while length > 1e-10:
-                trial = y + length * step
-                if _positive(_matrices(trial)):
-                    cost = 0.5 * np.sum((A @ trial - b) ** 2) + weight * _divergence(trial)[0]
-                    if cost <= left - 0.01 * length * fall:
-                        y = trial
+                candidate = y + length * step
+                if _positive(_matrices(candidate)):
+                    cost = 0.5 * np.sum((A @ candidate - b) ** 2) + weight * _divergence(candidate)[0]
+                    if cost <= objective - 0.01 * length * fall:
+                        y = candidate
                         break
                 length *= 0.5
             if length <= 1e-10 or fall < 1e-6 * weight:

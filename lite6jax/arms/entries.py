@@ -92,16 +92,16 @@ def six_numbers(value: Any, where: str, optional: Sequence[str] = (), limit: flo
     Refuses angles beyond a full turn (degrees?) and lengths beyond `limit` m (millimetres?).
     """
     six = row(value, where, SIX, optional)
-    for key, given in zip(SIX, six, strict=True):
-        if key in SIX[3:] and abs(given) > ANGLE_LIMIT:
+    for key, number in zip(SIX, six, strict=True):
+        if key in SIX[3:] and abs(number) > ANGLE_LIMIT:
             raise InputError(
-                f"{where}: {key} is {given:g}, more than a full turn, so it seems to be in degrees;"
-                f" write radians ({math.radians(given):.6g})"
+                f"{where}: {key} is {number:g}, more than a full turn, so it seems to be in degrees;"
+                f" write radians ({math.radians(number):.6g})"
             )
-        if key in SIX[:3] and abs(given) > limit:
+        if key in SIX[:3] and abs(number) > limit:
             raise InputError(
-                f"{where}: {key} is {given:g}, longer than any arm's link, so it seems to be in millimetres;"
-                f" write metres ({given / 1000:.6g})"
+                f"{where}: {key} is {number:g}, longer than any arm's link, so it seems to be in millimetres;"
+                f" write metres ({number / 1000:.6g})"
             )
     return six
 
@@ -141,10 +141,11 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
     keys = {str(key): entry for key, entry in value.items()}
     if any(key in UR_JOINTS for key in keys):
         keys.pop("hash", None)  # it identifies the record in the controller and is not a parameter of the chain
-        joints, names = UR_JOINTS, tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
+        joints = UR_JOINTS
+        names = tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
     else:
-        found = [int(key[5:]) for key in keys if re.fullmatch(r"joint[1-9][0-9]?", key)]
-        joints = names = tuple(f"joint{i + 1}" for i in range(max(found, default=1)))
+        joint_numbers = [int(key[5:]) for key in keys if re.fullmatch(r"joint[1-9][0-9]?", key)]
+        joints = names = tuple(f"joint{i + 1}" for i in range(max(joint_numbers, default=1)))
     for key in keys:
         if key not in joints:
             raise InputError(f"{where}: kinematics has the unknown joint {key!r}; {suggestion(key, joints)}")

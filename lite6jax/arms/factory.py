@@ -94,8 +94,8 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
     """The factory calibration in the `content` of a YAML file; `path` is for messages, `arm` as of `read_factory`."""
     content = entries.mapping(content, f"{path}:", ("kinematics",))
     kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
-    found = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-    return _align(found) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else found
+    calibration = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+    return _align(calibration) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else calibration
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:
@@ -130,7 +130,8 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
             f"{calibration.source}: a table cannot hold what follows joint {arm.dof} of an arm with prismatic joints"
             f" ({described}); write a .urdf or --to description"
         )
-    a, alpha = beyond[0, 3], np.arctan2(beyond[2, 1], beyond[2, 2])
+    a = beyond[0, 3]
+    alpha = np.arctan2(beyond[2, 1], beyond[2, 2])
     if np.abs(frames.transform_from_row([a, 0, 0, alpha, 0, 0]) - beyond).max() > _SAME:
         raise InputError(
             f"{calibration.source}: a and alpha of joint {arm.dof} cannot hold what follows it ({described});"
@@ -163,17 +164,17 @@ def _require_standard(kinematics: Array, after: Array, path: str | Path, arm: Ar
     if candidates[0].dof != len(kinematics) or candidates[0].sliding:
         return
     try:
-        other = read_table(path, entries.MODIFIED)
+        modified_table = read_table(path, entries.MODIFIED)
     except InputError:
         return
-    by_modified, then = hayati_to_six_parameter(other.form, other.parameters)
+    by_modified, then = hayati_to_six_parameter(modified_table.form, modified_table.parameters)
     as_standard = _distances(frames.transform_from_row(kinematics), after, candidates).min()
     as_modified = _distances(frames.transform_from_row(by_modified), then, candidates)
-    best = int(np.argmin(as_modified))
-    if as_standard > RECOGNISED_WITHIN >= as_modified[best]:
+    nearest = int(np.argmin(as_modified))
+    if as_standard > RECOGNISED_WITHIN >= as_modified[nearest]:
         raise InputError(
             f"{path}: is {1e3 * as_standard:.0f} mm RMS from every arm as standard DH, and"
-            f" {1e3 * as_modified[best]:.1f} mm from a {candidates[best].name} as modified DH (Craig's); write"
+            f" {1e3 * as_modified[nearest]:.1f} mm from a {candidates[nearest].name} as modified DH (Craig's); write"
             ' "convention": "modified" into it'
         )
 
@@ -188,9 +189,9 @@ def _recognise(
 ) -> FactoryCalibration:
     if arm is None and (sliding or not bundled_of(len(kinematics))):
         arm = Arm(Path(path).stem, kinematics, sliding=sliding, source=f"factory calibration {Path(path).name}")
-        what = f"prismatic joints, as joint {sliding[0] + 1} is" if sliding else f"{len(kinematics)} joints"
+        feature = f"prismatic joints, as joint {sliding[0] + 1} is" if sliding else f"{len(kinematics)} joints"
         warnings.warn(
-            f"{path}: no bundled arm has {what}, so this chain is its own nominal arm; name another with"
+            f"{path}: no bundled arm has {feature}, so this chain is its own nominal arm; name another with"
             " `arm=NAME` to see how it deviates",
             InputWarning,
             stacklevel=3,
@@ -206,23 +207,26 @@ def _recognise(
     return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
 
 
-def _align(found: FactoryCalibration) -> FactoryCalibration:
+def _align(calibration: FactoryCalibration) -> FactoryCalibration:
     """The same chain with its frames where the nominal arm has them, along the joints' axes.
 
     Raises:
         InputError: lengths of no arm, by where the flange goes: single lengths cancel where axes are nearly parallel.
     """
-    arm, links = found.arm, frames.transform_from_row(found.kinematics)
-    own = np.array_equal(arm.kinematics, found.kinematics)
-    if own and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
-        return found
+    arm = calibration.arm
+    links = frames.transform_from_row(calibration.kinematics)
+    is_own_nominal = np.array_equal(arm.kinematics, calibration.kinematics)
+    if is_own_nominal and np.abs(links[:, :3, 3]).max() <= entries.LENGTH_LIMIT:
+        return calibration
     if not entries.is_reachable(links, REACH_LIMIT):
         raise InputError(
-            f"{found.source}: its flange goes farther than {REACH_LIMIT:g} m from the base, farther than any"
+            f"{calibration.source}: its flange goes farther than {REACH_LIMIT:g} m from the base, farther than any"
             " arm's; correct its lengths or their unit"
         )
-    kinematics = frames.row_from_transform(frames.align_frames(links, None if own else arm.links))
-    return replace(found, kinematics=kinematics, arm=replace(arm, kinematics=kinematics) if own else arm)
+    kinematics = frames.row_from_transform(frames.align_frames(links, None if is_own_nominal else arm.links))
+    return replace(
+        calibration, kinematics=kinematics, arm=replace(arm, kinematics=kinematics) if is_own_nominal else arm
+    )
 
 
 def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
@@ -232,7 +236,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     apart; the two series of one size stay alike, and the newer is assumed.
     """
     deviations = _deviations(path)
-    models = [each for each in bundled_of(6) if maker_of(each.name) == "Universal Robots"] if arm is None else [arm]
+    models = [model for model in bundled_of(6) if maker_of(model.name) == "Universal Robots"] if arm is None else [arm]
     chains = [
         (model, *frames.links_from_dh(dh + deviations)) for model in models if (dh := _published_dh(model)) is not None
     ]
@@ -251,17 +255,17 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
         )
     if arm is None:
         listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
-        alike = int(np.sum(distances <= max(_ALIKE * nearest, nearest + _ALIKE_WITHIN)))
-        if nearest > RECOGNISED_WITHIN or alike > 2:
+        fitting_count = int(np.sum(distances <= max(_ALIKE * nearest, nearest + _ALIKE_WITHIN)))
+        if nearest > RECOGNISED_WITHIN or fitting_count > 2:
             raise InputError(
                 f"{path}: does not name its model, and its deviations do not tell it: the flange is off nominal by"
                 f" {', '.join(listed)} RMS; name it with `arm=NAME`"
             )
-        if alike == 2:
-            other, chosen = sorted((chains[i] for i in order[:2]), key=lambda chain: chain[0].name)
+        if fitting_count == 2:
+            older, chosen = sorted((chains[i] for i in order[:2]), key=lambda chain: chain[0].name)
             warnings.warn(
                 f"{path}: does not name its model; its deviations fit {listed[0]} and {listed[1]} RMS alike, then"
-                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name `arm={other[0].name!r}` if it is one",
+                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name `arm={older[0].name!r}` if it is one",
                 InputWarning,
                 stacklevel=3,
             )
@@ -323,8 +327,10 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
         raise InputError(f"{path}: no form {form!r} of factory files; write 'vendor' or 'ur'")
     fitting = len(rows) == 6 if form == "ur" else 0 < len(rows) <= MOST_JOINTS
     if rows.ndim != 2 or rows.shape[1] != 6 or not fitting:
-        wanted = "(6, 6)" if form == "ur" else "(joint, 6)"
-        raise InputError(f"{path}: the {form} form holds an array {wanted}, not {rows.shape}; choose another form")
+        expected_shape = "(6, 6)" if form == "ur" else "(joint, 6)"
+        raise InputError(
+            f"{path}: the {form} form holds an array {expected_shape}, not {rows.shape}; choose another form"
+        )
     if not np.isfinite(rows).all():
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
         raise InputError(f"{path}: joint{joint} has a number that is not finite; nothing is written")
@@ -379,9 +385,9 @@ def _distances(links: Array, after: Array, arms: Sequence[Arm]) -> Array:
 
     Links are (..., joint, 4, 4), and `after` (4, 4) follows the last joint before the flange of the first arm.
     """
-    own = _points(links, after @ arms[0].T_joint_flange, arms[0].sliding)
-    apart = (own - _nominal_points(arm) for arm in arms)
-    return np.stack([np.sqrt(np.sum(each**2, (-3, -2, -1)) / (3 * own.shape[-3])) for each in apart], -1)
+    flange_points = _points(links, after @ arms[0].T_joint_flange, arms[0].sliding)
+    apart = (flange_points - _nominal_points(arm) for arm in arms)
+    return np.stack([np.sqrt(np.sum(offset**2, (-3, -2, -1)) / (3 * flange_points.shape[-3])) for offset in apart], -1)
 
 
 def _points(links: Array, T_joint_flange: Array, sliding: tuple[int, ...]) -> Array:
@@ -405,11 +411,11 @@ def _half_turn(
     for count in (1, 2):
         turns = list(product(combinations(range(len(links)), count), product("xyz", repeat=count)))
         turned = np.tile(links, (len(turns), 1, 1, 1))
-        for each, (joints, axes) in zip(turned, turns, strict=True):
+        for chain, (joints, axes) in zip(turned, turns, strict=True):
             for joint, axis in zip(joints, axes, strict=True):
-                each[joint] = each[joint] @ _HALF_TURNS[axis]
+                chain[joint] = chain[joint] @ _HALF_TURNS[axis]
         distances = _distances(turned, after, candidates)
-        best, model = divmod(int(np.argmin(np.round(distances, 9))), len(candidates))  # of equals the first
-        if distances[best, model] <= RECOGNISED_WITHIN:
-            return *turns[best], model, float(distances[best, model])
+        nearest_turn, model = divmod(int(np.argmin(np.round(distances, 9))), len(candidates))  # of equals the first
+        if distances[nearest_turn, model] <= RECOGNISED_WITHIN:
+            return *turns[nearest_turn], model, float(distances[nearest_turn, model])
     return None

@@ -113,10 +113,10 @@ def name_chain(name: str, base: str | None, tip: str | None) -> str:
     """
     if base is None and tip is None:
         return name
-    file, *named = base_and_tip(name)
+    file, *ends = base_and_tip(name)
     if Path(file).suffix.lower() not in suffixes.ARM_XML:
         raise InputError(f"{name}: --base and --tip choose a chain of a URDF or MJCF; leave them out")
-    if any(named):
+    if any(ends):
         raise InputError(f"{name}: names base or tip already; leave out --base and --tip, or what follows #")
     return f"{file}#{base}:{tip or ''}" if base else f"{file}#{tip}"
 
@@ -221,7 +221,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     phrases = []
     if form not in WHOLE_ARM and not calibrated:
         bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
-        drives = [what for field, what in JOINT_TERMS.items() if getattr(arm, field) is not None]
+        drives = [term for field, term in JOINT_TERMS.items() if getattr(arm, field) is not None]
         phrases += [f"joint limits{bodies}", *drives]
     if form in ("vendor", "ur") and arm.sliding:
         phrases.append("which joints are prismatic (name the arm where the file is read)")
@@ -271,8 +271,7 @@ def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Ar
     return arm, nominal or replace(arm, T_joint_flange=np.eye(4))
 
 
-def flange_distance(one: Arm, other: Arm) -> float:
-    """m, the largest distance between the flanges of two arms at random joint positions."""
-    q = sample_joints(one.dof)
-    flanges = [frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange for arm in (one, other)]
+def flange_distance(first: Arm, second: Arm) -> float:
+    q = sample_joints(first.dof)
+    flanges = [frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange for arm in (first, second)]
     return float(np.linalg.norm(flanges[0][:, :3, 3] - flanges[1][:, :3, 3], axis=1).max())

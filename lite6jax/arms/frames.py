@@ -105,10 +105,12 @@ def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()
     `sliding`, counted from 0, which move along their z. The axes of many chains come before those of the positions.
     """
     position = np.asarray(joint_position, float)
-    each = position.reshape(-1, position.shape[-1])
-    T = np.empty((*links.shape[:-3], len(each), 4, 4))
-    for first in range(0, len(each), BLOCK):
-        *_, T[..., first : first + BLOCK, :, :] = walk(np.moveaxis(links, -3, 0), each[first : first + BLOCK], sliding)
+    flat_positions = position.reshape(-1, position.shape[-1])
+    T = np.empty((*links.shape[:-3], len(flat_positions), 4, 4))
+    for first in range(0, len(flat_positions), BLOCK):
+        *_, T[..., first : first + BLOCK, :, :] = walk(
+            np.moveaxis(links, -3, 0), flat_positions[first : first + BLOCK], sliding
+        )
     return T.reshape(*links.shape[:-3], *position.shape[:-1], 4, 4)
 
 
@@ -180,7 +182,8 @@ def align_frames(links: Array, nominal: Array | None = None) -> Array:
         T = T @ link
         if nominal is not None:
             N = N @ nominal[i]
-            near, turn = N[:3, 3], T[:3, :3].T @ N[:3, :3]
+            near = N[:3, 3]
+            turn = T[:3, :3].T @ N[:3, :3]
             shift = transform_from_row([0, 0, 0, 0, 0, np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])])
         shift[2, 3] = T[:3, 2] @ (near - T[:3, 3])
         shift = shift if i < len(links) - 1 else np.eye(4)

@@ -74,13 +74,14 @@ def read_chain(
     joints: list[Joint] = []
     numbers: dict[str, int] = {}  # in MuJoCo's model, of the joint that moves a link
     for b, body in enumerate(bodies[1:], 1):
-        parent, T = bodies[model.body_parentid[b]], _pose(model.body_pos[b], model.body_quat[b])
+        parent = bodies[model.body_parentid[b]]
+        T = _pose(model.body_pos[b], model.body_quat[b])
         first, count = model.body_jntadr[b], model.body_jntnum[b]
         for j in range(first, first + count):
             # the link that a joint moves has its frame at the joint's anchor; the body's own frame is fixed to it
             anchor = frames.transform_from_row([*model.jnt_pos[j], 0, 0, 0])
-            own = j == first + count - 1 and not model.jnt_pos[j].any()
-            link = body if own else f"{body} at {model.joint(j).name}"
+            is_body_frame = j == first + count - 1 and not model.jnt_pos[j].any()
+            link = body if is_body_frame else f"{body} at {model.joint(j).name}"
             joints.append(_joint(model, j, parent, link, T @ anchor))
             numbers[link], parent, T = j, link, np.linalg.inv(anchor)
         if parent != body:
@@ -117,10 +118,13 @@ def _body(model: Any, b: int) -> frames.Body | None:
 def _joint(model: Any, j: int, parent: str, child: str, T: Array) -> Joint:
     """A joint at its reference, in a frame at T (4, 4) in that of its parent."""
     kind = _KINDS.get(int(model.jnt_type[j]), "")
-    R, zero, widest = axis_frame(model.jnt_axis[j]), -model.qpos0[model.jnt_qposadr[j]], 2 * np.pi
+    R = axis_frame(model.jnt_axis[j])
+    zero = -model.qpos0[model.jnt_qposadr[j]]
+    widest = 2 * np.pi
     reference = [0, 0, 0, 0, 0, zero]
     if kind == "prismatic":
-        reference, widest = [0, 0, zero, 0, 0, 0], 1.0
+        reference = [0, 0, zero, 0, 0, 0]
+        widest = 1.0
     row = frames.row_from_transform(T @ R @ frames.transform_from_row(reference) @ R.T)
     lower, upper = model.jnt_range[j] if model.jnt_limited[j] else (-widest, widest)
     refused = "" if kind else "is neither hinge nor slide, which an arm here is made of;"
@@ -135,13 +139,13 @@ def _fixed(parent: str, child: str, T: Array) -> Joint:
 def _warn_of_forces(path: str | Path, model: Any, joints: NDArray[np.integer], bodies: list[int]) -> None:
     sprung = [model.joint(joint).name for joint in joints if np.any(np.ravel(model.jnt_stiffness[joint])[1:])]
     floating = [model.body(body).name for body in bodies if model.body_gravcomp[body]]
-    for what, names in (
+    for forces, names in (
         ("what is not linear of the springs of joints", sprung),
         ("the compensated gravity of bodies", floating),
     ):
         if names:
             warnings.warn(
-                f"{path}: {what} {', '.join(names)} are left out, an arm has no place for them",
+                f"{path}: {forces} {', '.join(names)} are left out, an arm has no place for them",
                 InputWarning,
                 stacklevel=4,
             )
@@ -242,13 +246,13 @@ def mjcf_tree(arm: Arm, path: str | Path) -> ET.Element:
         link = {"mass": format_numbers(arm.mass[i : i + 1]), "pos": format_numbers(arm.center_of_mass[i])}
         ET.SubElement(parent, "inertial", link, fullinertia=format_numbers(frames.six_entries(arm.inertia[i])))
         drive = {key: values for field, key in _DRIVES.items() if (values := getattr(arm, field)) is not None}
-        given = {key: format_numbers(values[i : i + 1]) for key, values in drive.items()}
+        drive_attributes = {key: format_numbers(values[i : i + 1]) for key, values in drive.items()}
         joint = {
             "type": "slide" if arm.slides[i] else "hinge",
             "axis": "0 0 1",
             "range": format_numbers(arm.joint_limits[i]),
         }
-        ET.SubElement(parent, "joint", joint | given, name=f"joint{i + 1}")
+        ET.SubElement(parent, "joint", joint | drive_attributes, name=f"joint{i + 1}")
     _add_body(parent, "flange", frames.row_from_transform(arm.T_joint_flange))
     return root
 

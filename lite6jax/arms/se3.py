@@ -57,7 +57,8 @@ def rotation_log_components(R) -> tuple[Array, Array, Array]:
     w, x, y, z = quaternion_components(R)
     inverse = 1 / (1 + w)
     x, y, z = x * inverse, y * inverse, z * inverse
-    t2, factor = x * x + y * y + z * z, 4.0
+    t2 = x * x + y * y + z * z
+    factor = 4.0
     for _ in range(2):  # arctan t = 2 arctan(t / h), h = 1 + √(1 + t²)
         h = 1 / (1 + jnp.sqrt(1 + t2))
         t2, factor = t2 * h * h, 2 * factor * h

@@ -84,8 +84,8 @@ class Tree(NamedTuple):
 
         Joints beside the chain, as those of a gripper's fingers, stand at zero.
         """
-        own = {each.child for each in self.moving}
-        return _links_below(joint.child, [each for each in self.joints if each.child not in own])
+        chain_children = {moved.child for moved in self.moving}
+        return _links_below(joint.child, [branch for branch in self.joints if branch.child not in chain_children])
 
 
 def find_chain(
@@ -94,13 +94,13 @@ def find_chain(
     links: Mapping[str, Any],
     base: str | None,
     tip: str | None,
-    what: tuple[str, str] = ("link", "links"),
+    nouns: tuple[str, str] = ("link", "links"),
     beside: tuple[str, ...] = (),
 ) -> Tree:
     """The chain from `base` to `tip` of a tree; None for the only root or the only end.
 
-    Each of the joints has another child. `what` is one link in the words of the file, and several; `beside` are further
-    names that a tip may have.
+    Each of the joints has another child. `nouns` is one link in the words of the file, and several; `beside` are
+    further names that a tip may have.
 
     Raises:
         InputError: no such link, no joint that moves, several roots or ends.
@@ -108,12 +108,12 @@ def find_chain(
     above = {joint.child: joint for joint in joints}
     for name in (base, tip):
         if name is not None and name not in links:
-            raise InputError(f"{path}: has no {what[0]} {name!r}; the {what[1]} are {', '.join(links)}")
+            raise InputError(f"{path}: has no {nouns[0]} {name!r}; the {nouns[1]} are {', '.join(links)}")
     if base is None:
         roots = [link for link in links if link not in above]
         if len(roots) != 1:
-            found = ", ".join(roots) or "none: the joints form a loop"
-            raise InputError(f"{path}: has not one root {what[0]} ({found}); name one, {Path(path).name}#NAME:")
+            root_list = ", ".join(roots) or "none: the joints form a loop"
+            raise InputError(f"{path}: has not one root {nouns[0]} ({root_list}); name one, {Path(path).name}#NAME:")
         base = roots[0]
     end = _only_end(path, base, links, above, beside) if tip is None else tip
     chain = _path(base, end, above)
@@ -124,13 +124,13 @@ def find_chain(
 
 def _path(base: str, tip: str, above: Mapping[str, Joint]) -> list[Joint] | None:
     """The joints from base to tip; None where the tip is not below the base."""
-    found: list[Joint] = []
+    joints: list[Joint] = []
     while tip != base:
-        if tip not in above or len(found) > len(above):
+        if tip not in above or len(joints) > len(above):
             return None
-        found.append(above[tip])
+        joints.append(above[tip])
         tip = above[tip].parent
-    return found[::-1]
+    return joints[::-1]
 
 
 def _movable(chain: list[Joint]) -> list[Joint]:
@@ -167,24 +167,29 @@ def _ends(file: str, chains: Mapping[str, list[Joint]], beside: tuple[str, ...])
     Of each link that could be the end `chains` has the joints that move.
     """
     names = {leaf: [joint.name for joint in joints] for leaf, joints in chains.items()}
-    best = last = max(names, key=lambda leaf: len(names[leaf]))
-    own, count = names[last], len(names[last])
-    pairs = (enumerate(zip_longest(own, each)) for each in names.values() if each != own)
-    common = (next(number for number, (mine, other) in pair if mine != other) for pair in pairs)
+    likeliest = last = max(names, key=lambda leaf: len(names[leaf]))
+    longest = names[last]
+    count = len(names[last])
+    pairs = (enumerate(zip_longest(longest, joint_names)) for joint_names in names.values() if joint_names != longest)
+    common = (next(number for number, (mine, theirs) in pair if mine != theirs) for pair in pairs)
     shared = min((number for number in common if number >= count - _LONGEST_FINGER), default=0)
     if count - shared <= min(_LONGEST_FINGER, shared - 1):  # fingers of one hand
-        best, count = chains[last][shared].parent, shared
-    order = {best: count} | {leaf: len(joints) for leaf, joints in names.items()}
+        likeliest = chains[last][shared].parent
+        count = shared
+    order = {likeliest: count} | {leaf: len(joints) for leaf, joints in names.items()}
     listed = [f"{end} ({number} joint{'s' * (number != 1)})" for end, number in list(order.items())[:_SHOWN]]
     text = (
-        f"the chain could end at {', '.join([*listed, *beside])}; say which as {file}#{best}, or in convert with "
-        f"--tip {best}"
+        f"the chain could end at {', '.join([*listed, *beside])}; say which as {file}#{likeliest}, or in convert with "
+        f"--tip {likeliest}"
     )
-    starts = [i for i in range(1, count) if any(n[:i] == own[:i] and n[i] != own[i] for n in names.values() if n[i:])]
+    starts = [
+        i for i in range(1, count) if any(n[:i] == longest[:i] and n[i] != longest[i] for n in names.values() if n[i:])
+    ]
     if not starts:
         return text
-    without, start = ", ".join(own[: starts[-1]]), chains[last][starts[-1]].parent
-    return f"{text}; without {without}: {file}#{start}:{best}, or --base {start} --tip {best}"
+    without = ", ".join(longest[: starts[-1]])
+    start = chains[last][starts[-1]].parent
+    return f"{text}; without {without}: {file}#{start}:{likeliest}, or --base {start} --tip {likeliest}"
 
 
 def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
@@ -196,15 +201,16 @@ def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
     arm = list(moving)
     while arm and (arm[-1].refused or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
         arm.pop()
-    named = len(arm) < len(moving)
-    arm = arm if named else arm[:-1]
+    jaw_recognised = len(arm) < len(moving)
+    arm = arm if jaw_recognised else arm[:-1]
     if not arm:
         return "", ""
     first = moving[len(arm)]
     beside = [name for name, _ in rigid_links(first.parent, tree.joints) if name != first.parent and _TOOL.search(name)]
-    if not beside and not named:
+    if not beside and not jaw_recognised:
         return "", ""
-    likely, file = (beside or [first.parent])[0], Path(path).name
+    likely = (beside or [first.parent])[0]
+    file = Path(path).name
     return likely, (
         f"{path}: the chain ends in {tree.tip} after {len(moving)} joints, and joint {first.name!r} seems to move a"
         f" jaw: the tip of the arm is likely {likely}, after {len(arm)} joints; name {file}#{likely} for it, or"
@@ -222,12 +228,12 @@ def _links_below(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
     below: dict[str, list[Joint]] = {}
     for joint in joints:
         below.setdefault(joint.parent, []).append(joint)
-    found, waiting = [], [(link, IDENTITY)]
+    poses, waiting = [], [(link, IDENTITY)]
     while waiting:
         name, T = waiting.pop()
         waiting += [(j.child, T @ frames.transform_from_row(j.row)) for j in below.get(name, [])]
-        found.append((name, T))
-    return found
+        poses.append((name, T))
+    return poses
 
 
 def axis_frame(axis: Array) -> Array:
@@ -270,7 +276,9 @@ def arm_of_chain(
     """
     if not tree.tip_named and (remark := jaw(path, tree)[1]):
         warnings.warn(remark, InputWarning, stacklevel=4)
-    rows, moving, before = [], tree.moving, IDENTITY
+    rows = []
+    moving = tree.moving
+    before = IDENTITY
     for place, joint in enumerate(tree.chain):
         T = frames.transform_from_row(joint.row)
         if joint.kind == "fixed":
@@ -306,11 +314,13 @@ def arm_of_chain(
 
 def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     """What to write for the longer chain beside the joint at a place of this one."""
-    joint, before, after = tree.chain[place], _movable(tree.chain[:place]), _movable(tree.chain[place + 1 :])
+    joint = tree.chain[place]
+    before = _movable(tree.chain[:place])
+    after = _movable(tree.chain[place + 1 :])
     option, chain = f"--tip {joint.parent}", joint.parent
     if len(after) > len(before) or not before:
         option, chain = f"--base {joint.child}", f"{joint.child}:{tree.tip}"
-    elif tree.base in {each.child for each in tree.joints}:
+    elif tree.base in {tree_joint.child for tree_joint in tree.joints}:
         chain = f"{tree.base}:{joint.parent}"
     return f"name a chain without it with {option}, or as {Path(path).name}#{chain} where a file is named"
 
@@ -327,10 +337,11 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], frames.Body
     ]
     if not any(carried):
         return {}
-    links, known = [frames.lump(bodies) for bodies in carried], True
+    links = [frames.lump(bodies) for bodies in carried]
+    inertia_valid = True
     for joint, bodies, link in zip(tree.moving, carried, links, strict=True):
         if wrong := next(filter(None, (frames.defect(body.inertia) for body in (*bodies, link))), ""):
-            known = False
+            inertia_valid = False
             warnings.warn(
                 f"{path}: link {joint.child!r}: its inertia {wrong}; the inertia of this file is left out, correct it"
                 " to diagnose torques",
@@ -339,7 +350,7 @@ def _inertial(path: str | Path, tree: Tree, body_of: Callable[[str], frames.Body
             )
     mass, center, tensors = (np.array(column, float) for column in zip(*links, strict=True))
     fields = {"mass": mass, "center_of_mass": center}
-    return fields | ({"inertia": tensors} if known and tensors.any() else {})
+    return fields | ({"inertia": tensors} if inertia_valid and tensors.any() else {})
 
 
 def link_body(arm: Arm, i: int) -> frames.Body | None:

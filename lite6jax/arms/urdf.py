@@ -136,7 +136,8 @@ def _name(element: ET.Element, path: str | Path) -> str:
 
 
 def _joint(element: ET.Element, path: str | Path) -> Joint:
-    name, kind = _name(element, path), element.get("type", "")
+    name = _name(element, path)
+    kind = element.get("type", "")
     where, refused = f"{path}: joint {name!r}", f"is {kind};"
     parent, child = (_attribute(element, tag, "link", where) for tag in ("parent", "child"))
     axis = np.array([1.0, 0.0, 0.0])  # URDF's default
@@ -147,8 +148,8 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
         raise InputError(f"{where}: its axis has no direction; write a unit vector")
     limits = (-2 * math.pi, 2 * math.pi)
     if kind in ("revolute", "prismatic"):
-        given = {key: _attribute(element, "limit", key, where) for key in ("lower", "upper")}
-        limits = (scalar(given["lower"], f"{where}: lower"), scalar(given["upper"], f"{where}: upper"))
+        bounds = {key: _attribute(element, "limit", key, where) for key in ("lower", "upper")}
+        limits = (scalar(bounds["lower"], f"{where}: lower"), scalar(bounds["upper"], f"{where}: upper"))
     if (entry := element.find("mimic")) is not None:
         multiplier = scalar(entry.get("multiplier", "1"), f"{where}: mimic: multiplier")
         shift = scalar(entry.get("offset", "0"), f"{where}: mimic: offset")
@@ -163,18 +164,21 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
 
 def _drives(path: str | Path, robot: ET.Element, moving: list[Joint]) -> dict[str, Array]:
     """The fields of `Arm` that the joints' dynamics elements and springs give; a joint without one has none."""
-    said, elements = [], _joint_elements(robot)
+    dynamics = []
+    elements = _joint_elements(robot)
     for joint in moving:
         entry = elements[joint.child].find("dynamics")
-        given = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
+        attributes = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
         for extension in _extensions(robot, elements[joint.child]):
-            given |= {field: e.text for field, tag in _SPRINGS.items() for e in extension.findall(tag)}
-        said.append(given)
+            attributes |= {field: e.text for field, tag in _SPRINGS.items() for e in extension.findall(tag)}
+        dynamics.append(attributes)
     fields: dict[str, Array] = {}
     for field, key in (_DYNAMICS | _SPRINGS).items():
-        if any(given.get(field) is not None for given in said):
+        if any(attributes.get(field) is not None for attributes in dynamics):
             where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in moving]
-            fields[field] = np.array([scalar(each.get(field) or "0", at) for each, at in zip(said, where, strict=True)])
+            fields[field] = np.array(
+                [scalar(attributes.get(field) or "0", at) for attributes, at in zip(dynamics, where, strict=True)]
+            )
     if "spring_stiffness" in fields:
         fields.setdefault("spring_rest", np.zeros(len(moving)))
     else:
@@ -308,8 +312,10 @@ def write_into_urdf(
                 f"{robot}: the frame of joint {i} stands {1e3 * moved:.3g} mm and {turned:.2g} rad from that of "
                 f"{arm.name}, which is no deviation of one arm; give the URDF of the description that was diagnosed"
             )
-    elements, left_out = _joint_elements(root), []
-    before, i = IDENTITY, 0
+    elements = _joint_elements(root)
+    left_out = []
+    before = IDENTITY
+    i = 0
     for joint in tree.chain:
         if joint.kind == "fixed":
             before = before @ frames.transform_from_row(joint.row)
@@ -319,7 +325,8 @@ def write_into_urdf(
             _set_origin(elements[joint.child], np.linalg.inv(before) @ arm.links[i] @ R.T)
         _set_drive(root, elements[joint.child], arm, i)
         _set_limits(elements[joint.child], limits, i)
-        before, i = R.T, i + 1
+        before = R.T
+        i = i + 1
     last = tree.chain[-1]
     if with_flange and np.abs(arm.T_joint_flange - old.T_joint_flange).max() > _SAME:
         if last.kind == "fixed":
@@ -328,8 +335,10 @@ def write_into_urdf(
         else:
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
     bodies = [(getattr(arm, field), getattr(old, field)) for field in ("mass", "center_of_mass", "inertia")]
-    known = all(own is not None for own, _ in bodies)
-    if known and not all(was is not None and np.allclose(own, was, rtol=1e-12, atol=1e-15) for own, was in bodies):
+    has_bodies = all(values is not None for values, _ in bodies)
+    if has_bodies and not all(
+        was is not None and np.allclose(values, was, rtol=1e-12, atol=1e-15) for values, was in bodies
+    ):
         for i, joint in enumerate(tree.moving):
             fixed = {name for name, _ in rigid_links(joint.child, tree.joints)}
             beside = [
@@ -341,9 +350,9 @@ def write_into_urdf(
                 for entry in tree.links[name].findall("inertial"):
                     tree.links[name].remove(entry)
             if (body := link_body(arm, i)) is not None:
-                whole = frames.transform_body(body, axis_frame(joint.axis))
-                rest = frames.lump([whole, *(frames.Body(-b.mass, b.center, -b.inertia) for b in beside)])
-                _set_body(tree.links[joint.child], rest)
+                carried_body = frames.transform_body(body, axis_frame(joint.axis))
+                reduced = frames.lump([carried_body, *(frames.Body(-b.mass, b.center, -b.inertia) for b in beside)])
+                _set_body(tree.links[joint.child], reduced)
     left_out += ["rotor inertia"] if arm.rotor_inertia is not None else []
     left_out += [SPRINGS_LEFT_OUT] if arm.spring_stiffness is not None else []
     _write(root, path, overwrite)
@@ -392,7 +401,8 @@ def _set_limits(joint: ET.Element, limits: Mapping[LimitKey, Array] | None, i: i
 
 def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
     """Writes friction and spring of an arm's joint `i`, from 0; what the arm does not know stays."""
-    entry, own = joint.find("dynamics"), _extensions(robot, joint)
+    entry = joint.find("dynamics")
+    extensions = _extensions(robot, joint)
     for field, key in (_DYNAMICS | _SPRINGS).items():
         if (values := getattr(arm, field)) is None:
             continue
@@ -401,8 +411,8 @@ def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
             entry = ET.SubElement(joint, "dynamics") if entry is None else entry
             entry.set(key, value)
             continue
-        spring = next((found for e in own if (found := e.find(key)) is not None), None)
+        spring = next((spring_entry for e in extensions if (spring_entry := e.find(key)) is not None), None)
         if spring is None:
-            own = own or [ET.SubElement(robot, "gazebo", reference=joint.get("name", ""))]
-            spring = ET.SubElement(own[-1], key)
+            extensions = extensions or [ET.SubElement(robot, "gazebo", reference=joint.get("name", ""))]
+            spring = ET.SubElement(extensions[-1], key)
         spring.text = value

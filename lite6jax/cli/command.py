@@ -175,7 +175,7 @@ def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
 
     None where the sidecar is not beside the diagnosis or here, names a bundled arm, or the file is not as it was.
     """
-    sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] == "arm"}
+    sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] in ("arm", "simulator")}
     recording = find_recording(document, diagnosis)
     declared = None if recording is None else sidecar_settings.sidecar_path(recording)
     if declared is None or not sums or not exists(declared):

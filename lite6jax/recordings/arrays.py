@@ -48,9 +48,9 @@ def tabulate_arrays(arrays: Mapping[str, Array], source: str, notes: list[str]) 
     numbers = {name: array for name, array in arrays.items() if array.dtype.kind == "f"}
     lined_up = {name: _samples_first(array, samples) for name, array in numbers.items()}
     left_out = [name for name, array in lined_up.items() if array is None or array[0].size > WIDEST]
-    kept = {name: array for name, array in lined_up.items() if array is not None and name not in left_out}
+    sampled_arrays = {name: array for name, array in lined_up.items() if array is not None and name not in left_out}
     columns: dict[str, Array] = {}
-    for name, array in pair_poses(kept, notes).items():
+    for name, array in pair_poses(sampled_arrays, notes).items():
         columns |= dict(_columns(name, array, _element_names(labels, name, array)))
     columns |= {name: array.astype(object) for name, array in labels.items() if array.shape == (samples,)}
     if left_out:
@@ -68,9 +68,9 @@ def _plain(array: Array) -> Array:
         return array.astype(np.float64)
     if array.dtype.kind in "US":
         return array.astype(str)
-    if array.dtype.kind == "O" and array.size and all(isinstance(each, str | bytes) for each in array.ravel()):
+    if array.dtype.kind == "O" and array.size and all(isinstance(word, str | bytes) for word in array.ravel()):
         return np.array(
-            [each.decode("utf-8", "replace") if isinstance(each, bytes) else each for each in array.ravel()]
+            [word.decode("utf-8", "replace") if isinstance(word, bytes) else word for word in array.ravel()]
         )
     return np.zeros(0)
 
@@ -117,9 +117,9 @@ def _element_names(labels: Mapping[str, Array], name: str, array: Array) -> Sequ
         return ()
     return next(
         (
-            each.tolist()
-            for key, each in labels.items()
-            if "name" in key.rpartition(".")[2] and key.rpartition(".")[0] == beside and each.shape == array.shape[1:]
+            names.tolist()
+            for key, names in labels.items()
+            if "name" in key.rpartition(".")[2] and key.rpartition(".")[0] == beside and names.shape == array.shape[1:]
         ),
         (),
     )
@@ -177,11 +177,11 @@ def pair_poses(arrays: Mapping[str, Array], notes: list[str]) -> dict[str, Array
     `base2gripper`, is turned back.
     """
     parts = {name: part for name in arrays if (part := _part_of(name)) is not None}
-    found = {side: _pose(arrays, {n: p for n, p in parts.items() if p.side == side}) for side in _SIDES}
-    if any(pose is None for pose in found.values()):
+    poses = {side: _pose(arrays, {n: p for n, p in parts.items() if p.side == side}) for side in _SIDES}
+    if any(pose is None for pose in poses.values()):
         return dict(arrays)
     columns = {name: array for name, array in arrays.items() if name not in parts}
-    for side, T in found.items():
+    for side, T in poses.items():
         assert T is not None
         columns |= {f"{side}_{axis}": T[:, k, 3] for k, axis in enumerate("xyz")}
         quaternion = scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_quat(
@@ -200,9 +200,9 @@ def _part_of(name: str) -> _Part | None:
     part = next((part for part, pattern in _PARTS.items() if pattern.search(name)), "whole")
     for side, (moved, fixed) in _SIDES.items():
         for inverted, (first, second) in ((False, (moved, fixed)), (True, (fixed, moved))):
-            said = rf"(?:^|[._])(?:{first})(?:{_IN})(?:{second})(?:$|[._])"
+            of_phrase = rf"(?:^|[._])(?:{first})(?:{_IN})(?:{second})(?:$|[._])"
             of_matrix = rf"(?:^|[._])(?:t_(?:{second})_(?:{first})|(?:{second})_t_(?:{first}))(?:$|[._])"
-            if re.search(said, text):
+            if re.search(of_phrase, text):
                 return _Part(side, inverted, part)
             if re.search(of_matrix, text):
                 return _Part(side, inverted, "whole")
@@ -222,10 +222,10 @@ def _pose(arrays: Mapping[str, Array], parts: Mapping[str, _Part]) -> Array | No
     if of_part["whole"]:
         if len(of_part["whole"]) > 1:
             return None
-        (whole,) = of_part["whole"].values()
-        if whole[0].size != 16:
+        (matrices,) = of_part["whole"].values()
+        if matrices[0].size != 16:
             return None
-        T = whole.reshape(-1, 4, 4)
+        T = matrices.reshape(-1, 4, 4)
         T = np.swapaxes(T, 1, 2) if np.allclose(T[:, :3, 3], 0) and not np.allclose(T[:, 3, :3], 0) else T
     else:
         turn, shift = _rotations(of_part["turn"]), _joined(of_part["shift"], "xyz")

@@ -108,7 +108,7 @@ def list_images(sources: Sequence[str | Path]) -> list[Path]:
     Raises:
         InputError: no such file or folder, or a folder without images.
     """
-    found: list[Path] = []
+    images: list[Path] = []
     for source in map(Path, sources):
         inside = [source] if source.is_file() else []
         if source.is_dir():
@@ -117,8 +117,8 @@ def list_images(sources: Sequence[str | Path]) -> list[Path]:
         if not inside:
             holds = f"holds no images ({', '.join(_IMAGES)})" if source.is_dir() else "no such file or folder"
             raise InputError(f"{source}: {holds}; name images or their folder")
-        found += inside
-    return found
+        images += inside
+    return images
 
 
 def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
@@ -146,10 +146,12 @@ def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
     for number, name in enumerate(values.to_pylist(), 1):
         if rows.setdefault(str(name), number) != number:
             raise InputError(f"{table}: rows {rows[str(name)]} and {number} are both of image {name}; name each once")
-    found = [rows.get(file.name, rows.get(file.stem, 0)) for file in images]
-    if 0 in found:
-        raise InputError(f"{table}: no row is of image {images[found.index(0)].name}; name each in its column image")
-    return np.array(found)
+    row_numbers = [rows.get(file.name, rows.get(file.stem, 0)) for file in images]
+    if 0 in row_numbers:
+        raise InputError(
+            f"{table}: no row is of image {images[row_numbers.index(0)].name}; name each in its column image"
+        )
+    return np.array(row_numbers)
 
 
 def detect_corners(images: Sequence[Path], board: Board) -> Corners:
@@ -214,7 +216,8 @@ def _detector(cv2: ModuleType, board: Board, legacy: bool) -> Any:
     if number is None:
         listed = sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.endswith("_50"))
         raise InputError(f"--board: OpenCV has no dictionary {board.dictionary}; take one such as {', '.join(listed)}")
-    shape, markers = (board.columns, board.rows), cv2.aruco.getPredefinedDictionary(number)
+    shape = (board.columns, board.rows)
+    markers = cv2.aruco.getPredefinedDictionary(number)
     if board.columns * board.rows // 2 > len(markers.bytesList):
         raise InputError(
             f"--board: {board.columns} x {board.rows} squares hold more markers than {board.dictionary} has; take a "
@@ -232,8 +235,8 @@ def _find_checkerboard(cv2: ModuleType, picture: NDArray[np.uint8], board: Board
     tells half a turn.
     """
     shape = board.columns - 1, board.rows - 1
-    found, corners = cv2.findChessboardCornersSB(picture, shape, flags=cv2.CALIB_CB_ACCURACY)
-    if not found:
+    detected, corners = cv2.findChessboardCornersSB(picture, shape, flags=cv2.CALIB_CB_ACCURACY)
+    if not detected:
         return None
     grid = np.reshape(corners, (shape[1], shape[0], 2)).astype(float)
     along = (grid[0, -1] - grid[0, 0]).tolist()
@@ -273,15 +276,19 @@ def calibrate_lens(corners: Corners, board: Board, mounted: str) -> tuple[Camera
     """
     cv2 = _opencv()
     points = np.array(board.settings.points, np.float32)
-    there = [np.isfinite(image[:, 0]) for image in corners.pixels[corners.shown]]
-    if len(there) < 3:
+    visible = [np.isfinite(image[:, 0]) for image in corners.pixels[corners.shown]]
+    if len(visible) < 3:
         raise InputError(
-            f"{len(there)} images show the board, too few to calibrate the camera; give it, "
+            f"{len(visible)} images show the board, too few to calibrate the camera; give it, "
             "--set 'camera={mounted: fixed, fx: ..., fy: ..., cx: ..., cy: ...}'"
         )
-    seen = [image[own].astype(np.float32) for image, own in zip(corners.pixels[corners.shown], there, strict=True)]
+    image_points = [
+        image[mask].astype(np.float32) for image, mask in zip(corners.pixels[corners.shown], visible, strict=True)
+    ]
     try:
-        error, K, distortion, *_ = cv2.calibrateCamera([points[own] for own in there], seen, corners.size, None, None)
+        error, K, distortion, *_ = cv2.calibrateCamera(
+            [points[mask] for mask in visible], image_points, corners.size, None, None
+        )
     except cv2.error as failed:
         raise InputError("images: show no lens; take some of the board turned by 30° and more") from failed
     lens = tuple(map(float, np.ravel(distortion)[:5]))

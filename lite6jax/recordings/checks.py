@@ -53,19 +53,20 @@ def check_torque_scale(recording: Recording, arm: Arm) -> None:
         return
     weight = 9.81 * (float(np.sum(arm.mass)) + float(recording.payload.max()))
     # of light links, and of a motor alone, friction is more than the weight
-    most = np.maximum(weight * np.where(arm.slides, 1.0, arm.reach), _FRICTION)
-    joint = int(np.argmax(torque / most))
-    if torque[joint] > HEAVIEST * most[joint]:
-        slides, computed = bool(arm.slides[joint]), recording.joint_torque is None
+    weight_torque = np.maximum(weight * np.where(arm.slides, 1.0, arm.reach), _FRICTION)
+    joint = int(np.argmax(torque / weight_torque))
+    if torque[joint] > HEAVIEST * weight_torque[joint]:
+        slides = bool(arm.slides[joint])
+        computed = recording.joint_torque is None
         column = f"current{joint + 1}_A" if computed else joint_unit(f"tau{joint + 1}_Nm", slides)
-        what, unit = ("force", "N") if slides else ("torque", "N m")
+        quantity, unit = ("force", "N") if slides else ("torque", "N m")
         remedy = "check the unit" if slides else "are these mN m? name the columns tau1_mNm ..."
         remedy = (
             "are these mA? name the columns current1_mA ..., or check torque_constant_Nm_per_A" if computed else remedy
         )
         raise InputError(
-            f"{recording.source}: column {column}: the {what} of joint {joint + 1} is {torque[joint]:.4g} {unit} "
-            f"(median) while the weight of the arm exerts {most[joint]:.3g} {unit} at most; {remedy}"
+            f"{recording.source}: column {column}: the {quantity} of joint {joint + 1} is {torque[joint]:.4g} {unit} "
+            f"(median) while the weight of the arm exerts {weight_torque[joint]:.3g} {unit} at most; {remedy}"
         )
 
 
@@ -104,15 +105,15 @@ def require_samples(recording: Recording, unknowns: int) -> None:
                 f"{recording.source}: row {recording.row[row]} has {column[row]} in column {name}; give finite real "
                 "numbers, as Recording.from_arrays does, which leaves out rows without"
             )
-    each = recording.numbers_per_sample
-    if not each:
+    per_sample = recording.numbers_per_sample
+    if not per_sample:
         raise InputError(f"{recording.source}: has no measured positions; a fit needs the columns x_m y_m z_m")
-    given = each * recording.samples
-    if given < unknowns:
-        kind = "position and orientation" if each == 6 else "position without orientation"
+    available = per_sample * recording.samples
+    if available < unknowns:
+        kind = "position and orientation" if per_sample == 6 else "position without orientation"
         raise InputError(
-            f"{recording.source}: {recording.samples} samples of {each} numbers ({kind}) give {given} numbers, fewer "
-            f"than the {unknowns} to determine; record at least {-(-unknowns // each)} samples"
+            f"{recording.source}: {recording.samples} samples of {per_sample} numbers ({kind}) give {available} "
+            f"numbers, fewer than the {unknowns} to determine; record at least {-(-unknowns // per_sample)} samples"
         )
 
 
@@ -121,8 +122,8 @@ def time_disorder(recording: Recording) -> tuple[Int[np.ndarray, " found"], floa
     if recording.time is None:
         return np.empty(0, np.int64), 0.0
     runs = np.split(recording.time, np.flatnonzero(np.diff(recording.run)) + 1)
-    back = np.concatenate([np.maximum.accumulate(time) - time for time in runs])
-    return np.flatnonzero(back > 0), float(back.max())
+    step_back = np.concatenate([np.maximum.accumulate(time) - time for time in runs])
+    return np.flatnonzero(step_back > 0), float(step_back.max())
 
 
 def repeated_rows(recording: Recording) -> tuple[Int[np.ndarray, " found"], Int[np.ndarray, " found"]]:

@@ -106,9 +106,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     **dict.fromkeys(LABELS, Quantity(_NONE)),
 }
 OF_ARRAY: dict[str, tuple[str, ...]] = {
-    one.array: tuple(name for name, other in QUANTITIES.items() if other.array == one.array)
-    for one in QUANTITIES.values()
-    if one.array
+    definition.array: tuple(name for name, sibling in QUANTITIES.items() if sibling.array == definition.array)
+    for definition in QUANTITIES.values()
+    if definition.array
 }
 """The quantities of each array of a recording."""
 TEXTS = ("gap",)
@@ -127,8 +127,8 @@ def units_of(quantity: str, slides: bool = False, fine: bool = True) -> dict[str
         slides: whether it is that of a prismatic joint.
         fine: whether those of `FINE` are among them.
     """
-    one = QUANTITIES[quantity]
-    units = one.of_slide if slides and one.of_slide else one.units
+    definition = QUANTITIES[quantity]
+    units = definition.of_slide if slides and definition.of_slide else definition.units
     return units if fine else {unit: divisor for unit, divisor in units.items() if unit.partition("_")[0] not in FINE}
 
 
@@ -198,27 +198,28 @@ def _parse_name(name: str) -> Column | _Misspelling | None:
     quantity = match["quantity"].lower() if match else ""
     if match is None or quantity not in QUANTITIES or (match["joint"] and not is_per_joint(quantity)):
         return None
-    joint, one = int(match["joint"][:3] or 0), QUANTITIES[quantity]
-    for unit, divisor in (*one.units.items(), *one.of_slide.items()):
-        if name == spelled(quantity, joint, unit) and (joint or not one.per_joint):
+    joint = int(match["joint"][:3] or 0)
+    definition = QUANTITIES[quantity]
+    for unit, divisor in (*definition.units.items(), *definition.of_slide.items()):
+        if name == spelled(quantity, joint, unit) and (joint or not definition.per_joint):
             return Column(name, 0, quantity, joint, unit, divisor)
-    if not one.common:
+    if not definition.common:
         return None
-    if one.per_joint and not joint:
+    if definition.per_joint and not joint:
         problem = "joints are numbered from 1"
-    elif match["quantity"] != quantity or (match["unit"] or "") in one.units:
+    elif match["quantity"] != quantity or (match["unit"] or "") in definition.units:
         problem = "is not spelled as it must be"
     elif match["unit"]:
         problem = f"the unit {match['unit'][:40]!r} is unknown"
     else:
-        problem = "has no unit" if "" in one.units else "the unit is missing"
+        problem = "has no unit" if "" in definition.units else "the unit is missing"
     return _Misspelling(quantity, problem, _forms(quantity, joint or 1))
 
 
 def known_column(name: str) -> Column | None:
     """What a name of a recording's column says; None where it is none."""
-    found = _parse_name(name)
-    return found if isinstance(found, Column) else None
+    parsed = _parse_name(name)
+    return parsed if isinstance(parsed, Column) else None
 
 
 def is_standard(name: str) -> bool:
@@ -241,8 +242,8 @@ def nearest_known(name: str) -> str | None:
     """The column that an ignored one may have meant."""
     if name in {part for form in ANGLES for part in form}:
         return spelled(name)
-    known = [spelled(quantity, int(is_per_joint(quantity))) for quantity in QUANTITIES]
-    return next(iter(get_close_matches(name, known, n=1, cutoff=0.8)), None)
+    spellings = [spelled(quantity, int(is_per_joint(quantity))) for quantity in QUANTITIES]
+    return next(iter(get_close_matches(name, spellings, n=1, cutoff=0.8)), None)
 
 
 # ------------------------------------------------------------------ the columns of a table
@@ -269,56 +270,61 @@ def recognise(
         the columns by their SI name; how many joints; names that mean nothing here and are not to be ignored; and what
         makes the table unusable, each with its remedy.
     """
-    own, there = renamed or {}, {*names, *(name.strip() for name in names)}
-    found: dict[str, Column] = {}
+    declared = renamed or {}
+    present = {*names, *(name.strip() for name in names)}
+    recognised: dict[str, Column] = {}
     ignored: list[str] = []
     problems = [
         f"column {name[:60]!r} of the sidecar is not in the table; it has {list_names(names)}"
-        for name in own
-        if name.strip() not in there and name not in there
+        for name in declared
+        if name.strip() not in present and name not in present
     ]
-    alike: dict[tuple[str, str], tuple[int, list[str]]] = {}  # the place of a problem, and the next columns with it
+    by_problem: dict[
+        tuple[str, str], tuple[int, list[str]]
+    ] = {}  # the place of a problem, and the next columns with it
     unclear: set[str] = set()
     for place, raw in enumerate(names):
         stripped = raw.strip()
-        name = own.get(raw, own.get(stripped, stripped))
+        name = declared.get(raw, declared.get(stripped, stripped))
         if name == IGNORED or name in TEXTS or _STD.fullmatch(name):
             continue
         meant = _parse_name(name)
         if meant is None and name != stripped:
             problem = f"the sidecar names it {name[:40]!r}, which means nothing here"
             remedy = f"{nearest_known(name) or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
-            meant, name = _Misspelling(name, problem, remedy), stripped
+            meant = _Misspelling(name, problem, remedy)
+            name = stripped
         if meant is None:
             ignored.append(raw)
         elif isinstance(meant, _Misspelling):
             unclear.add(meant.quantity)
             group = next((parts[0] for parts in (PLACE, QUATERNION) if meant.quantity in parts), meant.quantity)
             shown = stripped if stripped == name else f"{stripped} ({name})"
-            if (key := (group, meant.problem)) in alike:
-                alike[key][1].append(shown)
+            if (key := (group, meant.problem)) in by_problem:
+                by_problem[key][1].append(shown)
                 continue
-            alike[key] = len(problems), []
+            by_problem[key] = len(problems), []
             problems.append(f"column {shown[:60]!r}: {meant.problem}; write {meant.remedy}")
-        elif (twin := found.get(meant.si_name)) is None:
-            found[meant.si_name] = meant._replace(name=stripped, place=place)
+        elif (twin := recognised.get(meant.si_name)) is None:
+            recognised[meant.si_name] = meant._replace(name=stripped, place=place)
         elif twin.name == stripped:
             problems.append(f"column {stripped} stands there twice; keep one")
         else:
             problems.append(f"columns {twin.name} and {stripped} give the same quantity; keep one")
-    for number, others in alike.values():
-        problems[number] += f" (and likewise {list_names(others)})" if others else ""
-    joints = max((column.joint for column in found.values() if column.quantity == "q"), default=0)
+    for number, further in by_problem.values():
+        problems[number] += f" (and likewise {list_names(further)})" if further else ""
+    joints = max((column.joint for column in recognised.values() if column.quantity == "q"), default=0)
     if not joints and not joints_optional and "q" not in unclear:
         problems.append(
             f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {list_names(names)}"
         )
-    given, joints = joints, joints or (dof or 0) * joints_optional
+    highest_joint = joints
+    joints = joints or (dof or 0) * joints_optional
     if "q" not in unclear:
-        problems += _check_joints(found, given, joints, unclear)
+        problems += _check_joints(recognised, highest_joint, joints, unclear)
     if joints and dof is not None and joints != dof:
         problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
-    return found, joints, ignored, problems + _check_groups(found, unclear)
+    return recognised, joints, ignored, problems + _check_groups(recognised, unclear)
 
 
 def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
@@ -326,48 +332,52 @@ def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
     return tuple(sorted(column.joint - 1 for column in columns.values() if column.quantity == "q" and column.slides))
 
 
-def _check_joints(found: Mapping[str, Column], given: int, joints: int, unclear: set[str]) -> list[str]:
+def _check_joints(recognised: Mapping[str, Column], highest_joint: int, joints: int, unclear: set[str]) -> list[str]:
     """What is wrong with columns of some joints, or of another kind of joint than its position is."""
     problems = []
-    every, positions = set(range(1, joints + 1)), {c.joint: c for c in found.values() if c.quantity == "q"}
+    expected = set(range(1, joints + 1))
+    positions = {c.joint: c for c in recognised.values() if c.quantity == "q"}
     problems += [
-        f"{_forms('q', joint)} is missing while q{given} is there; give every joint"
-        for joint in sorted(set(range(1, given)) - positions.keys())
+        f"{_forms('q', joint)} is missing while q{highest_joint} is there; give every joint"
+        for joint in sorted(set(range(1, highest_joint)) - positions.keys())
     ]
-    for quantity in (name for name, one in QUANTITIES.items() if one.per_joint and name != "q"):
-        present = {column.joint for column in found.values() if column.quantity == quantity}
+    for quantity in (name for name, definition in QUANTITIES.items() if definition.per_joint and name != "q"):
+        present = {column.joint for column in recognised.values() if column.quantity == quantity}
         if not joints or not present or quantity in unclear:
             continue
-        if surplus := present - every:
+        if surplus := present - expected:
             problems.append(
                 f"column {_forms(quantity, min(surplus))}: the joint positions end with q{joints}; "
                 f"add q{min(surplus)} or remove the column"
             )
-        if missing := every - present:
+        if missing := expected - present:
             problems.append(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
-    for column in found.values():
-        position, other = positions.get(column.joint), QUANTITIES[column.quantity].of_slide
-        if other and position is not None and column.slides != position.slides:
+    for column in recognised.values():
+        position = positions.get(column.joint)
+        slide_units = QUANTITIES[column.quantity].of_slide
+        if slide_units and position is not None and column.slides != position.slides:
             forms = " or ".join(spelled(column.quantity, column.joint, unit)
                                 for unit in units_of(column.quantity, position.slides))  # fmt: skip
             problems.append(f"column {column.name} does not fit {position.name}; write {forms}")
     return problems
 
 
-def _check_groups(found: Mapping[str, Column], unclear: set[str]) -> list[str]:
+def _check_groups(recognised: Mapping[str, Column], unclear: set[str]) -> list[str]:
     """What is wrong with positions and orientations in part, twice, or without each other."""
-    problems, given = [], []
+    problems, orientations = [], []
     for group in (PLACE, DEVIATION, QUATERNION, MATRIX, *ANGLES):
-        missing = [quantity for quantity in group if spelled(quantity) not in found]
+        missing = [quantity for quantity in group if spelled(quantity) not in recognised]
         if len(missing) < len(group) and group not in (PLACE, DEVIATION):
-            given.append(group)
+            orientations.append(group)
         if 0 < len(missing) < len(group) and not unclear & set(group):
             problems.append(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
-    if len(given) > 1:
-        problems.append(f"has the orientation twice, {_together(given[0])} and {_together(given[1])}; keep one")
-    if given and "x_m" not in found and not unclear & set(PLACE):
-        problems.append(f"has the orientation {_together(given[0])} without a position; add x_m y_m z_m")
-    if spelled(DEVIATION[0]) in found and "x_m" not in found and not unclear & set(PLACE):
+    if len(orientations) > 1:
+        problems.append(
+            f"has the orientation twice, {_together(orientations[0])} and {_together(orientations[1])}; keep one"
+        )
+    if orientations and "x_m" not in recognised and not unclear & set(PLACE):
+        problems.append(f"has the orientation {_together(orientations[0])} without a position; add x_m y_m z_m")
+    if spelled(DEVIATION[0]) in recognised and "x_m" not in recognised and not unclear & set(PLACE):
         problems.append(f"has deviations {_together(DEVIATION)} without the nominal positions; add x_m y_m z_m")
     return problems
 
@@ -404,20 +414,20 @@ def quaternions(form: tuple[str, ...], values: Array) -> Array:
     """
     from scipy.spatial.transform import Rotation
 
-    found = np.full((len(values), 4), np.nan)
-    given = np.isfinite(values).all(axis=1)
-    if not given.any():
-        return found
-    rows = values[given]
+    quaternion = np.full((len(values), 4), np.nan)
+    complete = np.isfinite(values).all(axis=1)
+    if not complete.any():
+        return quaternion
+    rows = values[complete]
     if form == MATRIX:
-        left, _, right = np.linalg.svd(rows.reshape(-1, 3, 3))
-        rotation = Rotation.from_matrix(left * np.linalg.det(left @ right)[:, None, None] @ right)
+        left_vectors, _, right = np.linalg.svd(rows.reshape(-1, 3, 3))
+        rotation = Rotation.from_matrix(left_vectors * np.linalg.det(left_vectors @ right)[:, None, None] @ right)
     elif form == VECTOR:
         rotation = Rotation.from_rotvec(rows)
     else:
         rotation = Rotation.from_euler(_EULER[form], rows[:, ::-1] if form == RPY else rows)
-    found[given] = np.roll(rotation.as_quat(), 1, axis=1)
-    return found
+    quaternion[complete] = np.roll(rotation.as_quat(), 1, axis=1)
+    return quaternion
 
 
 def is_no_rotation(matrix: Array) -> NDArray[np.bool_]:
@@ -430,13 +440,13 @@ def is_no_rotation(matrix: Array) -> NDArray[np.bool_]:
 
 def add_deviations(values: Mapping[str, Array], notes: list[str]) -> dict[str, Array]:
     """Columns in SI units by their names, with the measured position in place of a nominal one and its deviation."""
-    told = dict(values)
+    columns = dict(values)
     for axis, deviation in zip(map(spelled, PLACE), map(spelled, DEVIATION), strict=True):
-        if axis in told and deviation in told:
-            told[axis] = told[axis] + told.pop(deviation)
-    if len(told) < len(values):
+        if axis in columns and deviation in columns:
+            columns[axis] = columns[axis] + columns.pop(deviation)
+    if len(columns) < len(values):
         notes.append("the measured position is the sum of the nominal one, x y z, and the deviation, devx devy devz")
-    return told
+    return columns
 
 
 def with_quaternions(values: Mapping[str, Array], source: str = "recording") -> dict[str, Array]:
@@ -445,16 +455,16 @@ def with_quaternions(values: Mapping[str, Array], source: str = "recording") -> 
     Raises:
         InputError: a matrix that is no rotation.
     """
-    told = dict(values)
+    columns = dict(values)
     for form in (*ANGLES, MATRIX):
         names = [spelled(part) for part in form]
-        if all(name in told for name in names):
-            parts = np.stack([told.pop(name) for name in names], axis=1)
+        if all(name in columns for name in names):
+            parts = np.stack([columns.pop(name) for name in names], axis=1)
             if form == MATRIX and (wrong := np.flatnonzero(is_no_rotation(parts))).size:
                 turned = np.linalg.det(parts[wrong[0]].reshape(3, 3)) > 0
                 raise InputError(
                     f"{source}: row {wrong[0] + 1}: r11 … r33 {'is not orthogonal' if turned else 'is mirrored'}, so "
                     "it is no rotation; name its columns row by row, or remove the row"
                 )
-            told |= dict(zip(QUATERNION, quaternions(form, parts).T, strict=True))
-    return told
+            columns |= dict(zip(QUATERNION, quaternions(form, parts).T, strict=True))
+    return columns

@@ -32,7 +32,7 @@ _EPISODE = re.compile(r"(?:^|/)((?:demo|episode|traj|trajectory|ep|seq|rollout)_
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 
 
-def require_library(module: str, extra: str, path: Path, what: str) -> Any:
+def require_library(module: str, extra: str, path: Path, kind: str) -> Any:
     """A library that is an extra.
 
     Raises:
@@ -42,21 +42,21 @@ def require_library(module: str, extra: str, path: Path, what: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise InputError(f"{path}: {what} takes the package {package}; pip install 'lite6jax[{extra}]'") from error
+        raise InputError(f"{path}: {kind} takes the package {package}; pip install 'lite6jax[{extra}]'") from error
 
 
 @contextmanager
-def refuse_damage(path: Path, what: str) -> Iterator[None]:
+def refuse_damage(path: Path, kind: str) -> Iterator[None]:
     """Within, whatever a library raises of damaged bytes is one line."""
     try:
         yield
     except InputError:
         raise
     except (MemoryError, RecursionError) as error:
-        raise InputError(f"{path}: is too large or too deep for {what}; write the part that is needed") from error
+        raise InputError(f"{path}: is too large or too deep for {kind}; write the part that is needed") from error
     except Exception as error:  # libraries raise whatever the damaged bytes lead to
         problem = one_line(f"{type(error).__name__} {error}")
-        raise InputError(f"{path}: is no {what}, truncated or damaged ({problem}); write it again") from error
+        raise InputError(f"{path}: is no {kind}, truncated or damaged ({problem}); write it again") from error
 
 
 def _require_size(numbers: int, path: Path) -> None:
@@ -84,21 +84,24 @@ def read_hdf5(path: Path, notes: list[str]) -> RawTable:
         sets: dict[str, Any] = {}
         # what lies in other files is not read
         file.visititems(
-            lambda name, one: (
-                sets.update({name: one})
-                if isinstance(one, h5py.Dataset) and not one.is_virtual and not one.external
+            lambda name, dataset: (
+                sets.update({name: dataset})
+                if isinstance(dataset, h5py.Dataset) and not dataset.is_virtual and not dataset.external
                 else None
             )
         )
         small = {
-            name: one
-            for name, one in sets.items()
-            if one.ndim and _is_narrow(one.shape) and one.dtype.names is None and not _is_derived(name, sets)
+            name: dataset
+            for name, dataset in sets.items()
+            if dataset.ndim
+            and _is_narrow(dataset.shape)
+            and dataset.dtype.names is None
+            and not _is_derived(name, sets)
         }
-        _require_size(sum(one.size for one in small.values()), path)
-        for name, one in small.items():
+        _require_size(sum(dataset.size for dataset in small.values()), path)
+        for name, dataset in small.items():
             episode = _episode_of(name)
-            episodes[episode.number][episode.name] = one[()]
+            episodes[episode.number][episode.name] = dataset[()]
         left_out = [name.replace("/", ".") for name in sets if name not in small]
     if left_out:
         notes.append(f"left out, as they are no columns: {', '.join(left_out[:4])}{', …' * (len(left_out) > 4)}")
@@ -131,7 +134,7 @@ def _concatenate(episodes: Mapping[int, Mapping[str, Array]], path: Path, notes:
     first = next(iter(parts.values()))
     names = [name for name in first if all(name in arrays for arrays in parts.values())]
     lengths = {number: max((len(arrays[name]) for name in names), default=0) for number, arrays in parts.items()}
-    whole = {
+    concatenated = {
         name: np.concatenate([arrays[name] for arrays in parts.values()])
         for name in names
         if all(
@@ -141,7 +144,7 @@ def _concatenate(episodes: Mapping[int, Mapping[str, Array]], path: Path, notes:
     }
     notes.append(f"{len(parts)} episodes are read one after the other, as the column 'episode' says")
     counted = np.repeat([*lengths], [*lengths.values()])
-    return tabulate_arrays(whole | {"episode": counted}, str(path), notes)
+    return tabulate_arrays(concatenated | {"episode": counted}, str(path), notes)
 
 
 def read_numpy(path: Path, notes: list[str]) -> RawTable:
@@ -150,7 +153,7 @@ def read_numpy(path: Path, notes: list[str]) -> RawTable:
         with open(path, "rb") as file:
             if file.read(4) == b"PK\x03\x04":
                 with zipfile.ZipFile(path) as packed:
-                    _require_size(sum(one.file_size for one in packed.infolist()) // 8, path)
+                    _require_size(sum(member.file_size for member in packed.infolist()) // 8, path)
             else:
                 file.seek(0)
                 version = np.lib.format.read_magic(file)
@@ -196,7 +199,7 @@ def read_workbook(path: Path, notes: list[str]) -> RawTable:
     openpyxl = require_library("openpyxl", "excel", path, "a workbook")
     with refuse_damage(path, "workbook"):
         with zipfile.ZipFile(path) as packed:
-            unpacked = sum(one.file_size for one in packed.infolist())
+            unpacked = sum(member.file_size for member in packed.infolist())
         if unpacked > TEXT_LIMIT:
             raise InputError(f"{path}: is {unpacked} bytes once it is unpacked; save its sheet as CSV")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
@@ -210,8 +213,8 @@ def read_workbook(path: Path, notes: list[str]) -> RawTable:
     if title is None or not count_numbers(title):
         raise InputError(f"{path}: no sheet holds numbers; name the workbook that was measured")
     if len(sheets) > 1:
-        others = ", ".join(repr(other) for other in sheets if other != title)
-        notes.append(f"the sheet {title!r} is read, and not {others}")
+        unread = ", ".join(repr(sheet_title) for sheet_title in sheets if sheet_title != title)
+        notes.append(f"the sheet {title!r} is read, and not {unread}")
     written = io.StringIO()
     rows = csv.writer(written, lineterminator="\n")
     for row in sheets[title]:
@@ -240,10 +243,10 @@ def _walk(value: Any, name: str = "") -> Iterator[tuple[str, Array]]:
     if isinstance(value, Mapping):
         for key, member in value.items():
             yield from _walk(member, f"{name}.{key}" if name else str(key))
-    elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
-        keys = dict.fromkeys(key for one in value for key in one)
+    elif isinstance(value, list) and value and all(isinstance(record, Mapping) for record in value):
+        keys = dict.fromkeys(key for record in value for key in record)
         for key in keys:
-            members = [one.get(key) for one in value]
+            members = [record.get(key) for record in value]
             if all(member is not None for member in members):
                 yield from _walk(members, f"{name}.{key}" if name else str(key))
     elif isinstance(value, list | np.ndarray) and len(value):
@@ -321,11 +324,13 @@ def _message_columns(message: Any) -> Iterator[tuple[str, float]]:
             yield name, value
         yield from _stamp(transform, "header")
     yield from _stamp(message, "header")
-    rest = {key: value for key, value in message.items() if key not in ("header", "transforms", "name")}
+    fields = {key: value for key, value in message.items() if key not in ("header", "transforms", "name")}
     names = message.get("name")
-    for key, value in rest.items():
+    for key, value in fields.items():
         if isinstance(names, list) and isinstance(value, list) and len(value) == len(names):
-            yield from _numbers_in({str(name): one for name, one in zip(names, value, strict=True)}, str(key))
+            yield from _numbers_in(
+                {str(name): joint_value for name, joint_value in zip(names, value, strict=True)}, str(key)
+            )
         else:
             yield from _numbers_in({key: value}, "")
 
@@ -348,6 +353,8 @@ def _stamp(message: Any, key: str) -> Iterator[tuple[str, float]]:
     stamp = header.get("stamp") if isinstance(header, Mapping) else None
     if not isinstance(stamp, Mapping):
         return
-    whole, part = (stamp.get(one, stamp.get(other)) for one, other in (("sec", "secs"), ("nanosec", "nsecs")))
-    if isinstance(whole, int | float) and isinstance(part, int | float):
-        yield f"{key}.stamp [s]", float(whole) + 1e-9 * float(part)
+    seconds, part = (
+        stamp.get(ros2_key, stamp.get(ros1_key)) for ros2_key, ros1_key in (("sec", "secs"), ("nanosec", "nsecs"))
+    )
+    if isinstance(seconds, int | float) and isinstance(part, int | float):
+        yield f"{key}.stamp [s]", float(seconds) + 1e-9 * float(part)

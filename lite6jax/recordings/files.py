@@ -57,7 +57,8 @@ _STRANGERS = {
 
 def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
     """The file or folder and the topics of `run.mcap#/joint_states,/pose`; no topics where none are named."""
-    file, topics = str(path), ""
+    file = str(path)
+    topics = ""
     if match := _LOG.fullmatch(file):
         file, topics = match.groups()
     elif "#/" in file and os.path.isdir(file.partition("#/")[0]):
@@ -80,27 +81,27 @@ def stranger(path: str | Path) -> str:
     listed = (*suffixes.WRITTEN_TABLES, *suffixes.LOG_FILES)
     tables = sorted(file.name for file in path.iterdir() if file.suffix.lower() in listed)
     if tables:
-        every = command_line("fleet", path)
-        return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{every}`"
+        command = command_line("fleet", path)
+        return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{command}`"
     return (
         "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
         "(meta/info.json), no table; name the file of a recording"
     )
 
 
-def require_table(path: str | Path, what: str = "targets") -> Path:
+def require_table(path: str | Path, contents: str = "targets") -> Path:
     """The path of a table, where a log would say too little: it may hold several poses, and often no joints.
 
-    `what` are its rows, for the message.
+    `contents` are its rows, for the message.
 
     Raises:
         InputError: a log, a folder or another file that is no table, with what helps.
     """
     path = Path(path)
-    known = find_format(path)
-    if exists(path) and (known is None or not known.is_table):
+    file_format = find_format(path)
+    if exists(path) and (file_format is None or not file_format.is_table):
         raise InputError(
-            f"{path}: {stranger(path) or f'{what} end in .csv or .parquet; convert it or correct the name'}"
+            f"{path}: {stranger(path) or f'{contents} end in .csv or .parquet; convert it or correct the name'}"
         )
     return path
 
@@ -118,23 +119,23 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
     try:
-        known = find_format(path)
+        file_format = find_format(path)
         if path.suffix.lower() == suffixes.PARQUET and not exists(path) and exists(growing := growing_path(path)):
             notes.append(
                 f"there is no {path.name}: the rows are those of {growing.name}, as of a recording that was ended"
             )
-            path, known = growing, find_format(growing)
-        if known is None:
-            other = (
+            path, file_format = growing, find_format(growing)
+        if file_format is None:
+            accepted = (
                 "a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is the folder of a "
                 "rosbag2 or of a LeRobot data set; convert it or correct the name"
             )
             missing = "no such file or folder; check the name"
-            raise InputError(f"{path}: {stranger(path) or (other if path.suffix or exists(path) else missing)}")
-        if path.suffix.lower() in known.suffixes:
+            raise InputError(f"{path}: {stranger(path) or (accepted if path.suffix or exists(path) else missing)}")
+        if path.suffix.lower() in file_format.suffixes:
             check_readable(path)
         growing_text = path.suffix.lower() in suffixes.TEXT_TABLES and _was_ended(path)
-        return path, known.read(path, Asked(notes, topics, of_arm, growing_text))
+        return path, file_format.read(path, Asked(notes, topics, of_arm, growing_text))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({one_line(error.strerror or error)}); check the file") from error
 
@@ -145,10 +146,10 @@ def require_own_sidecar(path: Path) -> None:
     Raises:
         InputError: as said.
     """
-    known = find_format(path)
-    if known is not None and sidecar_path(path) == path:
+    file_format = find_format(path)
+    if file_format is not None and sidecar_path(path) == path:
         made = command_line("init", path, "--arm", "NAME")
-        raise InputError(f"{path}: holds {known.kind}; `{made}` makes a table of it, with a sidecar")
+        raise InputError(f"{path}: holds {file_format.kind}; `{made}` makes a table of it, with a sidecar")
 
 
 def _was_ended(path: Path) -> bool:
@@ -201,10 +202,10 @@ def read_recording(
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
     of_arm = ArmJoints.of(arm)
-    known = find_format(path)
-    if known is not None and known.is_log and not of_arm.names:  # a diagnosis does not keep the names
-        named = None if sidecar.settings.arm is None else read_arm(sidecar.settings.arm_reference(path.parent))
-        declared = ArmJoints.of(named)._replace(dof=None)
+    file_format = find_format(path)
+    if file_format is not None and file_format.is_log and not of_arm.names:  # a diagnosis does not keep the names
+        declared_arm = None if sidecar.settings.arm is None else read_arm(sidecar.settings.arm_reference(path.parent))
+        declared = ArmJoints.of(declared_arm)._replace(dof=None)
         of_arm = declared if arm is None else of_arm
         of_arm = of_arm._replace(names=declared.names) if len(declared.names) == of_arm.dof else of_arm
     of_arm = of_arm if dof is None else of_arm._replace(dof=dof)
@@ -213,8 +214,10 @@ def read_recording(
     columns, values = table.columns, table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
-    angles = [name for name, one in columns.items() if is_per_joint(one.quantity) and one.unit.startswith("rad")]
-    lengths = [name for name, one in columns.items() if one.unit == "m"]
+    angles = [
+        name for name, column in columns.items() if is_per_joint(column.quantity) and column.unit.startswith("rad")
+    ]
+    lengths = [name for name, column in columns.items() if column.unit == "m"]
     for names, divisor, unit in ((angles, 180 / pi, "degrees"), (lengths, 1e3, "millimetres")):
         if names and (assume_degrees if unit == "degrees" else assume_millimetres):
             values |= {name: values[name] / divisor for name in names}
@@ -237,7 +240,8 @@ def read_motion(path: str | Path, model: Any) -> Recording:
     Raises:
         InputError: as `read_recording`.
     """
-    sidecar, usual = sidecar_path(path), RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    sidecar = sidecar_path(path)
+    usual = RecordingSettings(reference_temperature_degC=model.reference_temperature)
     settings = read_settings(sidecar) if exists(sidecar) else usual
     recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
     if settings.motion is None and recording.motion != model.motion:
@@ -255,8 +259,8 @@ def read_commands(path: str | Path, model: Any) -> Recording:
     Raises:
         InputError: as `read_recording`; or there are no commands.
     """
-    known = find_format(Path(path))
-    if known is None or not known.is_table:
+    file_format = find_format(Path(path))
+    if file_format is None or not file_format.is_table:
         return read_recording(path, arm=ArmJoints(model.dof, model.sliding))
     file = require_table(path, "commands")
     notes: list[str] = []
@@ -294,9 +298,9 @@ def assemble_motion(model: Any, joint_position: ArrayLike, **arrays: Any) -> Rec
 def declare_anew(recording: Recording, settings: RecordingSettings) -> Recording:
     """With other settings; notes on the file stay, except those on what was not declared."""
     undeclared = ("there is no sidecar", *recording.made_anew().notes)
-    kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
+    file_notes = tuple(note for note in recording.notes if not note.startswith(undeclared))
     anew = recording.made_anew(settings=settings)
-    return replace(anew, notes=(*kept, *anew.notes))
+    return replace(anew, notes=(*file_notes, *anew.notes))
 
 
 class Targets(NamedTuple):
@@ -330,22 +334,23 @@ def read_targets(
     Raises:
         InputError: as `read_recording`; or there are no positions, or none in any row.
     """
-    path, notes = require_table(path), []
+    path = require_table(path)
+    notes = []
     sidecar = read_sidecar(sidecar_path(path))
     path, raw = open_table(path, (), ArmJoints(dof), notes)
     renamed = raw.renamed(str(path), columns or sidecar.columns)
     table = tabulate(raw, str(path), notes, dof=dof, renamed=renamed, joints_optional=True)
     if "x_m" not in table.columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
-    given = "q1_rad" in table.columns
-    if not given:
+    has_joints = "q1_rad" in table.columns
+    if not has_joints:
         table.values.update({f"q{joint + 1}_rad": np.zeros(len(table.values["x_m"])) for joint in range(table.joints)})
     recording = Recording.from_table(table, sidecar.settings, str(path), notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
-    check_scale(recording, joint_limits if given else None, reach, table, degrees=True, millimetres=True)
-    return Targets(recording, recording.joint_position if given else None)
+    check_scale(recording, joint_limits if has_joints else None, reach, table, degrees=True, millimetres=True)
+    return Targets(recording, recording.joint_position if has_joints else None)
 
 
 # ------------------------------------------------------------------ writing

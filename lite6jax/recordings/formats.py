@@ -95,14 +95,14 @@ def _logs(path: Path) -> list[Path]:
     return sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes.LOGS)
 
 
-def _read_log(path: Path, asked: Asked) -> RawTable:
+def _read_log(path: Path, request: Asked) -> RawTable:
     """A log, by its file or folder; a recorder that was ended writes no metadata."""
     log = path
     if os.path.isdir(path) and not exists(path / METADATA):
         log, *more = _logs(path)
         if more:
             raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
-    columns = read_bag(log, asked.topics, asked.of_arm, asked.notes)
+    columns = read_bag(log, request.topics, request.of_arm, request.notes)
     # nothing says the unit of efforts
     return RawTable.of_arrays(columns, [name for name in columns if name.startswith("tau")])
 
@@ -111,38 +111,40 @@ FORMATS = (
     Format(
         "a topic of ROS, echoed",
         (*suffixes.YAML, ".txt", ".log"),
-        lambda path, asked: read_echo(path, asked.notes),
+        lambda path, request: read_echo(path, request.notes),
         _is_echo,
     ),
     Format(
         "OpenCV's storage",
         (*suffixes.YAML, suffixes.XML, suffixes.JSON),
-        lambda path, asked: read_file_storage(path, asked.notes),
+        lambda path, request: read_file_storage(path, request.notes),
         _is_storage,
     ),
     Format(
         "samples in JSON or YAML",
         (*suffixes.YAML, suffixes.JSON),
-        lambda path, asked: read_document(path, asked.notes),
+        lambda path, request: read_document(path, request.notes),
         _is_samples,
     ),
     Format(
         "a list of points of KUKA",
         (suffixes.DATA_LIST,),
-        lambda path, asked: read_program(path, asked.notes),
+        lambda path, request: read_program(path, request.notes),
         holds_program,
     ),
-    Format("a program of a robot", suffixes.PROGRAMS, lambda path, asked: read_program(path, asked.notes)),
-    Format("a table of text", suffixes.TEXT_TABLES, lambda path, asked: open_text(path, asked.notes, asked.growing)),
-    Format("Parquet", (suffixes.PARQUET,), lambda path, asked: open_parquet(path)),
-    Format("HDF5", suffixes.HDF5, lambda path, asked: read_hdf5(path, asked.notes)),
-    Format("arrays of NumPy", suffixes.NUMPY, lambda path, asked: read_numpy(path, asked.notes)),
-    Format("arrays of MATLAB", suffixes.MATLAB, lambda path, asked: read_matlab(path, asked.notes)),
-    Format("a workbook", suffixes.WORKBOOKS, lambda path, asked: read_workbook(path, asked.notes)),
+    Format("a program of a robot", suffixes.PROGRAMS, lambda path, request: read_program(path, request.notes)),
+    Format(
+        "a table of text", suffixes.TEXT_TABLES, lambda path, request: open_text(path, request.notes, request.growing)
+    ),
+    Format("Parquet", (suffixes.PARQUET,), lambda path, request: open_parquet(path)),
+    Format("HDF5", suffixes.HDF5, lambda path, request: read_hdf5(path, request.notes)),
+    Format("arrays of NumPy", suffixes.NUMPY, lambda path, request: read_numpy(path, request.notes)),
+    Format("arrays of MATLAB", suffixes.MATLAB, lambda path, request: read_matlab(path, request.notes)),
+    Format("a workbook", suffixes.WORKBOOKS, lambda path, request: read_workbook(path, request.notes)),
     Format(
         "a LeRobot data set",
         (),
-        lambda path, asked: open_lerobot(path),
+        lambda path, request: open_lerobot(path),
         is_folder=lambda path: exists(path / INFO),
     ),
     Format(
@@ -158,17 +160,20 @@ FORMATS = (
 
 def find_format(path: Path) -> Format | None:
     """The format of a file or folder by its suffix and, where others have it too, its content; None of none."""
-    suffix, start = path.suffix.lower(), None
-    for each in FORMATS:
-        if suffix not in each.suffixes:
+    suffix = path.suffix.lower()
+    start = None
+    for candidate in FORMATS:
+        if suffix not in candidate.suffixes:
             continue
-        if each.holds is None:
-            return each
+        if candidate.holds is None:
+            return candidate
         start = _read_start(path) if start is None else start
-        if each.holds(start):
-            return each
+        if candidate.holds(start):
+            return candidate
     if os.path.isdir(path):
-        return next((each for each in FORMATS if each.is_folder is not None and each.is_folder(path)), None)
+        return next(
+            (candidate for candidate in FORMATS if candidate.is_folder is not None and candidate.is_folder(path)), None
+        )
     return None
 
 

@@ -66,7 +66,8 @@ def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None =
             changed[name] = column @ matrix.T + (b if name == "commanded_position" else 0.0)
     changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T
     if not moved:
-        velocity, segment = changed.get("joint_velocity"), run_segments(recording.run)
+        velocity = changed.get("joint_velocity")
+        segment = run_segments(recording.run)
         changed["direction_of_motion"] = directions(changed["joint_position"], velocity, segment, recording.motion)
     return replace(recording, **changed)
 
@@ -92,13 +93,14 @@ def without_turns(recording: Recording, limits: Array, slack: float) -> Array:
             continue
         middle = (low[joint] + high[joint]) / 2
         for part in runs if trajectory else [np.ones(recording.samples, bool)]:
-            values, reach = q[part, joint], (high[joint] - low[joint]) / 2 + slack
+            values = q[part, joint]
+            reach = (high[joint] - low[joint]) / 2 + slack
             outside = np.abs(values - middle) > reach
             # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
             turned = np.median(values) if trajectory else np.where(outside, values, middle)
-            back = values - 2 * np.pi * np.round((turned - middle) / (2 * np.pi))
-            if outside.any() and (np.abs(back - middle) <= reach).all():
-                q[part, joint] = back
+            unwound = values - 2 * np.pi * np.round((turned - middle) / (2 * np.pi))
+            if outside.any() and (np.abs(unwound - middle) <= reach).all():
+                q[part, joint] = unwound
     return q
 
 

@@ -241,9 +241,9 @@ class Block:
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
-        unit, form = (None if one is None else one._asdict() for one in (self.unit, self.form))
-        said = {"kind": self.kind, "columns": self.renamed(), "unit": unit, "form": form}
-        return said | ({"commanded": True} if self.rank == 2 else {})
+        unit, form = (None if decision is None else decision._asdict() for decision in (self.unit, self.form))
+        document = {"kind": self.kind, "columns": self.renamed(), "unit": unit, "form": form}
+        return document | ({"commanded": True} if self.rank == 2 else {})
 
 
 class Source(NamedTuple):
@@ -273,7 +273,7 @@ class _Word(NamedTuple):
     number: int | None
     component: str | None
     unit: str | None
-    every: tuple[str, ...]
+    all_words: tuple[str, ...]
 
 
 def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Block]:
@@ -284,42 +284,42 @@ def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Bl
         joint_names: of the arm, along it, where it has some.
     """
     words = [_taken_apart(name) for name in names]
-    found = [*_joint_labels(words, joint_names)]
-    labelled = {name for block in found for name in block.columns}
+    blocks = [*_joint_labels(words, joint_names)]
+    labelled = {name for block in blocks for name in block.columns}
     words = [word for word in words if word.name not in labelled and not _is_unused(word)]
-    found += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
-    if not any(block.kind == "q" for block in found):
-        found += _unnumbered(words)
+    blocks += [*_matrices(words), *_scalars(words), *_components(words), *_numbers(words)]
+    if not any(block.kind == "q" for block in blocks):
+        blocks += _unnumbered(words)
     place = {name: k for k, name in enumerate(names)}
-    return sorted(found, key=lambda block: min(place[name] for name in block.columns))
+    return sorted(blocks, key=lambda block: min(place[name] for name in block.columns))
 
 
 def _is_unused(word: _Word) -> bool:
     """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
-    unused = _UNUSED & {*word.every}
+    unused = _UNUSED & {*word.all_words}
     return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
-def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
+def choose(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
 
     What was commanded or computed is taken only where nothing measured says the same. Positions that were commanded
     beside measured ones are of the kind `cmd`.
 
     Args:
-        found: of `candidates`.
+        blocks: of `candidates`.
         dof: the number of joints, where known; fewer columns are not those of all joints.
         joints: columns that are said to be joint positions.
     """
-    taken: dict[str, Block] = {}
-    driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in found)
+    chosen: dict[str, Block] = {}
+    driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in blocks)
     for kind in (kind for kind in KINDS if kind not in _OF_POSES):
-        q = taken.get("q")
+        q = chosen.get("q")
         moved = q is not None and q.rank < 2
-        used = {name for block in taken.values() for name in block.columns}
-        pool = [block for block in found if block.kind == kind and not used & set(block.columns)]
+        used = {name for block in chosen.values() for name in block.columns}
+        pool = [block for block in blocks if block.kind == kind and not used & set(block.columns)]
         if kind == "cmd":  # beside measured positions
-            pool += [block for block in found if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
+            pool += [block for block in blocks if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
             pool = [replace(block, kind=kind) for block in pool if moved]
         elif driven if kind in ("tau", "current") else kind in ("dq", "ddq") and moved:  # what was measured says it
             pool = [block for block in pool if block.rank < 2]
@@ -332,30 +332,30 @@ def choose(found: Sequence[Block], dof: int | None = None, joints: Sequence[str]
         if kind == "q" and joints:
             pool.sort(key=lambda block: not {*joints} <= {*block.columns})
         if pool:
-            alike = [block for block in pool[1:] if clear[block.columns] == clear[pool[0].columns]]
-            taken[kind] = replace(pool[0], rivals=tuple(block.columns[0] for block in alike))
-    return list(taken.values())
+            rivals = [block for block in pool[1:] if clear[block.columns] == clear[pool[0].columns]]
+            chosen[kind] = replace(pool[0], rivals=tuple(block.columns[0] for block in rivals))
+    return list(chosen.values())
 
 
-def sources(found: Sequence[Block]) -> list[Source]:
+def sources(blocks: Sequence[Block]) -> list[Source]:
     """The poses among blocks, each of one source; what was commanded only where nothing was measured."""
-    places = [block for block in found if block.kind == "position"]
+    places = [block for block in blocks if block.kind == "position"]
     places = [block for block in places if block.weak < 2] or places
     places = [block for block in places if block.rank < 2] or places
-    turns = [block for block in found if block.kind == "rotation"]
+    turns = [block for block in blocks if block.kind == "rotation"]
     listed = []
     for place in places:
-        own = [block for block in turns if block.source == place.source]
-        if not own and len(places) == 1 and {block.source for block in turns} == {()}:
-            own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
-        deviations = [block for block in found if block.kind == "deviation" and block.source == of_whom(place.source)]
-        listed.append(Source(place, tuple(own), deviations[0] if len(deviations) == 1 else None))
+        rotations = [block for block in turns if block.source == place.source]
+        if not rotations and len(places) == 1 and {block.source for block in turns} == {()}:
+            rotations = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
+        deviations = [block for block in blocks if block.kind == "deviation" and block.source == of_whom(place.source)]
+        listed.append(Source(place, tuple(rotations), deviations[0] if len(deviations) == 1 else None))
     return listed
 
 
 def units_allowed(kind: str, *slides: bool) -> set[str]:
     """The units that a kind of block may have, of revolute joints unless it is said of which."""
-    return {unit for each in slides or (False,) for unit in units_of(_OF_POSES.get(kind, kind), each) if unit}
+    return {unit for slide in slides or (False,) for unit in units_of(_OF_POSES.get(kind, kind), slide) if unit}
 
 
 def unit_of(name: str) -> str | None:
@@ -377,12 +377,12 @@ def spoken_words(name: str) -> set[str]:
 
 def is_of_gripper(name: str) -> bool:
     """Whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
-    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).every})
+    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).all_words})
 
 
 def says_torque(name: str) -> bool:
     """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
-    return not {"effort", "efforts"} & {*_taken_apart(name).every} and not is_standard(name)
+    return not {"effort", "efforts"} & {*_taken_apart(name).all_words} and not is_standard(name)
 
 
 def source_words(names: Iterable[str]) -> tuple[str, ...]:
@@ -392,7 +392,8 @@ def source_words(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _taken_apart(name: str) -> _Word:
-    text, unit = name, None
+    text = name
+    unit = None
     match = _UNIT.search(name)
     if match and _SPLIT_STAMP.search(name):
         match = None  # whole seconds alone are no time
@@ -401,8 +402,10 @@ def _taken_apart(name: str) -> _Word:
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
     plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
-    every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
-    parts, number, component = [*every], None, None
+    all_words = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
+    parts = [*all_words]
+    number = None
+    component = None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
     places = [k for k, part in enumerate(parts) if _COMPONENT.fullmatch(part)]
     digits = [k for k, part in enumerate(parts) if part.isdecimal()]
@@ -418,7 +421,7 @@ def _taken_apart(name: str) -> _Word:
         component = parts.pop()
     elif digits:
         number = int(parts.pop(digits[-1])[:9])
-    return _Word(name, tuple(parts), number, component, unit, every)
+    return _Word(name, tuple(parts), number, component, unit, all_words)
 
 
 def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | None:
@@ -427,30 +430,30 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     present = set(listed)
     if listed and listed[0] == "current" and present & {*_JOINT, *_PLACE, *_POSE}:
         present = present - {"current"} if not present <= {"current", "joint", "motor"} else present
-    said = next((quantity for quantity, own in _QUANTITIES.items() if own & present), None)
+    quantity = next((quantity for quantity, keywords in _QUANTITIES.items() if keywords & present), None)
     if "qfrc" in present and "actuator" not in present:
         return None  # MuJoCo's forces of gravity, constraints and the like
     if {"current", "as", "torque"} <= present:  # Universal Robots' actual_current_as_torque
-        said = "tau"
-    if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
-        said = "q"
+        quantity = "tau"
+    if quantity is None and present & {*_JOINT, *_PLACE, "a", "state"}:
+        quantity = "q"
     stated = {*units} - {None}
-    if not stated or (said is not None and stated <= units_allowed(said, False, True)):
-        return said
+    if not stated or (quantity is not None and stated <= units_allowed(quantity, False, True)):
+        return quantity
     bound = [kind for kind in KINDS[:6] if stated <= units_allowed(kind)]
-    return bound[0] if said in (None, "q") and len(bound) == 1 else None
+    return bound[0] if quantity in (None, "q") and len(bound) == 1 else None
 
 
-def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: object) -> Iterator[Block]:
+def _block(kind: str, words: Sequence[_Word], stem: Sequence[str], **options: object) -> Iterator[Block]:
     """Columns as a block, unless their units are of something else."""
     units = {word.unit for word in words}
     unit = units.pop() if len(units) == 1 else None
     if not (units | {unit}) - {None} <= units_allowed(kind, False, True):
         return
-    present = set(said)
+    present = set(stem)
     rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
     stated = by_name(unit) if unit in units_allowed(kind) else None
-    options = {"rank": rank, "unit": stated, "source": _side(said)} | options
+    options = {"rank": rank, "unit": stated, "source": _side(stem)} | options
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
 
 
@@ -494,29 +497,31 @@ def _counts(numbers: Iterable[int]) -> bool:
 
 def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
-    taken: set[str] = set()
+    used: set[str] = set()
     state = [
-        "_".join(word.every[2:])
+        "_".join(word.all_words[2:])
         for word in words
-        if word.every[:2] == ("observation", "state") and word.number is word.component is None
-        if not _UNUSED & set(word.every)
+        if word.all_words[:2] == ("observation", "state") and word.number is word.component is None
+        if not _UNUSED & set(word.all_words)
     ]
     for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
-        labels = [_taken_apart(name).every for name in names]
+        labels = [_taken_apart(name).all_words for name in names]
         labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
         if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
             continue  # numbers say which joint it is
         groups: dict[tuple[str, ...], dict[int, _Word]] = {}
         for (k, label), word in product(enumerate(labels), words):
-            at = next((i for i in range(len(word.every)) if label and word.every[i : i + len(label)] == label), None)
-            if at is not None and word.name not in taken:
-                rest = (*word.every[:at], "", *word.every[at + len(label) :])
-                groups.setdefault(rest, {})[k] = word
-        for rest, group in groups.items():
-            kind = _quantity(rest, (word.unit for word in group.values())) or "q"
-            if labels and len(group) == len(labels) and not (_UNUSED | _EXTERNAL) & set(rest):
-                for block in _block(kind, [group[k] for k in range(len(labels))], rest, weak=weak):
-                    taken |= set(block.columns)
+            at = next(
+                (i for i in range(len(word.all_words)) if label and word.all_words[i : i + len(label)] == label), None
+            )
+            if at is not None and word.name not in used:
+                stem = (*word.all_words[:at], "", *word.all_words[at + len(label) :])
+                groups.setdefault(stem, {})[k] = word
+        for stem, group in groups.items():
+            kind = _quantity(stem, (word.unit for word in group.values())) or "q"
+            if labels and len(group) == len(labels) and not (_UNUSED | _EXTERNAL) & set(stem):
+                for block in _block(kind, [group[k] for k in range(len(labels))], stem, weak=weak):
+                    used |= set(block.columns)
                     yield block
 
 
@@ -524,32 +529,33 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
     """Homogeneous and rotation matrices, by two indices (`T00`, `r_1_1`) or by one in either order (`O_T_EE_0`)."""
     pairs: dict[tuple[str, ...], dict[tuple[int, int], _Word]] = {}
     for word in words:
-        if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.every)):
+        if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.all_words)):
             pairs.setdefault(tuple(match[1].split()), {})[int(match[2]), int(match[3])] = word
-    found = []
-    for (said, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
+    layouts = []
+    for (stem, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
         if [*sorted(group)] == [(first + i, first + j) for i, j in np.ndindex(shape)]:
-            found.append((said, shape, [group[at] for at in sorted(group)], "likely"))
-    for said, group in _grouped(words, "number").items():
+            layouts.append((stem, shape, [group[at] for at in sorted(group)], "likely"))
+    for stem, group in _grouped(words, "number").items():
         shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(group))
-        if shape and _counts(group) and {*said} & {*_TURNED, "r", "t", "pose", "matrix", "transform"}:
-            found.append((said, shape, [group[k] for k in sorted(group)], "assumed"))
-    for (said, shape, members, sure), turned in product(found, (False, True)):
+        if shape and _counts(group) and {*stem} & {*_TURNED, "r", "t", "pose", "matrix", "transform"}:
+            layouts.append((stem, shape, [group[k] for k in sorted(group)], "assumed"))
+    for (stem, shape, members, sure), turned in product(layouts, (False, True)):
         grid = np.empty(len(members), object)
         grid[:] = members
         grid = grid.reshape(shape[::-1]).T if turned else grid.reshape(shape)
-        source = (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3)))
+        source = (*_source(stem, "rto"), *("turned",) * (turned and shape != (3, 3)))
         sure = sure if shape == (3, 3) else "certain"  # of others the numbers show the order
-        same = {"source": source, "weak": int(turned), "unit": None}
-        same |= {"matrix": tuple(word.name for word in grid.ravel())} | ({"rank": 2} if said[-1:] == ("c",) else {})
-        yield from _block("rotation", [*grid[:3, :3].ravel()], said, form=by_name(MATRIX[0], sure), **same)
+        options = {"source": source, "weak": int(turned), "unit": None}
+        options |= {"matrix": tuple(word.name for word in grid.ravel())} | ({"rank": 2} if stem[-1:] == ("c",) else {})
+        yield from _block("rotation", [*grid[:3, :3].ravel()], stem, form=by_name(MATRIX[0], sure), **options)
         if shape[1] == 4:
-            yield from _block("position", [*grid[:3, 3]], said, **same)
+            yield from _block("position", [*grid[:3, 3]], stem, **options)
 
 
 def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
     for word in words:
-        present, stated = set(word.words), word.unit
+        present = set(word.words)
+        stated = word.unit
         if word.component is not None or word.number is not None or not present:
             continue
         timed = stated in units_allowed("time")
@@ -566,61 +572,65 @@ def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
 
 def _components(words: Sequence[_Word]) -> Iterator[Block]:
     """Positions and rotations whose columns end in x, y, z, w, roll, rx and the like."""
-    for said, group in _grouped(words, "component").items():
-        if _quantity({*said} - {*_POSE, *_PLACE}) not in (None, "q"):
+    for stem, group in _grouped(words, "component").items():
+        if _quantity({*stem} - {*_POSE, *_PLACE}) not in (None, "q"):
             continue
-        turned, source = bool(_TURNED & {*said}), _source(said)
+        turned = bool(_TURNED & {*stem})
+        source = _source(stem)
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
-            yield from _block("rotation", members, said, form=by_name("scalar_first"), source=source)
-        elif turned and len(place) == 3 and not _DEVIATIONS & {*said}:
-            yield from _block("rotation", place, said, source=source, form=_form(said))
-        elif turned and _DEVIATIONS & {*said}:
+            yield from _block("rotation", members, stem, form=by_name("scalar_first"), source=source)
+        elif turned and len(place) == 3 and not _DEVIATIONS & {*stem}:
+            yield from _block("rotation", place, stem, source=source, form=_form(stem))
+        elif turned and _DEVIATIONS & {*stem}:
             continue  # of an orientation none is read
-        elif len(place) == 3 and _DEVIATIONS & {*said}:
-            yield from _block("deviation", place, said, source=of_whom(source))
-        elif len(place) == 3 and not (_JOINT - {"axis"}) & {*said}:  # X_axis is a coordinate
-            weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
-            yield from _block("position", place, said, source=source, weak=weak)
+        elif len(place) == 3 and _DEVIATIONS & {*stem}:
+            yield from _block("deviation", place, stem, source=of_whom(source))
+        elif len(place) == 3 and not (_JOINT - {"axis"}) & {*stem}:  # X_axis is a coordinate
+            weak = 0 if {*stem} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
+            yield from _block("position", place, stem, source=source, weak=weak)
         for parts, form, sure in _TRIPLES:
             if {*parts} <= {*group}:
                 members = [group[part] for part in parts]
                 if all(is_standard(word.name) for word in members):
-                    form, sure = parts[0] if parts in ANGLES else form, "certain"
-                yield from _block("rotation", members, said, form=by_name(form, sure) if form else None, source=source)
+                    form = parts[0] if parts in ANGLES else form
+                    sure = "certain"
+                yield from _block("rotation", members, stem, form=by_name(form, sure) if form else None, source=source)
 
 
 def _unnumbered(words: Sequence[_Word]) -> list[Block]:
     """`position velocity torque` of the only joint there is; none without a position."""
     alone = [word for word in words if word.number is None and word.component is None and not _side(word.words)]
     kinds = [(word, _quantity(word.words, [word.unit])) for word in alone if word.words]
-    found = [block for word, kind in kinds if kind for block in _block(kind, [word], word.words, weak=1)]
-    return found if any(block.kind == "q" for block in found) else []
+    blocks = [block for word, kind in kinds if kind for block in _block(kind, [word], word.words, weak=1)]
+    return blocks if any(block.kind == "q" for block in blocks) else []
 
 
 def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
-    for said, group in _grouped(words, "number").items():
-        count, present = len(group), set(said)
+    for stem, group in _grouped(words, "number").items():
+        count = len(group)
+        present = set(stem)
         if not _counts(group):
             continue
-        members, same = [group[number] for number in sorted(group)], {"source": _source(said, "qrt")}
+        members = [group[number] for number in sorted(group)]
+        options = {"source": _source(stem, "qrt")}
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
-        kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
+        kind = _quantity(present - _POSE if posed else stem, (word.unit for word in members))
         if turned and count in (3, 4):
-            yield from _block("rotation", members, said, **same, form=_form(said) if count == 3 else None)
+            yield from _block("rotation", members, stem, **options, form=_form(stem) if count == 3 else None)
             continue
         if count == 4 and present <= {"q"} | _TURNED:
-            yield from _block("rotation", members, said, weak=1, **same)  # if of unit length
+            yield from _block("rotation", members, stem, weak=1, **options)  # if of unit length
         if (posed or _MOVED & present) and kind in (None, "q") and not _JOINT & present:
             if count in (3, 6, 7):
-                yield from _block("position", members[:3], said, **same)
-                yield from _block("rotation", members[3:], said, **same) if count > 3 else ()
+                yield from _block("position", members[:3], stem, **options)
+                yield from _block("rotation", members[3:], stem, **options) if count > 3 else ()
         elif present == {"action"}:  # of a LeRobot data set: positions, if they follow those of the joints
-            yield from _block("cmd", members, said, weak=2)
+            yield from _block("cmd", members, stem, weak=2)
         elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)
-            yield from _block(kind, members, said, weak=0 if strong else 1)
+            yield from _block(kind, members, stem, weak=0 if strong else 1)
             if kind == "q" and count == 3 and not strong:  # position_0 … position_2 beside joints of another name
-                yield from _block("position", members, said, weak=2, **same)
+                yield from _block("position", members, stem, weak=2, **options)

@@ -36,7 +36,7 @@ def _name_element(name: str, place: int, size: int) -> str:
     return f"{name}[{place}]" if size > 1 else name
 
 
-def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
+def open_parquet(*paths: Path, name_leaf: Named = _name_element) -> RawTable:
     """The table of a Parquet file, or of several one after the other; only the columns asked for are read.
 
     Members of structs and elements of lists are a column each: `pose.position.x`, `q[0]`.
@@ -51,28 +51,31 @@ def open_parquet(*paths: Path, named: Named = _name_element) -> RawTable:
         first = next(file.iter_batches(_SAMPLE, columns=lists), None) if lists else None
     sampled = {} if first is None else dict(zip(first.schema.names, first.columns, strict=True))
     starts = [(field.name, sampled.get(field.name, pa.nulls(0, field.type))) for field in fields]
-    leaves = [leaf for name, values in starts for leaf in _leaves(name, values, (name,), named)]
+    leaves = [leaf for name, values in starts for leaf in _leaves(name, values, (name,), name_leaf)]
 
-    def load(wanted: Mapping[int, str]) -> dict[int, Values]:
-        names, parts = list(dict.fromkeys(str(leaves[index].path[0]) for index in wanted)), []
+    def load(quantities: Mapping[int, str]) -> dict[int, Values]:
+        names = list(dict.fromkeys(str(leaves[index].path[0]) for index in quantities))
+        parts = []
         for path in paths:
             with _opened(path) as file:
                 if lacking := set(names) - set(file.schema_arrow.names):
                     raise InputError(f"{path}: lacks the column {min(lacking)} of the other episodes; restore the file")
                 parts.append(file.read(columns=names))
         table = pa.concat_tables(parts)
-        places = {index: table.column_names.index(str(leaves[index].path[0])) for index in wanted}  # names may be twice
+        places = {
+            index: table.column_names.index(str(leaves[index].path[0])) for index in quantities
+        }  # names may be twice
         return {index: _descend(table.column(place), leaves[index].path[1:]) for index, place in places.items()}
 
     return RawTable([leaf.name for leaf in leaves], load)
 
 
-def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Named) -> Iterator[_Leaf]:
+def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], name_leaf: Named) -> Iterator[_Leaf]:
     """What a column holds, by its first rows."""
     kind = values.type
     if types.is_struct(kind):
         for field in kind:
-            yield from _leaves(f"{name}.{field.name}", _descend(values, [field.name]), (*path, field.name), named)
+            yield from _leaves(f"{name}.{field.name}", _descend(values, [field.name]), (*path, field.name), name_leaf)
         return
     lists = types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
     first = values.drop_null()[:1] if lists else values[:0]
@@ -80,7 +83,7 @@ def _leaves(name: str, values: pa.Array, path: tuple[str | int, ...], named: Nam
     if not 0 < size <= LONGEST_LIST:
         yield _Leaf(name, path)
     for part in range(size if size <= LONGEST_LIST else 0):
-        yield from _leaves(named(name, part, size), _descend(first, [part]), (*path, part), named)
+        yield from _leaves(name_leaf(name, part, size), _descend(first, [part]), (*path, part), name_leaf)
 
 
 def _descend(values: Any, path: Sequence[str | int]) -> Any:
@@ -90,9 +93,9 @@ def _descend(values: Any, path: Sequence[str | int]) -> Any:
             values = pa_compute.call_function("struct_field", [values], pa_compute.StructFieldOptions([part]))
             continue
         sizes = pa_compute.call_function("min_max", [pa_compute.call_function("list_value_length", [values])])
-        least, most = sizes["min"].as_py(), sizes["max"].as_py()
-        if least is not None and least != most:
-            return f"its lists hold {least} to {most} numbers; give each row as many"
+        shortest, longest = sizes["min"].as_py(), sizes["max"].as_py()
+        if shortest is not None and shortest != longest:
+            return f"its lists hold {shortest} to {longest} numbers; give each row as many"
         values = pa_compute.call_function("list_element", [values, part])
     return values
 
@@ -156,16 +159,16 @@ def open_lerobot(folder: Path) -> RawTable:
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
-    return open_parquet(*files, named=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
+    return open_parquet(*files, name_leaf=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
 
 
 def _feature(feature: Mapping[str, Any], name: str, place: int, size: int) -> str:
     """The name of a number of a feature, whose names data sets give as a list or below a heading, and its unit."""
     names, info = feature.get("names"), feature.get("info")
     names = next(iter(names.values()), None) if isinstance(names, dict) else names
-    told = isinstance(names, list) and len({*map(str, names)}) == size == len(names)
+    has_names = isinstance(names, list) and len({*map(str, names)}) == size == len(names)
     stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]
     units = next((unit for unit in stated if isinstance(unit, str | list)), "")
     unit = units[place] if isinstance(units, list) and len(units) == size else units
     suffix = f" [{unit}]" if isinstance(unit, str) and unit_of(f"x [{unit}]") else ""
-    return f"{name}.{names[place] if told else place}{suffix}"  # type: ignore[index]
+    return f"{name}.{names[place] if has_names else place}{suffix}"  # type: ignore[index]

@@ -58,8 +58,8 @@ def _uniform(values: Array) -> Rows:
 
 def possible_marks(recording: Recording) -> list[Mark]:
     """All that may be marks, of whole rows first; of rows that repeat in all columns, none of single ones."""
-    found = [mark for array in ARRAYS for mark in _of_array(array, getattr(recording, array))]
-    return [mark for mark in found if len(mark.samples) < LARGEST_SHARE * recording.samples]
+    marks = [mark for array in ARRAYS for mark in _of_array(array, getattr(recording, array))]
+    return [mark for mark in marks if len(mark.samples) < LARGEST_SHARE * recording.samples]
 
 
 def _of_array(array: str, values: Array | None) -> list[Mark]:
@@ -68,15 +68,15 @@ def _of_array(array: str, values: Array | None) -> list[Mark]:
     rows = np.flatnonzero(np.isfinite(values).all(1))
     repeated = rows[repeated_vectors(values[rows])]
     _, group = np.unique(values[repeated], axis=0, return_inverse=True)
-    found = []
+    marks = []
     for samples in (repeated[group.ravel() == k] for k in range(int(group.max(initial=-1)) + 1)):
         uniform = bool((values[samples[0]] == values[samples[0], 0]).all())
-        found.append(Mark(array, None, float(values[samples[0], 0]) if uniform else None, samples))
+        marks.append(Mark(array, None, float(values[samples[0], 0]) if uniform else None, samples))
     single = np.setdiff1d(rows, repeated)
     for column in range(values.shape[1]):
         numbers, group, count = np.unique(values[single, column], return_inverse=True, return_counts=True)
         if len(numbers) <= LARGEST_SHARE * len(single):  # steps of an encoder, or commands
             continue
         repeats = np.flatnonzero(count > 1)
-        found += [Mark(array, column, float(numbers[k]), single[group.ravel() == k]) for k in repeats]
-    return found
+        marks += [Mark(array, column, float(numbers[k]), single[group.ravel() == k]) for k in repeats]
+    return marks

@@ -46,20 +46,20 @@ def read_program(path: Path, notes: list[str]) -> RawTable:
     points = [point for read in _READERS.get(path.suffix.lower(), ()) for point in read(text)]
     joints = [point for point in points if any(name.endswith("[deg]") and name[0] in "AJ" for name in point.numbers)]
     joints = [point for point in joints if "x [mm]" not in point.numbers]
-    taken = joints or points
-    if not taken:
+    chosen = joints or points
+    if not chosen:
         raise InputError(
             f"{path}: has no points of joints (KUKA's E6AXIS, Fanuc's P[n] with J1, ABB's jointtarget); write the "
             "joints as CSV"
         )
-    most = max(map(len, (point.numbers for point in taken)))
-    names = list(next(point.numbers for point in taken if len(point.numbers) == most))
-    columns = {name: np.array([point.numbers.get(name, np.nan) for point in taken]) for name in names}
-    if len(taken) < len(points):
-        notes.append(f"{len(points) - len(taken)} points of the program give a pose and no joints, and are left out")
-    what = "joints" if joints else "poses of its tool"
-    notes.append(f"the {len(taken)} {what} are those of a program, as commanded: `joint_source: commanded` says so")
-    labels = np.array([point.name for point in taken], dtype=object)
+    longest = max(map(len, (point.numbers for point in chosen)))
+    names = list(next(point.numbers for point in chosen if len(point.numbers) == longest))
+    columns = {name: np.array([point.numbers.get(name, np.nan) for point in chosen]) for name in names}
+    if len(chosen) < len(points):
+        notes.append(f"{len(points) - len(chosen)} points of the program give a pose and no joints, and are left out")
+    kind = "joints" if joints else "poses of its tool"
+    notes.append(f"the {len(chosen)} {kind} are those of a program, as commanded: `joint_source: commanded` says so")
+    labels = np.array([point.name for point in chosen], dtype=object)
     return RawTable.of_arrays({"point": labels, **columns} if any(labels) else columns)
 
 
@@ -97,7 +97,7 @@ def _tool(numbers: Mapping[str, float], angles: str) -> dict[str, float]:
 
 def _abb_points(text: str) -> Iterator[_Point]:
     for name, first, second in _ABB.findall(text):
-        values, turned = ([float(each) for each in _NUMBER.findall(part)] for part in (first, second))
+        values, turned = ([float(number) for number in _NUMBER.findall(part)] for part in (first, second))
         if len(values) == 3 and len(turned) == 4:
             yield _Point(name, dict(zip(_ABB_POSE, [*values, *turned], strict=True)))
         elif len(values) == 6:

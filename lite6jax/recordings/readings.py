@@ -48,8 +48,8 @@ class Readings:
 
     def select(self, rows: Any) -> "Readings":
         """Those of some samples."""
-        seen = None if self.seen is None else self.seen.select(rows)
-        return replace(self, group=self.group[rows], value=self.value[rows], pixels=self.pixels[rows], seen=seen)
+        poses = None if self.seen is None else self.seen.select(rows)
+        return replace(self, group=self.group[rows], value=self.value[rows], pixels=self.pixels[rows], seen=poses)
 
     def with_poses(self, settings: RecordingSettings, source: str) -> "Readings":
         """Of a camera, with the poses that its corners give by the lens and the board of the settings.
@@ -61,7 +61,8 @@ class Readings:
             key = "camera" if settings.camera is None else "board (or points_m)"
             raise InputError(f"{source}: has corners of images and no {key} in its sidecar; declare {key}")
         points = settings.board.points if settings.board is not None else settings.points_m
-        corners, count = np.array(points, float).reshape(-1, 3), self.pixels.shape[1]
+        corners = np.array(points, float).reshape(-1, 3)
+        count = self.pixels.shape[1]
         if count > len(corners):
             raise InputError(f"{source}: has corner {count - 1}, and the board only {len(corners)}, counted from 0")
         camera = settings.camera
@@ -70,19 +71,19 @@ class Readings:
         pixels = np.pad(self.pixels, ((0, 0), (0, len(corners) - count), (0, 0)), constant_values=np.nan)
         refined = camera.intrinsics == "refine"
         try:
-            seen = board_poses(camera.mounted, lens, corners, pixels, settings.pixel_noise_px, noise, refined)
+            poses = board_poses(camera.mounted, lens, corners, pixels, settings.pixel_noise_px, noise, refined)
         except ValueError as error:
             raise InputError(f"{source}: points_m: {error}; give those of a flat board") from error
-        return replace(self, seen=seen)
+        return replace(self, seen=poses)
 
     def columns(self) -> dict[str, np.ndarray]:
         """The columns of a table, `(sample,)` each; of a camera none, as a row there is a corner."""
-        named = np.array(self.names, dtype=object)[self.group]
+        labels = np.array(self.names, dtype=object)[self.group]
         if self.kind in ("contact", "plane"):
-            return {self.kind: named}
+            return {self.kind: labels}
         if self.kind == "camera":
             return {}
-        anchors = {"anchor": named} if len(self.names) > 1 else {}
+        anchors = {"anchor": labels} if len(self.names) > 1 else {}
         return {f"{self.kind}_m": self.value, **anchors}
 
     def corner_rows(self, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -104,7 +105,7 @@ def readings_from_arrays(
         labels: `(sample,)`, which contact, plane or anchor; one where not given.
         pixels: `(sample, corner, 2)`, NaN where a corner was not seen.
     """
-    samples = next(len(each) for each in (value, labels, pixels) if each is not None)
+    samples = next(len(array) for array in (value, labels, pixels) if array is not None)
     names = tuple(dict.fromkeys(labels or ())) or (kind,)
     group = np.zeros(samples, np.int64) if labels is None else np.array([names.index(label) for label in labels])
     value = np.zeros(samples) if value is None else np.asarray(value, float)
@@ -131,27 +132,31 @@ def with_readings(
     Raises:
         InputError: readings of several kinds, or an image with corners twice or joints that differ.
     """
-    told: dict[str, Kind] = {spelled(READINGS[kind][0]): kind for kind in _NUMBERS}
-    found = [column for column in told if column in values]
-    if not found:
+    kinds: dict[str, Kind] = {spelled(READINGS[kind][0]): kind for kind in _NUMBERS}
+    present = [column for column in kinds if column in values]
+    if not present:
         return arrays
     if arrays["position"] is not None:
-        listed = ", ".join(found)
+        listed = ", ".join(present)
         notes.append(f"the poses x_m y_m z_m are read, and not the readings {listed}; name the others `ignore`")
         return arrays
-    if len(found) > 1:
+    if len(present) > 1:
         raise InputError(
-            f"{source}: has readings of several kinds, columns {found[0]} and {found[1]}; write each kind to a file of "
-            "its own, and name both files: `lite6jax diagnose a.csv b.csv`"
+            f"{source}: has readings of several kinds, columns {present[0]} and {present[1]}; write each kind to a "
+            "file of its own, and name both files: `lite6jax diagnose a.csv b.csv`"
         )
-    kind, samples = told[found[0]], len(arrays["joint_position"])
+    kind = kinds[present[0]]
+    samples = len(arrays["joint_position"])
     if kind == "camera":
         return _of_corners(arrays, values, source)
-    value = np.zeros(samples) if kind in ("contact", "plane") else values[found[0]]
-    names, group, label = (kind,), np.zeros(samples, np.int64), "anchor" if kind == "distance" else kind
+    value = np.zeros(samples) if kind in ("contact", "plane") else values[present[0]]
+    names = (kind,)
+    group = np.zeros(samples, np.int64)
+    label = "anchor" if kind == "distance" else kind
     if label in labels:
         missing = ~np.isfinite(values[label])
-        names, group = labels[label], np.where(missing, 0, values[label]).astype(np.int64)
+        names = labels[label]
+        group = np.where(missing, 0, values[label]).astype(np.int64)
         value = np.where(missing, np.nan, value)
     return arrays | {"readings": Readings(kind, group, names, value, np.zeros((samples, 0, 2)))}
 
@@ -161,17 +166,18 @@ def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str
     if needed := [name for name in ("image", "corner", "v_px") if name not in values]:
         raise InputError(f"{source}: has u_px without {needed[0]}; give image, corner, u_px and v_px, a row a corner")
     image, corner, u, v = (values[name] for name in ("image", "corner", "u_px", "v_px"))
-    there = np.isfinite([image, corner, u, v]).all(0)
-    wrong = np.flatnonzero(there & ((corner != np.round(corner)) | (corner < 0) | (corner >= LARGEST_CORNER)))
+    complete = np.isfinite([image, corner, u, v]).all(0)
+    wrong = np.flatnonzero(complete & ((corner != np.round(corner)) | (corner < 0) | (corner >= LARGEST_CORNER)))
     if wrong.size:
         raise InputError(f"{source}: column corner: row {wrong[0] + 1} is {corner[wrong[0]]:g}; count corners from 0")
-    if not there.any():
+    if not complete.any():
         raise InputError(f"{source}: no row has image, corner, u_px and v_px; record corners")
-    rows = np.flatnonzero(there)
+    rows = np.flatnonzero(complete)
     numbers, first, inverse = np.unique(image[rows].astype(int), return_index=True, return_inverse=True)
-    kept, at = rows[first], corner[rows].astype(int)
+    first_rows = rows[first]
+    at = corner[rows].astype(int)
     q = arrays["joint_position"]
-    differs = np.flatnonzero((np.abs(q[rows] - q[kept][inverse]) > 1e-9).any(1))
+    differs = np.flatnonzero((np.abs(q[rows] - q[first_rows][inverse]) > 1e-9).any(1))
     if differs.size:
         raise InputError(
             f"{source}: row {rows[differs[0]] + 1}: its joint positions differ from those of the other corners of its "
@@ -181,10 +187,10 @@ def _of_corners(arrays: dict[str, Any], values: Mapping[str, Array], source: str
     if np.bincount(inverse * pixels.shape[1] + at).max() > 1:
         raise InputError(f"{source}: an image has a corner twice; give each image a number of its own")
     pixels[inverse, at] = np.stack([u[rows], v[rows]], 1)
-    few = {
-        name: array[kept] if isinstance(array, np.ndarray) and len(array) == len(image) else array
+    per_image = {
+        name: array[first_rows] if isinstance(array, np.ndarray) and len(array) == len(image) else array
         for name, array in arrays.items()
     }
-    few["row"] = kept + 1 if arrays["row"] is None else np.asarray(arrays["row"])[kept]
+    per_image["row"] = first_rows + 1 if arrays["row"] is None else np.asarray(arrays["row"])[first_rows]
     readings = Readings("camera", np.zeros(len(numbers), np.int64), ("board",), np.zeros(len(numbers)), pixels)
-    return few | {"readings": readings}
+    return per_image | {"readings": readings}

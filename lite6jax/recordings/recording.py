@@ -201,7 +201,7 @@ class Recording(PublicResult):
         readings: Readings | None = None,
         stations: tuple[int, ...] = (),
         spelling: Mapping[str, str] | None = None,
-        **others: ArrayLike | None,
+        **optional: ArrayLike | None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
@@ -214,7 +214,7 @@ class Recording(PublicResult):
                 settings with a number per joint that are of another number of joints, or over half of the rows with
                 implausible numbers.
         """
-        said = [*notes]
+        sentences = [*notes]
         q = real_array(f"{source}: joint_position", joint_position)
         if q.ndim != 2 or 0 in q.shape:
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
@@ -222,18 +222,18 @@ class Recording(PublicResult):
         settings = (settings or RecordingSettings()).for_joints(dof, source)
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
-        given = {"joint_position": q, "payload": np.zeros(samples)}
-        given |= {name: value for name, value in others.items() if value is not None}
-        if unknown := given.keys() - OF_ARRAY.keys():
+        supplied = {"joint_position": q, "payload": np.zeros(samples)}
+        supplied |= {name: value for name, value in optional.items() if value is not None}
+        if unknown := supplied.keys() - OF_ARRAY.keys():
             raise TypeError(f"{min(unknown)}: a recording has no such array")
         arrays: dict[str, Any] = dict.fromkeys(OF_ARRAY)
-        for name, value in given.items():
+        for name, value in supplied.items():
             shape = (samples,) if is_scalar(name) else (samples, len(name_columns(name, dof)))
             arrays[name] = real_array(f"{source}: {name}", value)
             if arrays[name].shape != shape:
                 raise InputError(f"{source}: {name} has the shape {arrays[name].shape}; give {shape}")
         if spelling is not None:
-            said += blank_implausible(arrays, source, spelling)
+            sentences += blank_implausible(arrays, source, spelling)
             q = arrays["joint_position"]
         for name, counted, usual in (("run", run, np.zeros(samples, int)), ("row", row, np.arange(1, samples + 1))):
             array = usual if counted is None else np.asarray(counted)
@@ -247,26 +247,34 @@ class Recording(PublicResult):
             assert readings.seen is not None
             T = readings.seen.T
             arrays |= {"position": T[:, :3, 3], "quaternion": quaternions(MATRIX, T[:, :3, :3].reshape(-1, 9))}
-            there = int(np.isfinite(T[:, 0, 3]).sum())
-            if there < samples:
-                few = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
-                said.append(f"{samples - there} of {samples} images show {few}: they are left out")
+            shown = int(np.isfinite(T[:, 0, 3]).sum())
+            if shown < samples:
+                problem = f"fewer than {FEWEST_CORNERS} corners, or all in one line"
+                sentences.append(f"{samples - shown} of {samples} images show {problem}: they are left out")
         if arrays["quaternion"] is not None:
             if arrays["position"] is None:
                 raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
             arrays["quaternion"], note = unit_quaternions(arrays["quaternion"], arrays["row"], source)
-            said += [note] if note else []
-        motion, time, velocity = settings.motion, arrays["time"], arrays["joint_velocity"]
+            sentences += [note] if note else []
+        motion = settings.motion
+        time = arrays["time"]
+        velocity = arrays["joint_velocity"]
         if motion is None:
             motion, reason = inferred_motion(time, velocity)
-            said.append(f"the motion is not declared and is taken as {motion}: {reason}")
-        segment, differentiated = run_segments(arrays["run"]), False
+            sentences.append(f"the motion is not declared and is taken as {motion}: {reason}")
+        segment = run_segments(arrays["run"])
+        differentiated = False
         if velocity is None and time is not None and motion == "trajectory":
-            velocity, differentiated = differentiate(q, time, segment), True
+            velocity = differentiate(q, time, segment)
+            differentiated = True
             arrays["joint_velocity"] = velocity
-            said.append("the joint velocities were not recorded and come from differentiating the positions over time")
+            sentences.append(
+                "the joint velocities were not recorded and come from differentiating the positions over time"
+            )
         elif velocity is None and motion == "trajectory":
-            said.append("the trajectory has neither times nor velocities: directions of motion follow the row order")
+            sentences.append(
+                "the trajectory has neither times nor velocities: directions of motion follow the row order"
+            )
         return cls(
             **arrays,
             direction_of_motion=directions(q, velocity, segment, motion),
@@ -274,7 +282,7 @@ class Recording(PublicResult):
             velocity_differentiated=differentiated,
             settings=settings,
             source=source,
-            notes=tuple(dict.fromkeys(said)),
+            notes=tuple(dict.fromkeys(sentences)),
             sliding=sliding or (),
             readings=readings,
             stations=stations,
@@ -411,10 +419,10 @@ class Recording(PublicResult):
         Raises:
             InputError: as `assembled`.
         """
-        kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
-        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding", "readings", "stations")
+        retained = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
+        retained = (*retained, "payload", "run", "row", "settings", "source", "sliding", "readings", "stations")
         velocity = None if self.velocity_differentiated else self.joint_velocity
-        arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
+        arguments: dict[str, Any] = {name: getattr(self, name) for name in retained} | {"joint_velocity": velocity}
         return Recording.assembled(**(arguments | changes))
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -458,22 +466,26 @@ def _of_arm(
         InputError: an arm of other joints, degrees, or millimetres.
     """
     if isinstance(arm, Arm):
-        known = arm
+        reference_arm = arm
     elif recording.settings.arm is not None:
-        known = read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        reference_arm = read_arm(recording.settings.arm_reference(Path(recording.source).parent))
     else:
-        known = max(bundled_of(0 if sliding else recording.dof), key=lambda one: one.reach, default=None)
-    if known is None:
-        return recording
-    if recording.dof != known.dof:
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, but {known.name} has {known.dof}; give the arm that it is"
-            " of"
+        reference_arm = max(
+            bundled_of(0 if sliding else recording.dof), key=lambda candidate: candidate.reach, default=None
         )
-    if sliding is not None and sliding != known.sliding:
-        raise InputError(f"{recording.source}: {other_joints(sliding, known.sliding, known.name)}")
-    recording = replace(recording, sliding=known.sliding)
-    check_scale(recording, known.possible_positions, known.reach, table, "arrays" if table is None else "table")
+    if reference_arm is None:
+        return recording
+    if recording.dof != reference_arm.dof:
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, but {reference_arm.name} has {reference_arm.dof}; give "
+            "the arm that it is of"
+        )
+    if sliding is not None and sliding != reference_arm.sliding:
+        raise InputError(f"{recording.source}: {other_joints(sliding, reference_arm.sliding, reference_arm.name)}")
+    recording = replace(recording, sliding=reference_arm.sliding)
+    check_scale(
+        recording, reference_arm.possible_positions, reference_arm.reach, table, "arrays" if table is None else "table"
+    )
     return recording
 
 
@@ -482,7 +494,7 @@ def check_scale(
     joint_limits: ArrayLike | None = None,
     reach: float | None = None,
     table: Table | None = None,
-    given: Given = "file",
+    provenance: Given = "file",
     degrees: bool = False,
     millimetres: bool = False,
 ) -> None:
@@ -496,7 +508,7 @@ def check_scale(
         joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
         reach: of the arm in m, without a tool.
         table: that it was read from, for the names of columns in messages.
-        given: where the numbers are from.
+        provenance: where the numbers are from.
         degrees, millimetres: whether these have been assumed already, so that the message does not ask.
 
     Raises:
@@ -507,13 +519,15 @@ def check_scale(
 
     def said(joint: int) -> tuple[str, str]:
         name = spelling.get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-        remedy = _ask_about("degrees", "q1_deg ...", "radians: np.deg2rad(joint_position)", given)
+        remedy = _ask_about("degrees", "q1_deg ...", "radians: np.deg2rad(joint_position)", provenance)
         if joint in recording.sliding:
             metres = f"metres: joint_position[:, {joint}] / 1000"
-            remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, "table" if given == "file" else given)
+            remedy = _ask_about(
+                "millimetres", f"q{joint + 1}_mm", metres, "table" if provenance == "file" else provenance
+            )
         elif degrees or (table is not None and table.converts(f"q{joint + 1}_rad")):
-            remedy = FIND_UNIT if given == "file" else "check the unit"
-        return f"{recording.source}: " + ("joint_position" if given == "arrays" else f"column {name}"), remedy
+            remedy = FIND_UNIT if provenance == "file" else "check the unit"
+        return f"{recording.source}: " + ("joint_position" if provenance == "arrays" else f"column {name}"), remedy
 
     if joint_limits is not None:
         limits = np.asarray(joint_limits, dtype=float)
@@ -523,29 +537,33 @@ def check_scale(
             )
         require_near(recording.joint_position, limits, said, recording.row, recording.sliding)
     position = np.empty((0, 3)) if recording.position is None else recording.position
-    there = position[np.isfinite(position).all(1)]
-    if reach is None or not len(there):
+    finite = position[np.isfinite(position).all(1)]
+    if reach is None or not len(finite):
         return
     with np.errstate(over="ignore"):
-        middle = np.median(there, axis=0)
-        distance, origin = float(np.median(np.linalg.norm(there - middle, axis=1))), "from their middle"
+        middle = np.median(finite, axis=0)
+        distance = float(np.median(np.linalg.norm(finite - middle, axis=1)))
+        origin = "from their middle"
     if recording.settings.pose_frame == "base" and np.linalg.norm(middle) > distance:
-        distance, origin = float(np.linalg.norm(middle)), "from the base"
+        distance = float(np.linalg.norm(middle))
+        origin = "from the base"
     if distance > FAR_REACHES * reach:
         names = [spelling.get(name, name) for name in name_columns("position")]
-        place = "position" if given == "arrays" else f"columns {' '.join(names)}"
-        remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", given)
-        check = FIND_UNIT if given == "file" else "check the unit"
-        known = millimetres or (table is not None and table.converts("x_m"))
+        place = "position" if provenance == "arrays" else f"columns {' '.join(names)}"
+        remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", provenance)
+        check = FIND_UNIT if provenance == "file" else "check the unit"
+        converted = millimetres or (table is not None and table.converts("x_m"))
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
-            f"{reach:.3g} m; {check if known else remedy}"
+            f"{reach:.3g} m; {check if converted else remedy}"
         )
 
 
-def _ask_about(unit: str, columns: str, numbers: str, given: Given) -> str:
-    option = f" or add `assume_{unit}=True`" if given == "file" else ""
-    remedy = f"give {numbers}" if given == "arrays" else f"name the column{'s' * (' ' in columns)} {columns}{option}"
+def _ask_about(unit: str, columns: str, numbers: str, provenance: Given) -> str:
+    option = f" or add `assume_{unit}=True`" if provenance == "file" else ""
+    remedy = (
+        f"give {numbers}" if provenance == "arrays" else f"name the column{'s' * (' ' in columns)} {columns}{option}"
+    )
     return f"are these {unit}? {remedy}"
 
 
@@ -563,9 +581,9 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
     """
     columns = {name: column for name, column in recording.columns().items() if column.dtype != object}
     if recording.readings is not None:
-        seen = recording.position
+        position = recording.position
         label = {"contact": "contact", "plane": "plane", "distance": "anchor"}.get(recording.readings.kind, "u_px")
-        columns[label] = recording.readings.value if seen is None else seen[:, 0]
+        columns[label] = recording.readings.value if position is None else position[:, 0]
     missing = {name: ~np.isfinite(column) for name, column in columns.items()}
     bad = np.logical_or.reduce(list(missing.values()))
     if not (count := int(bad.sum())):
@@ -597,58 +615,63 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     """
     usual = {field.name: field.default for field in fields(RecordingSettings)}
     # keys of which each file has its own; of all others they have the same
-    own: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
-    first, touched = recordings[0], [one.touches for one in recordings if one.touches is not None]
-    kinds = {_kind_of(one) for one in recordings}
+    merged: dict[str, Any] = {"contact_distances": (), "contact_points": {}, "planes": {}, "anchor_m": {}}
+    first = recordings[0]
+    touched = [recording.touches for recording in recordings if recording.touches is not None]
+    kinds = {_kind_of(recording) for recording in recordings}
     if len(kinds) > 1 or not kinds <= {"poses", "contact", "plane", "distance", "commands"}:
         raise InputError(
-            f"{', '.join(one.source for one in recordings)}: hold {' and '.join(sorted(kinds))}; several files of one "
-            "arm are diagnosed together where all are poses, touches of points, touches of planes, distances, or logs "
-            "of commands"
+            f"{', '.join(recording.source for recording in recordings)}: hold {' and '.join(sorted(kinds))}; several "
+            "files of one arm are diagnosed together where all are poses, touches of points, touches of planes, "
+            "distances, or logs of commands"
         )
-    for one in recordings[1:]:
-        for key in (key for key in usual if key not in own):
-            if getattr(one.settings, key) != getattr(first.settings, key):
+    for recording in recordings[1:]:
+        for key in (key for key in usual if key not in merged):
+            if getattr(recording.settings, key) != getattr(first.settings, key):
                 raise InputError(
-                    f"{one.source}: its sidecar says {key}: {getattr(one.settings, key)}, and that of {first.source} "
-                    f"{getattr(first.settings, key)}; let them agree"
+                    f"{recording.source}: its sidecar says {key}: {getattr(recording.settings, key)}, and that of "
+                    f"{first.source} {getattr(first.settings, key)}; let them agree"
                 )
-        if one.dof != first.dof:
+        if recording.dof != first.dof:
             raise InputError(
-                f"{one.source}: has {one.dof} joints, and {first.source} {first.dof}; name files of one arm"
+                f"{recording.source}: has {recording.dof} joints, and {first.source} {first.dof}; name files of one arm"
             )
-    stems = [Path(one.source).stem for one in recordings]
+    stems = [Path(recording.source).stem for recording in recordings]
     if len({*stems}) < len(stems):
         raise InputError(f"{first.source}: two files are called {stems[0]}; give each a name of its own")
-    before = np.concatenate([[0], np.cumsum([one.row.max() for one in recordings])])
-    notes = [note for one in recordings for note in one.notes] + _describe_join(recordings, before)
-    arrays: dict[str, Any] = {"row": np.concatenate([one.row + k for one, k in zip(recordings, before, strict=False)])}
+    before = np.concatenate([[0], np.cumsum([recording.row.max() for recording in recordings])])
+    notes = [note for recording in recordings for note in recording.notes] + _describe_join(recordings, before)
+    arrays: dict[str, Any] = {
+        "row": np.concatenate([recording.row + k for recording, k in zip(recordings, before, strict=False)])
+    }
     for name in OF_ARRAY:
-        each = [getattr(one, name) for one in recordings]
+        parts = [getattr(recording, name) for recording in recordings]
         derived = name == "joint_velocity" and first.velocity_differentiated
-        if all(array is not None for array in each) and not derived:
-            arrays[name] = np.concatenate(each)
-    arrays["run"] = np.concatenate([one.run + 1_000_000 * k for k, one in enumerate(recordings)])
+        if all(array is not None for array in parts) and not derived:
+            arrays[name] = np.concatenate(parts)
+    arrays["run"] = np.concatenate([recording.run + 1_000_000 * k for k, recording in enumerate(recordings)])
     names: list[str] = []
     groups = []
-    for one, touches, stem in zip(recordings, touched, stems, strict=False):
+    for recording, touches, stem in zip(recordings, touched, stems, strict=False):
         groups.append(touches.group + len(names))
         names += [f"{stem}/{name}" for name in touches.names]
-        own["contact_distances"] += tuple(
-            msgspec.structs.replace(each, between=tuple(f"{stem}/{name}" for name in each.between))
-            for each in one.settings.contact_distances
+        merged["contact_distances"] += tuple(
+            msgspec.structs.replace(distance, between=tuple(f"{stem}/{name}" for name in distance.between))
+            for distance in recording.settings.contact_distances
         )
         for key in ("contact_points", "planes", "anchor_m"):
-            given = getattr(one.settings, key)
-            given = dict.fromkeys(touches.names, given) if isinstance(given, tuple) else given
-            own[key] |= {f"{stem}/{name}": value for name, value in given.items()} if isinstance(given, Mapping) else {}
+            declared = getattr(recording.settings, key)
+            declared = dict.fromkeys(touches.names, declared) if isinstance(declared, tuple) else declared
+            merged[key] |= (
+                {f"{stem}/{name}": value for name, value in declared.items()} if isinstance(declared, Mapping) else {}
+            )
     readings = None
     if touched:
-        value, pixels = (np.concatenate([getattr(one, key) for one in touched]) for key in ("value", "pixels"))
+        value, pixels = (np.concatenate([getattr(touches, key) for touches in touched]) for key in ("value", "pixels"))
         readings = Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels)
     return Recording.assembled(
         **arrays,
-        settings=replace(first.settings, **{key: given or usual[key] for key, given in own.items()}),
+        settings=replace(first.settings, **{key: declared or usual[key] for key, declared in merged.items()}),
         source=first.source,
         notes=notes,
         sliding=first.sliding,
@@ -677,17 +700,17 @@ def _has_stations(recording: Recording) -> bool:
 
 def _describe_join(recordings: Sequence[Recording], before: Int[np.ndarray, " file"]) -> list[str]:
     """What was done to join files, in sentences; `before` are the rows before each."""
-    first, *others = (Path(one.source).name for one in recordings)
-    counted = ", ".join(f"those of {name} from {rows + 1}" for name, rows in zip(others, before[1:], strict=False))
-    said = [f"rows are counted through all files, {counted}"]
+    first, *later_names = (Path(recording.source).name for recording in recordings)
+    counted = ", ".join(f"those of {name} from {rows + 1}" for name, rows in zip(later_names, before[1:], strict=False))
+    sentences = [f"rows are counted through all files, {counted}"]
     if _has_stations(recordings[0]):
-        listed = ", ".join(others)
-        frames = "a frame of its own" if len(others) == 1 else "frames of their own"
-        said.append(
+        listed = ", ".join(later_names)
+        frames = "a frame of its own" if len(later_names) == 1 else "frames of their own"
+        sentences.append(
             f"the sensor of {listed} has {frames}, which the poses determine; all that is said or predicted in a "
             f"sensor's frame is in that of {first}"
         )
-    if len({one.quaternion is None for one in recordings}) == 2:
-        lacking = next(Path(one.source).name for one in recordings if one.quaternion is None)
-        said.append(f"orientations are left out, as {lacking} has none")
-    return said
+    if len({recording.quaternion is None for recording in recordings}) == 2:
+        lacking = next(Path(recording.source).name for recording in recordings if recording.quaternion is None)
+        sentences.append(f"orientations are left out, as {lacking} has none")
+    return sentences

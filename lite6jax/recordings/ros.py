@@ -96,16 +96,20 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         raise InputError(f"{path}: bags take the package rosbags; pip install 'lite6jax[rosbag]'") from error
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            types = {one.topic: str(one.msgtype).replace("/msg/", "/") for one in reader.connections}
+            types = {
+                connection.topic: str(connection.msgtype).replace("/msg/", "/") for connection in reader.connections
+            }
             joints, poses = _choose(path, dict(sorted(types.items())), topics)
-            found: dict[str, list[tuple[Any, int, int]]] = {one.topic: [] for one in (joints, poses) if one is not None}
-            connections = [one for one in reader.connections if one.topic in found]
+            messages: dict[str, list[tuple[Any, int, int]]] = {
+                choice.topic: [] for choice in (joints, poses) if choice is not None
+            }
+            connections = [connection for connection in reader.connections if connection.topic in messages]
             for connection, logged, content in reader.messages(connections=connections):
                 message: Any = reader.deserialize(content, connection.msgtype)
                 for part in getattr(message, "transforms", [message]):
                     stamp = part.header.stamp
                     header = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-                    found[connection.topic].append((part, header, logged))
+                    messages[connection.topic].append((part, header, logged))
     except InputError:
         raise
     except Exception as error:  # the package raises whatever the damaged bytes lead to
@@ -113,11 +117,11 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         tool = {".mcap": "recover what is left with `mcap recover`", ".bag": "check it with `rosbag info`"}
         remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
         raise InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again") from error
-    moved = _series(path, joints, found[joints.topic])
-    measured = None if poses is None else _series(path, poses, found[poses.topic])
+    moved = _series(path, joints, messages[joints.topic])
+    measured = None if poses is None else _series(path, poses, messages[poses.topic])
     stamp, columns = _joint_states(path, joints.topic, moved, of_arm, notes)
-    said = f"times are {moved.clock} of {joints.topic}"
-    notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
+    clock_note = f"times are {moved.clock} of {joints.topic}"
+    notes.append(clock_note + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
     if poses is None or measured is None:
         if not topics and not any(name.startswith("tau") for name in columns):
             raise InputError(
@@ -133,9 +137,9 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
             f"the poses are those of {child} in {parent} on {poses.topic}; a robot_state_publisher computes such "
             "transforms from the joints, which measures nothing"
         )
-    kept, columns = _at_poses(path, stamp, columns, measured.stamp, notes)
-    at = measured.stamp[kept]
-    position, quaternion = (part[kept] for part in _poses(measured.messages))
+    inside, columns = _at_poses(path, stamp, columns, measured.stamp, notes)
+    at = measured.stamp[inside]
+    position, quaternion = (part[inside] for part in _poses(measured.messages))
     table = {"time_s": _seconds(at, at[0]), **columns, **dict(zip(map(spelled, PLACE), position.T, strict=True))}
     if (quaternion == quaternion[0]).all() and len(measured.messages) > 1:
         notes.append(f"the orientations of {poses.name} never change: they are taken as not measured")
@@ -146,24 +150,25 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 # ------------------------------------------------------------------ topics
 
 
-def _choose(path: Path, types: Mapping[str, str], named: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
+def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
     """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
-    there, wanted = _topics_of(types), []
-    for name in named:
+    available = _topics_of(types)
+    chosen = []
+    for name in topics:
         topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
-        wanted.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))
-        if types.get(wanted[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
+        chosen.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))
+        if types.get(chosen[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
             raise InputError(
-                f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {there}; name those to be read"
+                f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {available}; name those to be read"
             )
-    candidates = wanted or [_Chosen(topic) for topic in types]
+    candidates = chosen or [_Chosen(topic) for topic in types]
     joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
     poses = [choice for choice in candidates if types[choice.topic] in (POSE_STAMPED, TRANSFORM)]
     poses = poses or [
-        choice for choice in candidates if types[choice.topic] == TF and (named or choice.topic != "/tf_static")
+        choice for choice in candidates if types[choice.topic] == TF and (topics or choice.topic != "/tf_static")
     ]
     if not joints:
-        raise InputError(f"{path}: has no topic of {JOINT_STATE}; {there}; record one with these types")
+        raise InputError(f"{path}: has no topic of {JOINT_STATE}; {available}; record one with these types")
     pair = ",".join(choice.name for choice in (*joints[:1], *poses[:1]))
     for listed in (joints, poses):
         if len(listed) > 1:
@@ -183,31 +188,31 @@ def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
     return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
 
 
-def _series(path: Path, chosen: _Chosen, found: list[tuple[Any, int, int]]) -> _Series:
+def _series(path: Path, chosen: _Chosen, messages: list[tuple[Any, int, int]]) -> _Series:
     """The messages of a topic with their stamps: the headers', or the log's where no header has any.
 
     Raises:
         InputError: there are none, or transforms to several frames of which none is chosen.
     """
-    if not found:
+    if not messages:
         raise InputError(f"{path}: topic {chosen.topic} has no messages; record again")
-    pairs = list(dict.fromkeys(_frames(part) for part, _, _ in found if not hasattr(part, "name")))
+    pairs = list(dict.fromkeys(_frames(part) for part, _, _ in messages if not hasattr(part, "name")))
     listed = _listed([f"{child} in {parent}" for parent, child in pairs])
     if chosen.child is not None:
-        found = [entry for entry in found if _frames(entry[0])[1] == chosen.child]
+        messages = [entry for entry in messages if _frames(entry[0])[1] == chosen.child]
         parents = [parent for parent, child in pairs if child == chosen.child]
         if len(parents) != 1:
-            said = f"no transform to {chosen.child}" if not parents else f"{chosen.child} in {', '.join(parents)}"
-            raise InputError(f"{path}: topic {chosen.topic} has {said}; it has {listed}")
+            problem = f"no transform to {chosen.child}" if not parents else f"{chosen.child} in {', '.join(parents)}"
+            raise InputError(f"{path}: topic {chosen.topic} has {problem}; it has {listed}")
     elif len(pairs) > 1:
         raise InputError(
             f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {listed}; choose the "
             f"frame that was measured, as in {path.name}#/joint_states,{chosen.topic}:{pairs[0][1]}"
         )
-    stamped = any(header for _, header, _ in found)
+    stamped = any(header for _, header, _ in messages)
     clock = "the header stamps" if stamped else "the log times (no header stamps)"
-    stamps = [header if stamped else logged for _, header, logged in found]
-    return _Series([part for part, _, _ in found], np.array(stamps, np.int64), clock)
+    stamps = [header if stamped else logged for _, header, logged in messages]
+    return _Series([part for part, _, _ in messages], np.array(stamps, np.int64), clock)
 
 
 def _frames(message: Any) -> tuple[str, str]:
@@ -218,9 +223,9 @@ def _frames(message: Any) -> tuple[str, str]:
 def _poses(messages: Sequence[Any]) -> tuple[Array, Array]:
     """Positions `(message, 3)` and quaternions `(message, 4)`, scalar first, of stamped poses or transforms."""
     if hasattr(messages[0], "pose"):
-        parts = [(one.pose.position, one.pose.orientation) for one in messages]
+        parts = [(message.pose.position, message.pose.orientation) for message in messages]
     else:
-        parts = [(one.transform.translation, one.transform.rotation) for one in messages]
+        parts = [(message.transform.translation, message.transform.rotation) for message in messages]
     position = [(at.x, at.y, at.z) for at, _ in parts]
     quaternion = [(turn.w, turn.x, turn.y, turn.z) for _, turn in parts]
     return np.array(position, float), np.array(quaternion, float)
@@ -233,27 +238,29 @@ def _joint_states(
     path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str]
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """What the joints did, in order of time: the stamps, and the columns to be interpolated."""
-    seen = list(dict.fromkeys(str(name) for message in series.messages for name in message.name))
-    if not seen:
+    joint_names = list(dict.fromkeys(str(name) for message in series.messages for name in message.name))
+    if not joint_names:
         raise InputError(f"{path}: the messages of {topic} name no joints; record them with names")
-    names, order = _ordered(seen, of_arm)
-    left_out = [name for name in seen if name not in names]
+    names, order = _ordered(joint_names, of_arm)
+    left_out = [name for name in joint_names if name not in names]
     notes.append(
         f"joints of {topic} {order}: "
         + ", ".join(f"q{number} is {name}" for number, name in enumerate(names, 1))
         + (f"; left out: {', '.join(left_out)}" if left_out else "")
     )
-    whole = [
+    complete = [
         k
         for k, m in enumerate(series.messages)
         if len(m.position) == len(m.name) == len(set(m.name)) and set(names) <= set(m.name)
     ]
-    if skipped := len(series.messages) - len(whole):
+    if skipped := len(series.messages) - len(complete):
         notes.append(f"passed over {skipped} messages of {topic} without the positions of all these joints")
-    if not whole:
+    if not complete:
         raise InputError(f"{path}: no message of {topic} has the positions of all of {', '.join(names)}; record again")
-    whole = [whole[k] for k in np.unique(series.stamp[whole], return_index=True)[1]]  # in order of time, each once
-    messages = [series.messages[k] for k in whole]
+    complete = [
+        complete[k] for k in np.unique(series.stamp[complete], return_index=True)[1]
+    ]  # in order of time, each once
+    messages = [series.messages[k] for k in complete]
     place = [[list(message.name).index(name) for name in names] for message in messages]
     slides = [name for joint, name in enumerate(names) if joint in of_arm.sliding]
     if slides:
@@ -270,26 +277,28 @@ def _joint_states(
         if field == "effort":
             forces = f", those of {_listed(slides)} as forces in N" if slides else ""
             notes.append(f"the efforts of {topic} are taken as torques in N m{forces}: assumed, as they state no unit")
-    return series.stamp[whole], columns
+    return series.stamp[complete], columns
 
 
-def _ordered(seen: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], str]:
+def _ordered(joint_names: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], str]:
     """The arm's joints along it, and in words by what order."""
-    if of_arm.names and set(of_arm.names) <= set(seen):
+    if of_arm.names and set(of_arm.names) <= set(joint_names):
         return list(of_arm.names), "by the names of the arm's joints"
-    along = {part: [name for name in seen if re.fullmatch(rf"(.*?){part}(_joint)?", name)] for part in UR_JOINTS}
-    if all(len(found) == 1 for found in along.values()):
-        return [found[0] for found in along.values()], "in the order of Universal Robots' arms"
+    along = {part: [name for name in joint_names if re.fullmatch(rf"(.*?){part}(_joint)?", name)] for part in UR_JOINTS}
+    if all(len(matches) == 1 for matches in along.values()):
+        return [matches[0] for matches in along.values()], "in the order of Universal Robots' arms"
     groups: dict[str, list[tuple[int, str]]] = {}
-    for name in seen:
+    for name in joint_names:
         if numbers := re.findall(r"\d+", name):
             groups.setdefault(re.sub(r"\d+(?!.*\d)", "#", name), []).append((int(numbers[-1]), name))
     numbered = sorted(max(groups.values(), key=len, default=[]))
     complete = [number for number, _ in numbered] in ([*range(1, len(numbered) + 1)], [*range(len(numbered))])
-    whole = len(numbered) in (len(seen), of_arm.dof) or (of_arm.dof is None and complete and len(numbered) > 1)
-    if numbered and whole:
+    all_numbered = len(numbered) in (len(joint_names), of_arm.dof) or (
+        of_arm.dof is None and complete and len(numbered) > 1
+    )
+    if numbered and all_numbered:
         return [name for _, name in numbered], "by the numbers in their names"
-    return list(seen), "in order of appearance"
+    return list(joint_names), "in order of appearance"
 
 
 def _at_poses(
@@ -301,13 +310,13 @@ def _at_poses(
     base = min(stamp[0], at.min())
     times = _seconds(stamp, base), _seconds(at, base)
     joined = join(times[0], columns, [name for name in columns if re.match(r"q\d", name)], times[1])
-    if not joined.kept.any():
+    if not joined.usable.any():
         moved, measured = (f"{time.min():.3f} to {time.max():.3f} s" for time in times)
         raise InputError(
             f"{path}: no pose lies between joint states (joints {moved}, poses {measured}); stamp both by one clock"
         )
     notes += said_of(joined)
-    return joined.kept, joined.columns
+    return joined.usable, joined.columns
 
 
 def _seconds(stamp: NDArray[np.int64], start: np.int64) -> Array:

@@ -12,9 +12,9 @@ STANDSTILL_RAD_PER_S = 1e-3
 MOVING_SHARE = 0.05  # of the rows; a static recording may hold a few taken before the arm came to rest
 
 
-def spread_rows(count: int, most: int) -> Int[np.ndarray, " row"]:
-    """`most` of so many rows, spread evenly; all where they are no more."""
-    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
+def spread_rows(count: int, limit: int) -> Int[np.ndarray, " row"]:
+    """`limit` of so many rows, spread evenly; all where they are no more."""
+    return np.arange(count) if count <= limit else np.unique(np.linspace(0, count - 1, limit).astype(int))
 
 
 def run_segments(run: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:

@@ -303,22 +303,22 @@ class RecordingSettings:
             InputError: lists that are of another number of joints; the message begins with `source`.
         """
         noise = self.torque_noise_Nm
-        each = replace(self, torque_noise_Nm=(noise,) * joints) if isinstance(noise, float) else self
+        per_joint = replace(self, torque_noise_Nm=(noise,) * joints) if isinstance(noise, float) else self
         for key in ("torque_noise_Nm", "torque_constant_Nm_per_A"):
-            given = getattr(each, key)
-            if given is not None and len(given) != joints:
+            numbers = getattr(per_joint, key)
+            if numbers is not None and len(numbers) != joints:
                 raise InputError(
-                    f"{source}: recording.{key} has {len(given)} numbers for {joints} joints; give one per joint"
+                    f"{source}: recording.{key} has {len(numbers)} numbers for {joints} joints; give one per joint"
                 )
         if isinstance(self.servo, ServoSettings):
             for key in ("stiffness_Nm_per_rad", "damping_Nm_s_per_rad", "torque_limit_Nm", "time_constant_s"):
-                given = getattr(self.servo, key)
-                if given is not None and len(given) != joints:
+                numbers = getattr(self.servo, key)
+                if numbers is not None and len(numbers) != joints:
                     raise InputError(
-                        f"{source}: recording.servo.{key} has {len(given)} numbers for {joints} joints; give one per "
+                        f"{source}: recording.servo.{key} has {len(numbers)} numbers for {joints} joints; give one per "
                         "joint"
                     )
-        return each
+        return per_joint
 
     def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":
         """The same settings for a sidecar in another folder: relative paths still lead to the same files."""
@@ -331,10 +331,10 @@ class RecordingSettings:
 
 def _split_hint(hint: Any) -> tuple[Any, str]:
     """The type of a value that is declared, for msgspec, and what it accepts in words."""
-    words = next((each for each in getattr(hint, "__metadata__", ()) if isinstance(each, str)), "")
+    words = next((annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, str)), "")
     kind = hint.__origin__ if getattr(hint, "__metadata__", ()) == (words,) else hint
     if NoneType in get_args(kind):
-        kind = reduce(or_, (each for each in get_args(kind) if each is not NoneType))
+        kind = reduce(or_, (member for member in get_args(kind) if member is not NoneType))
     return kind, words
 
 
@@ -360,21 +360,21 @@ def parse_setting(key: str, value: Any) -> Any:
         if key == "tool" and isinstance(plain, str) and " " in plain.strip():
             plain = plain.split()
         # YAML 1.1 reads 1e-5, which people write, as text: msgspec takes it for a number where it is not strict
-        found: Any = msgspec.convert(plain, KEYS[key][0], strict=False)
+        parsed: Any = msgspec.convert(plain, KEYS[key][0], strict=False)
         if key == "date":
-            found = date.fromisoformat(found).isoformat()
-        if found == {}:
+            parsed = date.fromisoformat(parsed).isoformat()
+        if parsed == {}:
             raise ValueError("empty")
-        if (key == "axis" and not any(found)) or (key == "torque_constant_Nm_per_A" and 0.0 in found):
+        if (key == "axis" and not any(parsed)) or (key == "torque_constant_Nm_per_A" and 0.0 in parsed):
             raise ValueError("zero")
-        if not _is_finite(found):
+        if not _is_finite(parsed):
             raise ValueError("not finite")
     except (ValueError, TypeError, AttributeError) as error:
         reason = str(error).replace("`", "").replace(" - at $", ", at ").replace("Expected", "expected")
-        told = any(word in reason for word in (", got", "enum", "regex", "isoformat"))  # by what is to be given
-        reason = "" if told else f" ({reason})"
+        explained = any(word in reason for word in (", got", "enum", "regex", "isoformat"))  # by what is to be given
+        reason = "" if explained else f" ({reason})"
         raise InputError(f"{key}: {_shorten(value)} is not accepted{reason}; give {form_of(key)}") from error
-    return found
+    return parsed
 
 
 def form_of(key: str) -> str:
@@ -401,8 +401,8 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
     return replace(settings or RecordingSettings(), **parsed)
 
 
-def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str]) -> None:
-    for key in given:
+def _reject_unknown(place: str, content: Mapping[Any, Any], accepted: Iterable[str]) -> None:
+    for key in content:
         if key not in accepted:
             nearest = get_close_matches(str(key), accepted, n=1)
             remedy = f"did you mean {nearest[0]}?" if nearest else f"accepted: {', '.join(accepted)}"
@@ -455,8 +455,8 @@ def sidecar_path(recording: str | Path) -> Path:
     if not os.path.isdir(path):
         path = path.with_suffix("") if path.name.endswith(GROWING) else path
         return path.with_suffix(".yaml")
-    named = path if path.name not in ("", "..") else Path(os.path.abspath(path))  # such as the folder one is in
-    return named.parent / f"{named.name}.yaml"
+    absolute = path if path.name not in ("", "..") else Path(os.path.abspath(path))  # such as the folder one is in
+    return absolute.parent / f"{absolute.name}.yaml"
 
 
 def read_settings(path: str | Path) -> RecordingSettings:
@@ -503,10 +503,13 @@ def read_sidecar(path: str | Path) -> Sidecar:
     if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
         raise InputError(f"{path}: is not a sidecar; give the key `recording:` with the settings below it")
     _reject_unknown(f"{path}: ", content, ["recording", "columns", "account"])
-    settings, columns = ({} if (given := content.get(key)) is None else given for key in ("recording", "columns"))
-    for key, given, lines in (("recording", settings, "key: value"), ("columns", columns, "name in the table: q1_rad")):
-        if not isinstance(given, dict):
-            raise InputError(f"{path}: {key}: {_shorten(given)} is not a mapping; write `{lines}` lines below it")
+    settings, columns = ({} if (section := content.get(key)) is None else section for key in ("recording", "columns"))
+    for key, section, lines in (
+        ("recording", settings, "key: value"),
+        ("columns", columns, "name in the table: q1_rad"),
+    ):
+        if not isinstance(section, dict):
+            raise InputError(f"{path}: {key}: {_shorten(section)} is not a mapping; write `{lines}` lines below it")
     for name, meaning in columns.items():
         if not isinstance(meaning, str):
             raise InputError(
@@ -529,10 +532,11 @@ def read_sidecar(path: str | Path) -> Sidecar:
 
 def _with_tip_in_arm(settings: Mapping[Any, Any], path: Path) -> dict[Any, Any]:
     """The keys of `recording` with the arm `robot.urdf#tool0` in place of `arm: robot.urdf` and `tip: tool0`."""
-    others = dict(settings)
-    if "tip" not in others:
-        return others
-    tip, arm = others.pop("tip"), others.get("arm")
+    content = dict(settings)
+    if "tip" not in content:
+        return content
+    tip = content.pop("tip")
+    arm = content.get("arm")
     if not isinstance(tip, str) or not tip.strip():
         raise InputError(f"{path}: recording.tip: {_shorten(tip)} is not accepted; give the name of a link")
     if not isinstance(arm, str) or Path(arm).suffix.lower() not in suffixes.ARM_XML:
@@ -540,7 +544,7 @@ def _with_tip_in_arm(settings: Mapping[Any, Any], path: Path) -> dict[Any, Any]:
             f"{path}: recording.tip: names where the chain of a URDF or MJCF file ends; give the path of one as arm, "
             "without #, or leave tip out"
         )
-    return {**others, "arm": f"{arm}#{tip.strip()}"}
+    return {**content, "arm": f"{arm}#{tip.strip()}"}
 
 
 def write_settings(
@@ -563,12 +567,12 @@ def write_settings(
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.
     """
-    said = {}
+    declared = {}
     for field in fields(settings):
         value = getattr(settings, field.name)
         if value is not None and not (field.name in OF_READINGS and value == field.default):
-            said[field.name] = value
-    content = {"recording": said} | ({} if account is None else {"account": dict(account)})
+            declared[field.name] = value
+    content = {"recording": declared} | ({} if account is None else {"account": dict(account)})
     text = yaml.safe_dump(
         msgspec.to_builtins(content), sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
     )

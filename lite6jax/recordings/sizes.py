@@ -66,10 +66,10 @@ def by_name(choice: str, sure: Sureness = "certain") -> Decision:
 
 def increases(time: Array, run: Array | None = None) -> bool:
     """Whether numbers `(sample,)` increase from row to row as times do; of another `run` they begin anew."""
-    there = np.isfinite(time)
-    steps = np.diff(time[there])
+    finite = np.isfinite(time)
+    steps = np.diff(time[finite])
     if run is not None:
-        steps = steps[np.diff(run[there]) == 0]
+        steps = steps[np.diff(run[finite]) == 0]
     # some do not: rows out of order, repeated rows, new runs
     return not steps.size or float(np.mean(steps <= 0)) <= 0.1
 
@@ -83,8 +83,8 @@ def has_unit_length(quaternion: Array) -> bool:
 
 def in_whole_numbers(values: Array) -> bool:
     """Whether all numbers are whole: only then are they tried in a unit of `FINE`."""
-    there = values[np.isfinite(values)]
-    return bool(there.size) and bool((there == np.round(there)).all())
+    finite = values[np.isfinite(values)]
+    return bool(finite.size) and bool((finite == np.round(finite)).all())
 
 
 def possible_units(quantity: str, values: Array, slides: bool = False) -> dict[str, float]:
@@ -111,29 +111,31 @@ def angle_unit(
     position = without_marks(position)
     largest = _largest(position)
     if endless and largest > WIDE_RAD:
-        others = np.delete(position, list(endless), axis=1)
+        bounded = np.delete(position, list(endless), axis=1)
         of_others = None if limits is None else np.delete(limits, list(endless), axis=0)
-        if not others.size:
+        if not bounded.size:
             return Decision("rad", "assumed", "endless", {"largest": largest})
-        return angle_unit(others, limits=of_others)
+        return angle_unit(bounded, limits=of_others)
     columns = [column[np.isfinite(column)] for column in position.T]
     spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
-    said = {"largest": largest}
-    there = position[np.isfinite(position)]
-    if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
-        return Decision("deg", "assumed", "ticks", said)
+    numbers = {"largest": largest}
+    finite = position[np.isfinite(position)]
+    if largest > 360 and (finite == np.round(finite)).all() and finite.min() >= 0 and finite.max() < TURN_TICKS:
+        return Decision("deg", "assumed", "ticks", numbers)
     if servo and WIDE_RAD < largest <= PERCENT:
         in_ticks = _in_ticks(columns)
-        return Decision("deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", said)
+        return Decision(
+            "deg", "certain" if in_ticks else "assumed", "encoder_steps" if in_ticks else "percent", numbers
+        )
     if largest > TURNS_DEG and in_whole_numbers(position):
-        return _by_limits(columns, limits, said)
+        return _by_limits(columns, limits, numbers)
     if largest > WIDE_RAD:
-        return Decision("deg", "certain" if PERCENT < largest <= TURNS_DEG else "likely", "beyond_turns", said)
+        return Decision("deg", "certain" if PERCENT < largest <= TURNS_DEG else "likely", "beyond_turns", numbers)
     moving = spread > 0.5  # an arm that is measured moves by more than a degree
-    return Decision("rad", "likely" if moving else "assumed", "within_turns", said | {"spread": spread})
+    return Decision("rad", "likely" if moving else "assumed", "within_turns", numbers | {"spread": spread})
 
 
-def _by_limits(columns: Sequence[Array], limits: Array | None, said: dict[str, Any]) -> Decision:
+def _by_limits(columns: Sequence[Array], limits: Array | None, numbers: dict[str, Any]) -> Decision:
     """The only unit in which joints move over much of their ranges and not beyond; else the reason is `whole`."""
     if limits is not None:
         ranges = np.ptp(np.where(np.isfinite(limits), limits, np.inf * np.sign(limits)), axis=1)
@@ -142,8 +144,8 @@ def _by_limits(columns: Sequence[Array], limits: Array | None, said: dict[str, A
         covered = {unit: float(np.max(moved / divisor / ranges)) for unit, divisor in rivals.items()}
         fitting = [unit for unit, share in covered.items() if _COVERED[0] <= share <= _COVERED[1]]
         if len(fitting) == 1 and fitting[0] != "ticks":
-            return Decision(fitting[0], "assumed", "limits", said)
-    return Decision("deg", "assumed", "whole", said)
+            return Decision(fitting[0], "assumed", "limits", numbers)
+    return Decision("deg", "assumed", "whole", numbers)
 
 
 def _in_ticks(columns: Sequence[Array]) -> bool:
@@ -164,16 +166,16 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
         slides: whether these joints are prismatic.
         unit: that the names state.
     """
-    there = np.isfinite(position).all(1)
-    if not there.any() or not np.isfinite(command[there]).all():
+    finite = np.isfinite(position).all(1)
+    if not finite.any() or not np.isfinite(command[finite]).all():
         return None
-    far = np.maximum(0.5 * np.std(position[there], axis=0), 0.05)  # joints are nearer to it at most of the time
+    far = np.maximum(0.5 * np.std(position[finite], axis=0), 0.05)  # joints are nearer to it at most of the time
     units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}
-    away = {name: np.median(np.abs(command / size - position)[there], axis=0) / far for name, size in units.items()}
-    best = min(away, key=lambda name: float(away[name].max()))
-    if (away[best] > 1).any():
+    away = {name: np.median(np.abs(command / size - position)[finite], axis=0) / far for name, size in units.items()}
+    closest = min(away, key=lambda name: float(away[name].max()))
+    if (away[closest] > 1).any():
         return None
-    return by_name(best) if unit else Decision(best, "certain", "follows", {})
+    return by_name(closest) if unit else Decision(closest, "certain", "follows", {})
 
 
 def rate_unit(
@@ -205,18 +207,18 @@ def rate_unit(
 def length_unit(position: Array) -> Decision:
     """The unit of positions `(sample, 3)`, or of prismatic joints `(sample, joint)`."""
     position = without_marks(position)
-    there = position[np.isfinite(position).all(1)]
-    spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
-    said = {"spread": spread}
-    whole = in_whole_numbers(there)
-    if spread > 1e5 or (whole and spread > _LONGEST_MM[1]):
+    finite = position[np.isfinite(position).all(1)]
+    spread = float(np.max(np.ptp(np.quantile(finite, [0.02, 0.98], axis=0), axis=0))) if len(finite) else 0.0
+    numbers = {"spread": spread}
+    are_whole = in_whole_numbers(finite)
+    if spread > 1e5 or (are_whole and spread > _LONGEST_MM[1]):
         fine = "um" if spread > 1e5 else "dmm"
-        return Decision(fine, "likely" if fine == "um" else "assumed", "beyond_reach", said)
+        return Decision(fine, "likely" if fine == "um" else "assumed", "beyond_reach", numbers)
     if spread > 10.0:  # no arm reaches so far
-        sure: Sureness = "certain" if spread <= _LONGEST_MM[int(not whole)] else "assumed"
-        return Decision("mm", sure, "beyond_reach", said)
+        sure: Sureness = "certain" if spread <= _LONGEST_MM[int(not are_whole)] else "assumed"
+        return Decision("mm", sure, "beyond_reach", numbers)
     # an arm that moved less than 5 mm is not measured
-    return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", said)
+    return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", numbers)
 
 
 def current_unit(current: Array) -> Decision:
@@ -226,8 +228,9 @@ def current_unit(current: Array) -> Decision:
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
-    decided, there = _by_largest(torque, LARGE_NM, "Nm", "mNm"), torque[np.isfinite(torque)]
-    if 100 < decided.numbers["largest"] <= LARGE_NM and (there == np.round(there)).all():
+    decided = _by_largest(torque, LARGE_NM, "Nm", "mNm")
+    finite = torque[np.isfinite(torque)]
+    if 100 < decided.numbers["largest"] <= LARGE_NM and (finite == np.round(finite)).all():
         return decided._replace(reason="register")
     return decided
 
@@ -245,15 +248,15 @@ def time_unit(time: Array, position: Array | None) -> Decision:
         time: `(sample,)`.
         position: joint positions `(sample, joint)` in rad, or m; None where unknown.
     """
-    there = time[np.isfinite(time)]
-    start = float(np.min(there, initial=np.inf))
-    for least, unit in _CLOCKS:
-        if least <= start < np.inf:
+    finite = time[np.isfinite(time)]
+    start = float(np.min(finite, initial=np.inf))
+    for earliest, unit in _CLOCKS:
+        if earliest <= start < np.inf:
             return Decision(unit, "certain", "clock", {"start": start})
-    steps = np.diff(there)
+    steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     speed = 0.0
-    if position is not None and len(there) == len(position):
+    if position is not None and len(finite) == len(position):
         with np.errstate(invalid="ignore"):
             moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
         usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
@@ -278,8 +281,8 @@ def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None)
     """
     if rotation.shape[1] in (4, len(MATRIX)):
         return form or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
-    there = rotation[np.isfinite(rotation).all(1)]
-    largest = _largest(there)
+    finite = rotation[np.isfinite(rotation).all(1)]
+    largest = _largest(finite)
     by_size = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
     if largest > TURNS_DEG:  # a rotation has no more turns than one
         size_in = {name: largest / divisor for name, divisor in units_of("rx").items() if name in FINE}
@@ -288,7 +291,7 @@ def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None)
     angle = unit or by_size
     if form:
         return form, angle
-    norm = np.linalg.norm(there, axis=1) / units_of("rx")[angle.choice]
+    norm = np.linalg.norm(finite, axis=1) / units_of("rx")[angle.choice]
     if np.mean(norm > 1.01 * np.pi) > 0.01:
         return Decision("roll", "likely", "beyond_half_turn", {"largest": float(norm.max())}), angle
     if angle.choice.endswith("deg"):
@@ -316,5 +319,5 @@ def without_marks(values: Array) -> Array:
 def _largest(values: Array) -> float:
     """The largest magnitude but for marks, and for the highest thousandth, which may be faults."""
     values = without_marks(values)
-    there = np.abs(values[np.isfinite(values)])
-    return float(np.quantile(there, 0.999)) if there.size else 0.0
+    magnitudes = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(magnitudes, 0.999)) if magnitudes.size else 0.0

@@ -30,8 +30,8 @@ class Joined(NamedTuple):
     """Joint states at the times of poses.
 
     Attributes:
-        kept: `(pose,)` bool, where the joints are known.
-        columns: by their names, `(kept,)` each.
+        usable: `(pose,)` bool, where the joints are known.
+        columns: by their names, `(usable,)` each.
         method: how they are found between joint states; `nearest` where each pose has a capture of its own.
         outside: poses before the first or after the last joint state.
         wide: poses between joint states that are too far apart.
@@ -41,7 +41,7 @@ class Joined(NamedTuple):
         resolved: whether the joint states follow the motion; else what is interpolated means nothing.
     """
 
-    kept: Flags
+    usable: Flags
     columns: dict[str, Array]
     method: Method
     outside: int
@@ -130,18 +130,18 @@ def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: A
         at: `(pose,)` s, of the same clock.
     """
     stream = JointStream.of(time, np.stack([columns[name] for name in joints], 1))
-    if not stream.resolved and (own := _captures(time, at, stream.step)) is not None:
-        kept, nearest = own
-        found = {name: column[nearest[kept]] for name, column in columns.items()}
-        longest = float(np.max(np.abs(at - time[nearest])[kept], initial=0.0))
-        return Joined(kept, found, "nearest", 0, int(np.sum(~kept)), longest, np.nan)
-    kept = stream.known(at)
+    if not stream.resolved and (captures := _captures(time, at, stream.step)) is not None:
+        usable, nearest = captures
+        at_poses = {name: column[nearest[usable]] for name, column in columns.items()}
+        longest = float(np.max(np.abs(at - time[nearest])[usable], initial=0.0))
+        return Joined(usable, at_poses, "nearest", 0, int(np.sum(~usable)), longest, np.nan)
+    usable = stream.known(at)
     outside = int(np.sum((at < time[0]) | (at > time[-1])))
-    found = {name: _between(time, column[:, None], at[kept])[:, 0] for name, column in columns.items()}
-    found |= dict(zip(joints, stream.at(at[kept]).T, strict=True))
-    wide = int(np.sum(~kept)) - outside
-    gap = stream.gap(at[kept])
-    return Joined(kept, found, stream.method, outside, wide, gap, stream.error, stream.resolved)
+    at_poses = {name: _between(time, column[:, None], at[usable])[:, 0] for name, column in columns.items()}
+    at_poses |= dict(zip(joints, stream.at(at[usable]).T, strict=True))
+    wide = int(np.sum(~usable)) - outside
+    gap = stream.gap(at[usable])
+    return Joined(usable, at_poses, stream.method, outside, wide, gap, stream.error, stream.resolved)
 
 
 def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.integer]] | None:
@@ -158,9 +158,9 @@ def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.in
         return beside, nearest
     alone = np.bincount(nearest, minlength=len(time))[nearest] == 1
     for side in (late >= 0, late <= 0):
-        own = side & alone & (np.abs(late) <= 0.4 * step)
-        if np.mean(own) > 0.95:
-            return own, nearest
+        captured = side & alone & (np.abs(late) <= 0.4 * step)
+        if np.mean(captured) > 0.95:
+            return captured, nearest
     return None
 
 
@@ -192,34 +192,36 @@ def merge(
         return None
     start = clock[states[0]]
     joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
-    rows = poses[joined.kept]
+    rows = poses[joined.usable]
     if not joined.resolved or not rows.size:
         why = "no pose lies between joint states" if joined.resolved else "the joints move too far from one to the next"
         raise InputError(
             f"{len(poses)} poses and {len(states)} joint states stand in different rows, and {why}; record both in one "
             "row, or joint states more often"
         )
-    found = {}
+    at_poses = {}
     for name, column in columns.items():
-        own = in_order(clock, np.isfinite(column))
-        elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
-        found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
+        recorded = in_order(clock, np.isfinite(column))
+        elsewhere = len(recorded) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
+        at_poses[name] = (
+            np.interp(clock[rows] - start, clock[recorded] - start, column[recorded]) if elsewhere else column[rows]
+        )
     first, *dropped = said_of(joined)
     notes += [f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}", *dropped]
-    return found | joined.columns, rows
+    return at_poses | joined.columns, rows
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:
     """What was done to join streams, in sentences."""
     if joined.method == "nearest":
-        said = [
+        sentences = [
             f"each pose has the joints that were captured with it, at most {joined.gap:.2g} s apart: between captures "
             "the joints move too far to be interpolated"
         ]
         dropped = ((joined.wide, "without a capture of joints beside them"),)
     else:
         error = f"; every other one left out is found again to {joined.error:.2g} {unit}"
-        said = [
+        sentences = [
             f"the joints are interpolated {joined.method} to the times of the poses (between joint states at most "
             f"{joined.gap:.2g} s apart{'' if np.isnan(joined.error) else error})"
         ]
@@ -228,10 +230,10 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
             (joined.wide, f"between joint states over {LONGEST_GAP:g} median steps apart"),
         )
     if not joined.resolved:
-        said.append(
+        sentences.append(
             "joint states are too far apart to follow the motion: what is interpolated between them is not known"
         )
-    return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
+    return sentences + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
 
 
 def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
@@ -240,22 +242,23 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     Raises:
         InputError: times begin anew, and no column says where a run begins.
     """
-    clock, there = columns[time], np.isfinite(columns[time])
-    width = float(np.ptp(clock[there])) if there.any() else 0.0
+    clock = columns[time]
+    finite = np.isfinite(columns[time])
+    width = float(np.ptp(clock[finite])) if finite.any() else 0.0
     with np.errstate(invalid="ignore", over="ignore"):
-        anew = np.diff(clock[there]) < -0.5 * width
+        anew = np.diff(clock[finite]) < -0.5 * width
     if not anew.any():
         return clock
     run = columns.get("run")
     if run is None or not np.isfinite(run).all():
-        row = int(np.flatnonzero(there)[np.flatnonzero(anew)[0] + 1]) + 1
+        row = int(np.flatnonzero(finite)[np.flatnonzero(anew)[0] + 1]) + 1
         raise InputError(f"times begin anew at row {row}; number the runs in a column `run`")
     return clock + run_segments(np.unique(run, return_inverse=True)[1]) * (10 * width + 1.0)
 
 
-def in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:
+def in_order(clock: Array, present: ArrayLike) -> NDArray[np.integer]:
     """Rows in order of time, of those at one time the first."""
-    rows = np.flatnonzero(np.asarray(there) & np.isfinite(clock))
+    rows = np.flatnonzero(np.asarray(present) & np.isfinite(clock))
     return rows[np.unique(clock[rows], return_index=True)[1]]
 
 
@@ -290,10 +293,10 @@ def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:
         return "linearly", np.nan
     part = slice(None, None, 2)
     pairs = len(time[part]) - 1
-    whole = joined[0::2][:pairs] & joined[1::2][:pairs]
+    unbroken = joined[0::2][:pairs] & joined[1::2][:pairs]
     errors = {}
-    for method, slopes in (("linearly", None), ("by cubics", _slopes(time[part], q[part], whole))):
+    for method, slopes in (("linearly", None), ("by cubics", _slopes(time[part], q[part], unbroken))):
         missed: Array = _between(time[part], q[part], time[left_out], slopes) - q[left_out]
         errors[method] = float(np.sqrt(np.mean(missed**2)))
-    best: Method = "by cubics" if errors["by cubics"] < errors["linearly"] else "linearly"
-    return best, errors[best]
+    chosen_method: Method = "by cubics" if errors["by cubics"] < errors["linearly"] else "linearly"
+    return chosen_method, errors[chosen_method]

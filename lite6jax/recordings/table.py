@@ -60,55 +60,55 @@ class RawTable(NamedTuple):
     def of_arrays(cls, values: Mapping[str, np.ndarray], assumed: Sequence[str] = ()) -> "RawTable":
         """Columns in memory."""
         arrays = list(values.values())
-        return cls([*values], lambda wanted: {k: pa.array(arrays[k]) for k in wanted}, assumed=tuple(assumed))
+        return cls([*values], lambda indices: {k: pa.array(arrays[k]) for k in indices}, assumed=tuple(assumed))
 
-    def renamed(self, source: str, given: Mapping[str, str]) -> dict[str, str]:
+    def renamed(self, source: str, meanings: Mapping[str, str]) -> dict[str, str]:
         """The names that columns are to have, by those that they have in the table.
 
         Args:
             source: what messages begin with.
-            given: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one alone.
+            meanings: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one.
 
         Raises:
             InputError: a table without names gets none.
         """
-        if self.nameless and not given:
+        if self.nameless and not meanings:
             command = command_line("init", source, "--names", "q1_deg,q2_deg,...")
             raise InputError(f"{source}: its first row holds numbers, and no line names the columns; `{command}` does")
-        return resolve_names(self.names, given)
+        return resolve_names(self.names, meanings)
 
     def numbers(self) -> list[tuple[str, np.ndarray | None]]:
         """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.
 
         Of clock times the numbers are seconds since 1970.
         """
-        found = []
+        columns = []
         for index, values in self.load(dict.fromkeys(range(len(self.names)), "time")).items():
             read = _read(values, "time")
             read = read.start + read.seconds if isinstance(read, ClockTimes) else read
-            found.append((self.names[index].strip(), None if isinstance(read, str) else read))
-        return found
+            columns.append((self.names[index].strip(), None if isinstance(read, str) else read))
+        return columns
 
     def words(self, columns: Iterable[str]) -> dict[str, list[str]]:
         """Those of some columns that are of text, one word a row; empty where a cell is."""
         listed = {*columns}
-        wanted = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in listed}
-        read = {self.names[place].strip(): values for place, values in self.load(wanted).items()}
+        quantities = {place: LABELS[0] for place, name in enumerate(self.names) if name.strip() in listed}
+        read = {self.names[place].strip(): values for place, values in self.load(quantities).items()}
         texts = {name: _strings(values) for name, values in read.items() if is_text(values)}
         return {name: [word.strip("'\" ") for word in cells] for name, cells in texts.items()}
 
 
-def resolve_names(names: Iterable[str], given: Mapping[str, str]) -> dict[str, str]:
+def resolve_names(names: Iterable[str], meanings: Mapping[str, str]) -> dict[str, str]:
     """What is given by names of columns, or by the part of a name before its unit, ` [mm]`, where that is of one."""
     listed = [*names]
     of_part: dict[str, list[str]] = {}
     for name in listed:
         of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
-    found = {}
-    for name, meaning in given.items():
-        alike = [] if name in listed else of_part.get(name, [])
-        found[alike[0] if len(alike) == 1 else name] = meaning
-    return found
+    resolved = {}
+    for name, meaning in meanings.items():
+        full_names = [] if name in listed else of_part.get(name, [])
+        resolved[full_names[0] if len(full_names) == 1 else name] = meaning
+    return resolved
 
 
 # ------------------------------------------------------------------ clock times
@@ -140,10 +140,13 @@ def clock_times(column: pa.Array | pa.ChunkedArray) -> ClockTimes | str:
     """
     ticks: list[int | None]
     if types.is_timestamp(column.type):
-        ticks, per_second = column.cast(pa.int64()).to_pylist(), _PER_SECOND[column.type.unit]
+        ticks = column.cast(pa.int64()).to_pylist()
+        per_second = _PER_SECOND[column.type.unit]
         texts = ["" if tick is None else str(np.datetime64(tick, column.type.unit)) for tick in ticks]
     else:
-        ticks, per_second, zoned = [], 10**9, set()
+        ticks = []
+        per_second = 10**9
+        zoned = set()
         texts = [(text or "").strip() for text in column.to_pylist()]
         for row, text in enumerate(texts, 1):
             moment = _parse_moment(text) if text else (None, None)
@@ -258,7 +261,10 @@ def tabulate(
             problems, or several columns are over half empty, all are named.
     """
     columns, joints, ignored, of_names = recognise(raw.names, dof, joints_optional, renamed)
-    problems, values, labels, row = [*of_names], {}, {}, None
+    problems = [*of_names]
+    values = {}
+    labels = {}
+    row = None
     try:
         loaded = raw.load({column.place: column.quantity for column in columns.values()})
         for name, column in columns.items():
@@ -286,21 +292,23 @@ def tabulate(
     else:
         try:  # where joints and poses stand in different rows
             moved, places = name_columns("joint_position", joints), name_columns("position")
-            if (whole := merge(values, moved, places, "time_s", notes)) is not None:
-                values, row = whole[0], whole[1] + 1
+            if (merged := merge(values, moved, places, "time_s", notes)) is not None:
+                values, row = merged[0], merged[1] + 1
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
         empty = []
         for name, column in values.items():
             count = int(np.sum(~np.isfinite(column)))
             if count > LARGEST_MISSING_SHARE * len(column):
-                said = f"{count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
-                empty.append(f"column {columns[name].name}: {said}")
+                problem = f"{count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
+                empty.append(f"column {columns[name].name}: {problem}")
         # one alone is reported with the rows that are left out for it; targets keep their rows
         problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
-        named = any("write " in problem or "name their columns" in problem for problem in of_names)
-        remedy = f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
+        init_helps = any("write " in problem or "name their columns" in problem for problem in of_names)
+        remedy = (
+            f"; `{command_line('init', source)}` names columns as they are" if init_helps and exists(source) else ""
+        )
         if len(problems) == 1:
             raise InputError(f"{source}: {problems[0]}{remedy}")
         numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
@@ -309,8 +317,8 @@ def tabulate(
         shown = ", ".join(
             f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
         )
-        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
-        notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
+        more = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
+        notes.append(f"ignored columns that mean nothing here: {shown}{more}")
     return Table(columns, joints, values, row, labels)
 
 
@@ -339,7 +347,7 @@ def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, 
         raise InputError(
             f"{source}: a {type(frame).__name__} has no named columns; give a data frame with columns q1_rad ... qN_rad"
         )
-    raw = RawTable(names, lambda wanted: {index: _arrow(frame[names[index]]) for index in wanted})
+    raw = RawTable(names, lambda indices: {index: _arrow(frame[names[index]]) for index in indices})
     return tabulate(raw, source, notes, renamed=renamed)
 
 
@@ -362,7 +370,8 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     Raises:
         InputError: a run that is not a whole number.
     """
-    values, arrays = with_quaternions(add_deviations(table.values, notes), source), {}
+    values = with_quaternions(add_deviations(table.values, notes), source)
+    arrays = {}
     for name in OF_ARRAY:
         listed = name_columns(name, table.joints)
         block = [values[column] for column in listed if column in values]
@@ -373,14 +382,14 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         total = f"{np.nansum(missing):.0f} reports of the controller are missing"
         notes.append(f"{total}, in {gaps} gap{'s' if gaps > 1 else ''}; the columns missing and gap say where and why")
     if (run := arrays["run"]) is not None:
-        given = np.isfinite(run)
-        wrong = np.flatnonzero(given & ((run != np.round(run)) | (np.abs(run) > 2**53)))
+        finite = np.isfinite(run)
+        wrong = np.flatnonzero(finite & ((run != np.round(run)) | (np.abs(run) > 2**53)))
         if wrong.size:
             raise InputError(f"{source}: column run: row {wrong[0] + 1} is {run[wrong[0]]:g}; give whole numbers")
         # a row without a run belongs to none and is dropped with its joints; meanwhile it must not split its neighbours
-        joint_position[~given] = np.nan
-        last = np.maximum.accumulate(np.where(given, np.arange(len(run)), 0))
-        arrays["run"] = np.where(given[last], run[last], 0.0).astype(np.int64)
+        joint_position[~finite] = np.nan
+        last = np.maximum.accumulate(np.where(finite, np.arange(len(run)), 0))
+        arrays["run"] = np.where(finite[last], run[last], 0.0).astype(np.int64)
     if (time := arrays["time"]) is not None:
         start = np.min(time, where=np.isfinite(time) & ~implausible("time", time[:, None])[:, 0], initial=np.inf)
         if LATEST_START_S < start < np.inf:

@@ -89,7 +89,7 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
     blocks = {mark: _block(lines, mark) for mark in possible}
     if "\t" in blocks and _is_even(blocks["\t"]):
         del blocks[SPACES]  # which stand within the cells
-    delimiter, rows, width, _ = max(blocks.values(), key=lambda found: found[3])
+    delimiter, rows, width, _ = max(blocks.values(), key=lambda block: block[3])
     body = _body(rows, width)
     if body is None:
         return _of_names_alone(lines)
@@ -116,8 +116,8 @@ def _without_names(table: Layout, lines: Sequence[str], rows: Sequence[Row], col
     """A table above which no row names each of its columns."""
     body = table.skip
     above = next((row for row in reversed(rows[:body]) if any(row)), [])
-    named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
-    if named and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
+    is_header = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
+    if is_header and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
         listed = _continue_lists(_unique(above, []), max(map(len, rows[body:])))
         return table._replace(names=listed, fields=len(listed), nameless=False)
     counted = [str(k) for k in range(len(rows[body]) + 1)]
@@ -151,8 +151,8 @@ def _ends_a_list(names: Sequence[str], fields: int) -> bool:
     present = {_element(name) for name in names[:fields]}
     lacking = Counter(_element(name) for name in names[fields:])
     stems = {element[0] for element in present if element}
-    whole = not present & lacking.keys() and all(element and element[0] in stems for element in lacking)
-    return whole and min(lacking.values(), default=0) > 1
+    whole_elements = not present & lacking.keys() and all(element and element[0] in stems for element in lacking)
+    return whole_elements and min(lacking.values(), default=0) > 1
 
 
 def mark_lists(text: str, mark: str = _ELEMENT) -> str:
@@ -216,26 +216,32 @@ def _body(rows: Sequence[Row], width: int) -> int | None:
     of_numbers = [k for k, kind in enumerate(kinds[fullest]) if kind in ("number", "integer")]
 
     def holds_numbers(row: int) -> bool:
-        here = [kinds[row][k] for k in of_numbers]
-        texts = here.count("text")
+        number_kinds = [kinds[row][k] for k in of_numbers]
+        texts = number_kinds.count("text")
         if not texts:
-            return any(here)
-        return texts < len(here) / 2 and ("number" in here or texts < len(here) / 4)  # a row with damage
+            return any(number_kinds)
+        return texts < len(number_kinds) / 2 and (
+            "number" in number_kinds or texts < len(number_kinds) / 4
+        )  # a row with damage
 
     inside = [holds_numbers(k) for k in of_width]
     decimals = ["number" in (kinds[row][k] for k in of_numbers) for row in of_width]  # numbers in names are whole
-    first = next((k for k, here in enumerate(inside) if here and (decimals[k] or all(inside[k + 1 : k + 2]))), None)
+    first = next(
+        (k for k, numeric in enumerate(inside) if numeric and (decimals[k] or all(inside[k + 1 : k + 2]))), None
+    )
     if first is None:
         return None
     body = of_width[first]
     while body:
         above = kinds[body - 1]
         if len(above) == width:  # whose numbers are missing, or damaged
-            here = [above[k] for k in of_numbers]
-            within = "text" not in here or "number" in here
+            number_kinds = [above[k] for k in of_numbers]
+            within = "text" not in number_kinds or "number" in number_kinds
         else:  # cut short, too long, or of fewer elements
-            alike = [kind == "text" for kind in above] == [kind == "text" for kind in kinds[fullest][: len(above)]]
-            within = any(above) and ("text" not in above or ("number" in above and alike))
+            same_pattern = [kind == "text" for kind in above] == [
+                kind == "text" for kind in kinds[fullest][: len(above)]
+            ]
+            within = any(above) and ("text" not in above or ("number" in above and same_pattern))
         if not within:
             break
         body -= 1
@@ -279,8 +285,8 @@ def _fitting(line: str, delimiter: str, width: int, filled: int, any_delimiter: 
     if filled <= len(cells) <= width:
         return cells + [""] * (width - len(cells))
     wide = [cell.strip() for cell in re.split(r"\s{2,}|\t", line.strip())]
-    others = [wide, *(_split(line, other) for other in _DELIMITERS)] if any_delimiter else []
-    return next((cells for cells in others if len(cells) == width), None)
+    splits = [wide, *(_split(line, mark) for mark in _DELIMITERS)] if any_delimiter else []
+    return next((cells for cells in splits if len(cells) == width), None)
 
 
 def _names(header: list[Row], above: Sequence[str], source: str, lines: range, notes: list[str]) -> list[str]:
@@ -324,39 +330,40 @@ def _group_names(row: Row) -> Row | None:
 
 def _with_heads(names: Sequence[str]) -> list[str]:
     """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
-    head, found = "", []
+    head = ""
+    full_names = []
     for k, name in enumerate(names):
         match = re.fullmatch(r"(.+ )X", name)
         if match and [*names[k + 1 : k + 3]] == ["Y", "Z"]:
             head = match[1]
-            found.append(name)
+            full_names.append(name)
         else:
-            found.append(head + name if name else name)
-    return found
+            full_names.append(head + name if name else name)
+    return full_names
 
 
 def _of_units(row: Iterable[str]) -> bool:
     """Whether all that a row holds are units."""
-    some = False
+    any_unit = False
     for cell in filter(None, row):
         unit = cell.strip(_BRACKETS)
-        whole = not set("[](){}") & set(unit)  # `J1 [deg]` is a name with a unit
-        named = whole and (unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS)
-        named = named or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
-        if not named and unit not in _NO_UNITS:
+        is_bare = not set("[](){}") & set(unit)  # `J1 [deg]` is a name with a unit
+        is_unit = is_bare and (unit_of(f"x [{unit}]") is not None or unit.lower() in _OTHER_UNITS)
+        is_unit = is_unit or (cell[0] + cell[-1] in ("[]", "()", "{}", "<>") and _kind(unit) == "text")
+        if not is_unit and unit not in _NO_UNITS:
             return False
-        some = some or named
-    return some
+        any_unit = any_unit or is_unit
+    return any_unit
 
 
 def _with_unit(name: str, cell: str, source: str) -> str:
     unit = cell.strip(_BRACKETS)
     if unit in _NO_UNITS:
         return name
-    own, stated = unit_of(name), unit_of(f"x [{unit}]")
-    if own is not None and own == stated:
+    named_unit, stated = unit_of(name), unit_of(f"x [{unit}]")
+    if named_unit is not None and named_unit == stated:
         return name
-    if own is not None and stated is not None and len(own) > 1:
+    if named_unit is not None and stated is not None and len(named_unit) > 1:
         raise InputError(f"{source}: column {name!r}: the row of units says {unit!r}; correct the name or the unit")
     return f"{name} [{unit}]"
 
@@ -369,26 +376,26 @@ def _with_stated_units(names: list[str], above: str, source: str) -> list[str]:
         length = unit_of(f"x [{match[1]}]") or ""
         if length not in units_of("x"):
             raise InputError(f"{source}: its lengths are in {match[1]}; export it in meters or millimeters")
-    found = []
+    with_units = []
     for name in names:
         unit = turned if "rotation" in name.lower() else length
         coordinate = re.search(r"(?:^|[/ ])[XYZ]$", name) is not None
-        found.append(f"{name} [{unit}]" if unit and coordinate else name)
-    return found
+        with_units.append(f"{name} [{unit}]" if unit and coordinate else name)
+    return with_units
 
 
 def _unique(names: Iterable[str], notes: list[str]) -> tuple[str, ...]:
     """Names of which none is empty, and none stands there twice but those that a recording may have once."""
-    found: list[str] = []
+    unique: list[str] = []
     counts: Counter[str] = Counter()
     for k, name in enumerate(names):
         name = name or f"column_{k + 1}"
         counts[name] += 1
-        found.append(name if counts[name] == 1 or is_standard(name) else f"{name} ({counts[name]})")
+        unique.append(name if counts[name] == 1 or is_standard(name) else f"{name} ({counts[name]})")
     if twice := [name for name in counts if counts[name] > 1 and not is_standard(name)]:
         shown = ", ".join(repr(name[:40]) for name in twice[:3])
         notes.append(f"several columns are called {shown}: the later ones are read as '{twice[0][:40]} (2)' and so on")
-    return tuple(found)
+    return tuple(unique)
 
 
 def _decimal(rows: Iterable[Row], delimiter: str) -> str:
@@ -412,10 +419,10 @@ def _of_names_alone(lines: Sequence[str]) -> Layout:
 def _say_above(lines: Sequence[str], notes: list[str]) -> None:
     filled = [k for k, line in enumerate(lines) if line.strip(" \t,;|") and not line.lower().startswith("sep=")]
     if filled:
-        said = " ".join(lines[filled[0]].split())
-        said = said if len(said) <= 60 else f"{said[:57]}..."
+        excerpt = " ".join(lines[filled[0]].split())
+        excerpt = excerpt if len(excerpt) <= 60 else f"{excerpt[:57]}..."
         place = f"line {filled[0] + 1} stands" if len(filled) == 1 else f"{len(filled)} lines stand"
-        notes.append(f"{place} above the table and {'is' if len(filled) == 1 else 'are'} not read: {said!r}")
+        notes.append(f"{place} above the table and {'is' if len(filled) == 1 else 'are'} not read: {excerpt!r}")
 
 
 # ------------------------------------------------------------------ the numbers
@@ -449,8 +456,8 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
     Raises:
         InputError: no text; from `load`, rows of another length than the names.
     """
-    whole = _whole_lines(path, notes) if growing else content
-    with open(path, "rb") if whole is None else io.BytesIO(whole) as file:
+    complete_lines = _whole_lines(path, notes) if growing else content
+    with open(path, "rb") if complete_lines is None else io.BytesIO(complete_lines) as file:
         start, encoding = _start(path, file.read(HEADER_LIMIT), notes)
         if holds_pairs("\n".join(LINE_BREAK.split(start, LINES)[:LINES])):
             return _open_pairs(path.read_bytes().decode(encoding, "replace"), notes)
@@ -460,8 +467,10 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
     layout = find_table(start, str(path), notes)
     if not tail.rstrip(b"\0").endswith((b"\n", b"\r")):
         notes.append("the file does not end with a line break: its last number may have been cut short")
-    plain = whole is None and encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
-    rewritten = cache(lambda: _rewritten(path.read_bytes() if whole is None else whole, layout, encoding))
+    plain = complete_lines is None and encoding == "utf-8-sig" and layout.delimiter != SPACES and not layout.lists
+    rewritten = cache(
+        lambda: _rewritten(path.read_bytes() if complete_lines is None else complete_lines, layout, encoding)
+    )
 
     @cache
     def filled() -> bytes:
@@ -469,13 +478,14 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
         return _filled(rewritten(), layout)
 
     def load(columns: Mapping[int, str]) -> dict[int, Values]:
-        wanted, wrong = [*columns], {}
+        indices = [*columns]
+        wrong = {}
         texts = {index for index, quantity in columns.items() if quantity in LABELS}
         ragged = False
         while True:
             try:
                 content = filled() if ragged else None if plain else rewritten()
-                table = _read(path, layout, wanted, content, texts)
+                table = _read(path, layout, indices, content, texts)
                 break
             except _RaggedError as error:
                 widths = _widths(rewritten(), layout)
@@ -489,7 +499,7 @@ def open_text(path: Path, notes: list[str], growing: bool = False, content: byte
                     texts.add(error.index)
                     continue
                 wrong[error.index] = str(error)  # the others may hold numbers
-                wanted.remove(error.index)
+                indices.remove(error.index)
         return {index: wrong.get(index) or table[str(index)] for index in columns}
 
     return RawTable(layout.names, load, layout.nameless)
@@ -509,14 +519,14 @@ def _filled(content: bytes, layout: Layout) -> bytes:
 
 def _open_pairs(text: str, notes: list[str]) -> RawTable:
     """The table of a log of pairs."""
-    found = read_pairs(text)
-    rows = len(next(iter(found.columns.values())))
-    repeated = f", of which some hold several readings: {rows} rows" if rows != found.blocks else ""
-    notes.append(f"the file holds no table but KEY=VALUE pairs, in {found.blocks} blocks{repeated}; keys are columns")
-    if found.single:
-        shown = ", ".join(found.single[:6]) + (", …" if len(found.single) > 6 else "")
+    pairs = read_pairs(text)
+    rows = len(next(iter(pairs.columns.values())))
+    repeated = f", of which some hold several readings: {rows} rows" if rows != pairs.blocks else ""
+    notes.append(f"the file holds no table but KEY=VALUE pairs, in {pairs.blocks} blocks{repeated}; keys are columns")
+    if pairs.single:
+        shown = ", ".join(pairs.single[:6]) + (", …" if len(pairs.single) > 6 else "")
         notes.append(f"keys that stand there once are not read: {shown}")
-    return RawTable.of_arrays(found.columns)
+    return RawTable.of_arrays(pairs.columns)
 
 
 class _RaggedError(Exception):
@@ -533,8 +543,8 @@ def _whole_lines(path: Path, notes: list[str]) -> bytes | None:
     end = content.rfind(b"\n") + 1
     if end == len(content):
         return None
-    what = "a row that was cut" if content[end:].strip(b"\0") else "zeros"
-    notes.append(f"the recording was ended while it was written: {what} at the end of {path.name} is left out")
+    remainder = "a row that was cut" if content[end:].strip(b"\0") else "zeros"
+    notes.append(f"the recording was ended while it was written: {remainder} at the end of {path.name} is left out")
     return content[:end]
 
 
@@ -563,7 +573,7 @@ def _read(
     """
     if not indices:
         return pa.table({})
-    wanted = [str(index) for index in indices]
+    included = [str(index) for index in indices]
     kinds = {str(index): pa.string() if index in texts else pa.float64() for index in indices}
     numbers = [str(index) for index in range(layout.fields)]
     skip = layout.skip if content is None else 0
@@ -573,7 +583,7 @@ def _read(
             pa_csv.ReadOptions(column_names=numbers, skip_rows=skip, use_threads=threads),
             pa_csv.ParseOptions(delimiter=layout.delimiter),
             pa_csv.ConvertOptions(
-                include_columns=wanted,
+                include_columns=included,
                 column_types=kinds,
                 decimal_point=layout.decimal,
             ),
@@ -605,9 +615,9 @@ def _no_number(row: int, index: int, text: str, layout: Layout) -> _NoNumberErro
 def _describe_shape(row: int, fields: int, widths: Sequence[int], layout: Layout) -> str:
     """What is seen of rows that have another number of fields than there are names, and what helps."""
     place = f"row {row} has {fields} of {layout.fields} columns"
-    others = [width for width in widths if width != layout.fields]
+    odd_widths = [width for width in widths if width != layout.fields]
     shapes = ", ".join(f"{count} have {width}" for width, count in sorted(Counter(widths).items()))
-    seen = f"of {len(widths)} rows {shapes} fields, and there are {layout.fields} names"
+    evidence = f"of {len(widths)} rows {shapes} fields, and there are {layout.fields} names"
     if fields == 2 * layout.fields:
         return (
             f"{place}, twice as many, as where decimal commas separate fields too; write decimals with a point, or "
@@ -615,12 +625,14 @@ def _describe_shape(row: int, fields: int, widths: Sequence[int], layout: Layout
         )
     if fields > layout.fields:
         remedy = (
-            "name each column" if len(others) == len(widths) else "remove the surplus fields, or put texts in quotes"
+            "name each column"
+            if len(odd_widths) == len(widths)
+            else "remove the surplus fields, or put texts in quotes"
         )
-        return f"{place}: {seen}; {remedy}"
+        return f"{place}: {evidence}; {remedy}"
     place = f"{place}, {layout.names[min(fields, len(layout.names) - 1)]} is the first without a value"
-    if len(others) > 1:
-        return f"{place}: {seen}; complete the rows or remove them"
+    if len(odd_widths) > 1:
+        return f"{place}: {evidence}; complete the rows or remove them"
     problem = "the file is truncated" if row == len(widths) else "the row is cut short"
     return f"{place}: {problem}; complete the row or remove it"
 

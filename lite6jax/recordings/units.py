@@ -60,7 +60,7 @@ def require_radians(
 def require_near(
     q: NDArray[np.float64],
     joint_limits: ArrayLike | None,
-    said: Callable[[int], tuple[str, str]],
+    describe: Callable[[int], tuple[str, str]],
     row: NDArray[np.integer] | None = None,
     sliding: Iterable[int] = (),
 ) -> None:
@@ -73,7 +73,7 @@ def require_near(
     Args:
         q: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad; numbers that are not finite are ignored.
         joint_limits: as in `require_radians`.
-        said: of a joint, counted from 0, what the message begins with, and the remedy.
+        describe: of a joint, counted from 0, what the message begins with, and the remedy.
         row: the number of each sample; from 1 where not given.
         sliding: the prismatic joints.
 
@@ -92,22 +92,22 @@ def require_near(
         return
     joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))
     at = tuple(map(int, np.argwhere(np.atleast_1d(far[..., joint]))[0]))[: q.ndim - 1]
-    place, remedy = said(joint)
-    named = f"sample {tuple(k + 1 for k in at)}" if at else "it"
+    place, remedy = describe(joint)
+    sample_name = f"sample {tuple(k + 1 for k in at)}" if at else "it"
     if len(at) == 1:
-        named = f"row {at[0] + 1 if row is None else row[at[0]]}"
+        sample_name = f"row {at[0] + 1 if row is None else row[at[0]]}"
     low, high = limits[joint]
     unit = "m" if joint in sliding else "rad"
     raise InputError(
-        f"{place}: {named} is at {q[(*at, joint)]:.5g} {unit} while the arm's joint {joint + 1} goes from {low:.4g} to "
-        f"{high:.4g} {unit}; {remedy}"
+        f"{place}: {sample_name} is at {q[(*at, joint)]:.5g} {unit} while the arm's joint {joint + 1} goes from "
+        f"{low:.4g} to {high:.4g} {unit}; {remedy}"
     )
 
 
-def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> str:
-    """What is wrong where the prismatic joints `given`, counted from 0, are not those of an arm, with the remedy."""
-    joint = min(set(given) ^ set(wanted)) + 1
-    if joint - 1 in wanted:
+def other_joints(sliding: tuple[int, ...], expected: tuple[int, ...], arm: str) -> str:
+    """What is wrong where the prismatic joints `sliding`, from 0, are not those of an arm, with the remedy."""
+    joint = min(set(sliding) ^ set(expected)) + 1
+    if joint - 1 in expected:
         return (
             f"q{joint} is an angle, but joint {joint} of {arm} is prismatic; name the column q{joint}_m or q{joint}_mm,"
             " or declare the arm in the sidecar of a log"
@@ -139,18 +139,19 @@ def blank_implausible(arrays: dict[str, Any], source: str, spelling: Mapping[str
         InputError: over half of the rows have such a number.
     """
     samples, dof = arrays["joint_position"].shape
-    bad, first = np.zeros(samples, bool), ""
+    bad = np.zeros(samples, bool)
+    first = ""
     for name, array in arrays.items():
         if array is None:
             continue
         table = array.reshape(samples, -1)
-        found = implausible(name, table)
-        if found.any():
-            row, index = np.argwhere(found)[0]
+        beyond = implausible(name, table)
+        if beyond.any():
+            row, index = np.argwhere(beyond)[0]
             column = name_columns(name, dof)[index]
             first = first or f"{table[row, index]:.5g} in column {spelling.get(column, column)}, row {row + 1}"
-            bad |= found.any(1)
-            arrays[name] = np.where(found, np.nan, table).reshape(array.shape)
+            bad |= beyond.any(1)
+            arrays[name] = np.where(beyond, np.nan, table).reshape(array.shape)
     if not first:
         return []
     rows = np.flatnonzero(bad) + 1
@@ -177,8 +178,8 @@ def implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.median(there)) if there.size else 0.0
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else 0.0
 
 
 # ------------------------------------------------------------------ the arguments of a recording
@@ -197,15 +198,15 @@ def unit_quaternions(
     Raises:
         InputError: a length more than 1 % off; the message names the row.
     """
-    given = np.all(np.isfinite(quaternion), axis=1)
+    complete = np.all(np.isfinite(quaternion), axis=1)
     with np.errstate(over="ignore"):  # an absurdly long one is infinitely long, and refused as such
-        length = np.sqrt(np.sum(np.where(given[:, None], quaternion, 0.5) ** 2, axis=1))
+        length = np.sqrt(np.sum(np.where(complete[:, None], quaternion, 0.5) ** 2, axis=1))
     off = np.abs(length - 1.0)
     beyond = np.flatnonzero(off > QUATERNION_TOLERANCE)
     if beyond.size:
-        others = f" (and {beyond.size - 1} more rows)" if beyond.size > 1 else ""
+        more = f" (and {beyond.size - 1} more rows)" if beyond.size > 1 else ""
         raise InputError(
-            f"{source}: columns qw qx qy qz: row {row[beyond[0]]} has length {length[beyond[0]]:.6g}{others}, not 1; "
+            f"{source}: columns qw qx qy qz: row {row[beyond[0]]} has length {length[beyond[0]]:.6g}{more}, not 1; "
             "give unit quaternions, scalar first, and leave the fields empty where the sensor lost its target"
         )
     note = None

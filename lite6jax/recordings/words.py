@@ -55,28 +55,33 @@ def name_by_cells(columns: Mapping[str, Array], words: Mapping[str, Words]) -> N
     for names, group in _group(words).items():
         members = _find_members(names, group, numbered)
         cells = np.array([[word.strip() for word in words[name]] for name in group.values()])
-        every = tuple(dict.fromkeys(filter(None, cells.T.ravel().tolist())))
+        vocabulary = tuple(dict.fromkeys(filter(None, cells.T.ravel().tolist())))
         ordered = np.sort(cells, axis=0)
         repeated = ((ordered[1:] == ordered[:-1]) & (ordered[1:] != "")).any()
         beside = any(stem != names[0] for stem, _, _ in members)
         # of lists of equal length each row names all
-        if not members or not 0 < len(every) <= MOST_WORDS or repeated or (beside and len(every) != len(group)):
+        if (
+            not members
+            or not 0 < len(vocabulary) <= MOST_WORDS
+            or repeated
+            or (beside and len(vocabulary) != len(group))
+        ):
             continue
         new: dict[str, Array] = {}
         in_file: dict[str, str] = {}
         place = {number: k for k, number in enumerate(group)}
-        for (stem, rest, number), name in members.items():
-            for word in every:
+        for (stem, suffix, number), name in members.items():
+            for word in vocabulary:
                 rows = cells[place[number]] == word
                 if rows.any():
-                    called = f"{stem.rstrip('_.[( ')}.{word}{rest.lstrip('])')}"
+                    called = f"{stem.rstrip('_.[( ')}.{word}{suffix.lstrip('])')}"
                     before = new.get(called, np.full(len(rows), np.nan))
                     new[called] = np.where(rows, columns[name], before)
                     in_file[called] = name
-        same = all(len({*column} - {""}) == 1 for column in cells.tolist())
-        named = {*members.values()}
-        rest_of_table = {name: column for name, column in columns.items() if name not in named}
-        return NamedColumns(rest_of_table | new, in_file if same else {}, tuple(group.values()), every)
+        constant = all(len({*column} - {""}) == 1 for column in cells.tolist())
+        replaced = {*members.values()}
+        rest_of_table = {name: column for name, column in columns.items() if name not in replaced}
+        return NamedColumns(rest_of_table | new, in_file if constant else {}, tuple(group.values()), vocabulary)
     return None
 
 
@@ -110,17 +115,17 @@ def _find_members(
     names: tuple[str, str], group: Mapping[int, str], numbers: _Groups
 ) -> dict[tuple[str, str, int], str]:
     """The columns of numbers that a group of columns of words may name, by stem, rest and number."""
-    stem, rest = names
-    if _NAMING.isdisjoint(spoken_words(f"{re.split(r'[./]', stem)[-1]} {rest}")):
+    stem, suffix = names
+    if _NAMING.isdisjoint(spoken_words(f"{re.split(r'[./]', stem)[-1]} {suffix}")):
         return {}
-    found = {}
-    for (other, behind), columns in numbers.items():
-        structs = other == stem and {*columns} <= {*group}
-        siblings = re.split(r"[^./]*$", other)[0] == re.split(r"[^./]*$", stem)[0]
-        lists = siblings and not rest.strip("])") and not behind.strip("])") and {*columns} == {*group}
+    members = {}
+    for (number_stem, behind), columns in numbers.items():
+        structs = number_stem == stem and {*columns} <= {*group}
+        siblings = re.split(r"[^./]*$", number_stem)[0] == re.split(r"[^./]*$", stem)[0]
+        lists = siblings and not suffix.strip("])") and not behind.strip("])") and {*columns} == {*group}
         if structs or (lists and len(group) > 1):
-            found |= {(other, behind, number): name for number, name in columns.items()}
-    return found
+            members |= {(number_stem, behind, number): name for number, name in columns.items()}
+    return members
 
 
 # ------------------------------------------------------------------ rows of one state
@@ -172,15 +177,15 @@ def spread_points(
         values: the columns of numbers that may be of the point; those that do not change within a state are not.
         averaged: columns of numbers whose mean is taken, where they are read anew for each point.
     """
-    every = {**columns, **words}
-    if not state or not len(every[state[0]]):
+    table = {**columns, **words}
+    if not state or not len(table[state[0]]):
         return None
-    rows = len(every[state[0]])
-    states = _codes(np.stack([_codes(every[name]) for name in state], 1))
+    rows = len(table[state[0]])
+    states = _codes(np.stack([_codes(table[name]) for name in state], 1))
     first = np.unique(states, return_index=True)[1]
     if rows < _LEAST_REPEATED * len(first):
         return None
-    codes = {name: _codes(of_rows) for name, of_rows in every.items()}
+    codes = {name: _codes(of_rows) for name, of_rows in table.items()}
     constant = [name for name, code in codes.items() if (code == code[first][states]).all()]
     values = [name for name in values if name not in constant]
     if not values:
@@ -189,26 +194,30 @@ def spread_points(
         label = [word.strip() for word in words[by]] if by in words else write_whole(columns[by])
         labels = tuple(dict.fromkeys(filter(None, label)))
         places = {word: k for k, word in enumerate(labels)}
-        there = np.flatnonzero([word != "" for word in label])
-        at = np.array([places[label[row]] for row in there], int)
-        single = np.unique(states[there] * (len(labels) + 1) + at, return_index=True)[1]
+        named_rows = np.flatnonzero([word != "" for word in label])
+        at = np.array([places[label[row]] for row in named_rows], int)
+        single = np.unique(states[named_rows] * (len(labels) + 1) + at, return_index=True)[1]
         counts = np.bincount(at[single], minlength=len(labels))
-        if by in {*constant, *values} or not 2 <= len(labels) <= MOST_WORDS or len(single) < _LEAST_SINGLE * len(there):
+        if (
+            by in {*constant, *values}
+            or not 2 <= len(labels) <= MOST_WORDS
+            or len(single) < _LEAST_SINGLE * len(named_rows)
+        ):
             continue
         if np.sort(counts)[-2] < len(first) / 2:
             continue
         spread = {name: columns[name][first] for name in constant if name in columns}
         for name in averaged:
-            given = np.isfinite(columns[name])
-            total = np.bincount(states[given], columns[name][given], minlength=len(first))
+            finite = np.isfinite(columns[name])
+            total = np.bincount(states[finite], columns[name][finite], minlength=len(first))
             with np.errstate(invalid="ignore"):
-                spread[name] = total / np.bincount(states[given], minlength=len(first))
+                spread[name] = total / np.bincount(states[finite], minlength=len(first))
         points = []
         for k, word in enumerate(labels):
-            own = single[at[single] == k]
+            of_point = single[at[single] == k]
             for name in values:
                 column = np.full(len(first), np.nan)
-                column[states[there[own]]] = columns[name][there[own]]
+                column[states[named_rows[of_point]]] = columns[name][named_rows[of_point]]
                 spread[f"{word} {name}"] = column
             points.append(tuple(f"{word} {name}" for name in values))
         of_states = {name: [words[name][int(row)] for row in first] for name in constant if name in words}
@@ -237,8 +246,8 @@ def _codes(values: Words | NDArray[Any]) -> NDArray[np.integer]:
 
 def write_whole(values: Array) -> list[str]:
     """Whole numbers as text, one a row; all empty where one is none."""
-    whole = values[np.isfinite(values)]
-    if (whole != np.round(whole)).any():
+    finite = values[np.isfinite(values)]
+    if (finite != np.round(finite)).any():
         return [""] * len(values)
     return [f"{value:.0f}" if np.isfinite(value) else "" for value in values]
 
@@ -264,45 +273,47 @@ FEWEST_NAMES = 8
 """That two tables share, to be paired by them; the frame and the tool have nine numbers."""
 
 
-def match_names(one: Mapping[str, Words], other: Mapping[str, Words]) -> Names | None:
+def match_names(first_table: Mapping[str, Words], second_table: Mapping[str, Words]) -> Names | None:
     """The rows of two tables that have the same name in some column; None where they share no names.
 
     Case and spaces do not matter. Where the names differ, the numbers at their ends do: `P7` and `Point 7`. A name that
     stands in several rows of one table alone is of each of them; in both, the first is of the first.
 
     Args:
-        one: columns that may hold names, one a row.
-        other: likewise.
+        first_table: columns that may hold names, one a row.
+        second_table: likewise.
     """
-    found: list[tuple[int, Names]] = []
+    matches: list[tuple[int, Names]] = []
     for form in (_plain, _number_at_end):
-        for first, second in product(one, other):
-            keys = [[form(word) for word in words] for words in (one[first], other[second])]
+        for first, second in product(first_table, second_table):
+            keys = [[form(word) for word in words] for words in (first_table[first], second_table[second])]
             rows = _matched(*keys)
             if rows is None:
                 continue
             shared = {keys[0][row] for row in rows[0]}
             alone = (
-                tuple(word for word, key in zip(words, own, strict=True) if key and key not in shared)
-                for words, own in zip((one[first], other[second]), keys, strict=True)
+                tuple(word for word, key in zip(words, row_keys, strict=True) if key and key not in shared)
+                for words, row_keys in zip((first_table[first], second_table[second]), keys, strict=True)
             )
-            found.append((len(rows[0]), Names((first, second), rows, (*alone,))))  # type: ignore[arg-type]
-        if found:
-            return max(found, key=lambda entry: entry[0])[1]
+            matches.append((len(rows[0]), Names((first, second), rows, (*alone,))))  # type: ignore[arg-type]
+        if matches:
+            return max(matches, key=lambda entry: entry[0])[1]
     return None
 
 
-def _matched(one: Sequence[str], other: Sequence[str]) -> tuple[NDArray[np.integer], NDArray[np.integer]] | None:
+def _matched(
+    first_names: Sequence[str], second_names: Sequence[str]
+) -> tuple[NDArray[np.integer], NDArray[np.integer]] | None:
     """The rows of two lists of names that belong together, in the order of the first; None where few do."""
-    counts = Counter(filter(None, one)), Counter(filter(None, other))
+    counts = Counter(filter(None, first_names)), Counter(filter(None, second_names))
     shared = counts[0].keys() & counts[1].keys()
     if len(shared) < max(FEWEST_NAMES, min(map(len, counts)) / 2):
         return None
     single = [all(count[name] == 1 for name in shared) for count in counts]
-    alike = all(counts[0][name] == counts[1][name] for name in shared)
-    if not (any(single) or alike):
+    equal_counts = all(counts[0][name] == counts[1][name] for name in shared)
+    if not (any(single) or equal_counts):
         return None
-    numbered = [_number_repeats(names, any(single)) for names in (one, other)]
+    numbered = [_number_repeats(names, any(single)) for names in (first_names, second_names)]
     if single[1] and not single[0]:
         places = {key: row for row, key in enumerate(numbered[1])}
         pairs = [(row, places[key]) for row, key in enumerate(numbered[0]) if key[0] in shared]
@@ -310,7 +321,7 @@ def _matched(one: Sequence[str], other: Sequence[str]) -> tuple[NDArray[np.integ
         rows: dict[tuple[str, int], list[int]] = {}
         for row, key in enumerate(numbered[1]):
             rows.setdefault(key, []).append(row)
-        pairs = [(row, own) for row, key in enumerate(numbered[0]) if key[0] in shared for own in rows[key]]
+        pairs = [(row, partner) for row, key in enumerate(numbered[0]) if key[0] in shared for partner in rows[key]]
     return tuple(np.array(column) for column in zip(*pairs, strict=True))  # type: ignore[return-value]
 
 

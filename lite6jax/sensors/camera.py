@@ -131,26 +131,26 @@ def board_poses(
         corner_noise: m, one sigma of each coordinate of a corner.
         refined: whether focal lengths and centre are to be estimated.
     """
-    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
-    good = there.sum(1) >= FEWEST_CORNERS
+    visible = np.isfinite(pixels[..., 0] + pixels[..., 1])
+    good = visible.sum(1) >= FEWEST_CORNERS
     count = len(pixels)
     empty = BoardPoses(
         np.full((count, 4, 4), np.nan), np.zeros((count, 6, 6)), np.zeros((count, 6, 0)), np.zeros(0), np.zeros(0), 0.0
     )
     if not good.any():
         return empty
-    seen = pixels[good]
-    starts = _starts(mounted, lens, corners, seen)
-    solved = [_solved(mounted, lens, corners, seen, T, 1.0) for T in starts]
+    usable_pixels = pixels[good]
+    starts = _starts(mounted, lens, corners, usable_pixels)
+    solved = [_solved(mounted, lens, corners, usable_pixels, T, 1.0) for T in starts]
     better = np.argmin([cost for _, cost in solved], 0)
-    T = np.stack([T for T, _ in solved])[better, np.arange(len(seen))]
-    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, seen, T))
-    T, _ = _solved(mounted, lens, corners, seen, T, _weights(r, there[good])[1])
-    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, seen, T))
-    weight, shown = _weights(r, there[good])
+    T = np.stack([T for T, _ in solved])[better, np.arange(len(usable_pixels))]
+    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, usable_pixels, T))
+    T, _ = _solved(mounted, lens, corners, usable_pixels, T, _weights(r, visible[good])[1])
+    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, usable_pixels, T))
+    weight, shown = _weights(r, visible[good])
     sigma = noise or shown
     root = np.sqrt(weight)[..., None] / sigma
-    r, J = (root * r).reshape(len(seen), -1), (root[..., None] * J).reshape(len(seen), -1, 6)
+    r, J = (root * r).reshape(len(usable_pixels), -1), (root[..., None] * J).reshape(len(usable_pixels), -1, 6)
     Q, U = np.linalg.qr(J)
     variance = np.linalg.inv(np.swapaxes(U, 1, 2) @ U + 1e-9 * np.eye(6))[:, [3, 4, 5], [3, 4, 5]]
     determined = ((variance > 0) & (variance < _TURNED**2)).all(1)  # corners in one line determine no pose
@@ -160,17 +160,17 @@ def board_poses(
     T, r, Q, U, root = T[determined], r[determined], Q[determined], U[determined], root[determined]
     columns, prior = _constants(mounted, lens, corners, T, root, corner_noise, refined)
     inside = np.swapaxes(Q, 1, 2) @ columns
-    left = columns - Q @ inside
-    H = np.einsum("ikn,ikm->nm", left, left) + np.diag(prior)
-    pull = np.einsum("ikn,ik->n", left, r)
+    remainder = columns - Q @ inside
+    H = np.einsum("ikn,ikm->nm", remainder, remainder) + np.diag(prior)
+    pull = np.einsum("ikn,ik->n", remainder, r)
     eigenvalues, V = np.linalg.eigh(H)
     by_numbers, deviation = inside @ V, eigenvalues**-0.5
     matters = deviation * np.sqrt(np.einsum("ikn,ikn->n", by_numbers, by_numbers)) > _MATTERS
-    kept = np.flatnonzero(matters)
-    whole = empty._replace(by_numbers=np.zeros((count, 6, len(kept))))
-    whole.T[good], whole.whitener[good], whole.by_numbers[good] = T, U, by_numbers[..., kept]
-    mean = -(V.T @ pull)[kept] / eigenvalues[kept]
-    return whole._replace(mean=mean, deviation=deviation[kept], noise=shown)
+    significant = np.flatnonzero(matters)
+    poses = empty._replace(by_numbers=np.zeros((count, 6, len(significant))))
+    poses.T[good], poses.whitener[good], poses.by_numbers[good] = T, U, by_numbers[..., significant]
+    mean = -(V.T @ pull)[significant] / eigenvalues[significant]
+    return poses._replace(mean=mean, deviation=deviation[significant], noise=shown)
 
 
 def _constants(
@@ -185,18 +185,18 @@ def _constants(
         columns.append((root[..., None] * pinhole).reshape(images, -1, 4))
         prior.append((_FOCAL * np.asarray(lens.pinhole)) ** -2.0)
     if corner_noise:
-        own = np.einsum("icak,cd->icadk", root[..., None] * place, np.eye(count))
-        columns.append(own.reshape(images, count * 2, count * 3))
+        corner_columns = np.einsum("icak,cd->icadk", root[..., None] * place, np.eye(count))
+        columns.append(corner_columns.reshape(images, count * 2, count * 3))
         prior.append(np.full(3 * count, corner_noise**-2.0))
     return np.concatenate(columns, 2), np.concatenate(prior)
 
 
-def _weights(r: Array, there: NDArray[np.bool_]) -> tuple[Array, float]:
+def _weights(r: Array, visible: NDArray[np.bool_]) -> tuple[Array, float]:
     """`(image, corner)` by Student's t, zero where a corner was not seen, and the noise, px."""
-    freedom = np.maximum(1 - 3 / np.maximum(there.sum(1), 4), 0.1)[:, None]
+    freedom = np.maximum(1 - 3 / np.maximum(visible.sum(1), 4), 0.1)[:, None]
     squares = np.sum(r**2, 2) / freedom
-    shown = float(np.sqrt(np.median(squares[there]) / (2 * np.log(2)))) or 1e-6
-    return np.where(there, (_FREEDOM + 2) / (_FREEDOM + squares / shown**2), 0.0), shown
+    shown = float(np.sqrt(np.median(squares[visible]) / (2 * np.log(2)))) or 1e-6
+    return np.where(visible, (_FREEDOM + 2) / (_FREEDOM + squares / shown**2), 0.0), shown
 
 
 def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Array, scale: float) -> tuple[Array, Array]:
@@ -204,28 +204,31 @@ def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Arra
 
     Corners count by Student's t of a scale in pixels.
     """
-    T, there = T.copy(), np.isfinite(pixels).all(2)
+    T = T.copy()
+    visible = np.isfinite(pixels).all(2)
     damping = np.full(len(T), 1e-3)
 
     def cost_at(T: Array) -> tuple[Array, Array, Array]:
         r, J = map(np.asarray, linearise_corners(mounted, lens, corners, pixels, T))
         squares = np.nan_to_num(np.sum(r**2, 2), nan=1e12, posinf=1e12)
-        return r, J, np.sum(np.where(there, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
+        return r, J, np.sum(np.where(visible, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
 
     r, J, cost = cost_at(T)
     for _ in range(_STEPS):
-        weight = np.where(there, 1 / (_FREEDOM * scale**2 + np.sum(r**2, 2)), 0.0)[..., None, None]
+        weight = np.where(visible, 1 / (_FREEDOM * scale**2 + np.sum(r**2, 2)), 0.0)[..., None, None]
         H = np.einsum("icak,ical->ikl", weight * J, J)
         g = np.einsum("icak,ica->ik", weight * J, r)
         scaled = H + damping[:, None, None] * np.einsum("ikl,kl->ikl", H, np.eye(6)) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(scaled, g[..., None])[..., 0]
-        trial = T.copy()
-        trial[:, :3, 3] += step[:, :3]
-        trial[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(step[:, 3:])))
-        r_, J_, cost_ = cost_at(trial)
+        proposed = T.copy()
+        proposed[:, :3, 3] += step[:, :3]
+        proposed[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(step[:, 3:])))
+        r_, J_, cost_ = cost_at(proposed)
         better = np.isfinite(cost_) & (cost_ <= cost)
         done = np.all(np.abs(step) < 1e-9, 1)
-        T, r, J = (np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in ((trial, T), (r_, r), (J_, J)))
+        T, r, J = (
+            np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in ((proposed, T), (r_, r), (J_, J))
+        )
         cost = np.where(better, cost_, cost)
         damping = np.where(better, damping / 10, np.minimum(damping * 10, 1e6))
         if done.all():
@@ -242,12 +245,13 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
         raise ValueError("corners are not in one plane")
     flat = (corners - centre) @ axes[:2].T / spread[0]
     rays = _undistorted(lens, pixels)
-    there = np.isfinite(pixels[..., 0] + pixels[..., 1])
-    found = np.tile(np.eye(4), (2, len(pixels), 1, 1))
+    visible = np.isfinite(pixels[..., 0] + pixels[..., 1])
+    candidate_poses = np.tile(np.eye(4), (2, len(pixels), 1, 1))
     for k in range(len(pixels)):
-        x, y = flat[there[k]].T
-        row, none = np.stack([x, y, np.ones_like(x)], 1), np.zeros((len(x), 3))
-        u, v = rays[k, there[k]].T
+        x, y = flat[visible[k]].T
+        row = np.stack([x, y, np.ones_like(x)], 1)
+        none = np.zeros((len(x), 3))
+        u, v = rays[k, visible[k]].T
         A = np.concatenate([np.hstack([row, none, -u[:, None] * row]), np.hstack([none, row, -v[:, None] * row])])
         H = np.linalg.svd(A)[2][-1].reshape(3, 3)
         H = H * np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
@@ -256,13 +260,13 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
         R, t = np.stack([a, b, np.cross(a, b)], 1), H[:, 2] * spread[0]
         sight = t / np.linalg.norm(t)
         # the other: turned half about the line of sight, and half about the normal
-        other = (2 * np.outer(sight, sight) - np.eye(3)) @ R @ np.diag([-1.0, -1.0, 1.0])
-        for place, turned in enumerate((R, other)):
+        mirrored = (2 * np.outer(sight, sight) - np.eye(3)) @ R @ np.diag([-1.0, -1.0, 1.0])
+        for place, turned in enumerate((R, mirrored)):
             inside = turned @ axes
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = inside, t - inside @ centre
-            found[place, k] = T if mounted == "fixed" else np.linalg.inv(T)
-    return list(found)
+            candidate_poses[place, k] = T if mounted == "fixed" else np.linalg.inv(T)
+    return list(candidate_poses)
 
 
 def _undistorted(lens: Lens, pixels: Array) -> Array:

@@ -60,8 +60,8 @@ class PointSensor(Sensor):
 
     def _of_each(self, free: tuple[bool, ...], tool: Array) -> list[tuple[int, NDArray[np.bool_], Array]]:
         """Of each place that is unknown its number, its samples, and there the tool's point `(sample, 3)`."""
-        each = ((int(k), np.asarray(self.group) == k) for k in np.flatnonzero(free))
-        return [(k, own, tool[own, :3, 3]) for k, own in each]
+        selections = ((int(k), np.asarray(self.group) == k) for k in np.flatnonzero(free))
+        return [(k, selected, tool[selected, :3, 3]) for k, selected in selections]
 
 
 @final
@@ -90,15 +90,15 @@ class Contact(PointSensor):
     @property
     def own(self) -> tuple[OwnNumber, ...]:
         points = np.asarray(self.points)
-        found: dict[int, tuple[OwnNumber, ...]] = {
+        unknowns: dict[int, tuple[OwnNumber, ...]] = {
             k: (OwnNumber(f"contact {name}", "m"),) * 3 for k, name in enumerate(self.names) if self.free[k]
         }
         for rod in self.rods:
             apart = float(np.linalg.norm(points[:, rod.child] - points[:, rod.parent]))
             name = f"contact {self.names[rod.child]}"
             length = OwnNumber(name, "m", rod.noise**-2.0, apart - rod.length)
-            found[rod.child] = (length, OwnNumber(name, "m"), OwnNumber(name, "m"))
-        return tuple(one for k in sorted(found) for one in found[k])
+            unknowns[rod.child] = (length, OwnNumber(name, "m"), OwnNumber(name, "m"))
+        return tuple(number for k in sorted(unknowns) for number in unknowns[k])
 
     def moved(self, numbers: Any) -> "Contact":
         at = np.cumsum(self.free) - 1
@@ -165,7 +165,7 @@ class Plane(PointSensor):
     def own(self) -> tuple[OwnNumber, ...]:
         names = [name for name, free in zip(self.names, self.free, strict=True) if free]
         kinds = (("normal of plane", "rad"), ("normal of plane", "rad"), ("height of plane", "m"))
-        return tuple(OwnNumber(f"{what} {name}", unit) for name in names for what, unit in kinds)
+        return tuple(OwnNumber(f"{kind} {name}", unit) for name in names for kind, unit in kinds)
 
     def moved(self, numbers: Any) -> "Plane":
         normal, height = jnp.asarray(self.normal), jnp.asarray(self.height)
@@ -223,19 +223,20 @@ class Distance(PointSensor):
     @property
     def own(self) -> tuple[OwnNumber, ...]:
         names = [name for name, free in zip(self.names, self.free, strict=True) if free]
-        found = [OwnNumber(f"anchor {name}", "m") for name in names for _ in range(3)]
-        return tuple(found + [OwnNumber("constant of the distances", "m")] * self.offset_free)
+        unknowns = [OwnNumber(f"anchor {name}", "m") for name in names for _ in range(3)]
+        return tuple(unknowns + [OwnNumber("constant of the distances", "m")] * self.offset_free)
 
     def moved(self, numbers: Any) -> "Distance":
-        numbers, free = jnp.asarray(numbers), np.flatnonzero(self.free)
+        numbers = jnp.asarray(numbers)
+        free = np.flatnonzero(self.free)
         shift = numbers[: 3 * len(free)].reshape(-1, 3).T
         constant = self.constant + numbers[-1] if self.offset_free else self.constant
         return replace(self, anchors=jnp.asarray(self.anchors).at[:, free].add(shift), constant=constant)
 
     def shown(self, tool: Array) -> "Distance":
         anchors = np.array(self.anchors)
-        for k, own, p in self._of_each(self.free, tool):
-            d = np.asarray(self.value)[own]
+        for k, selected, p in self._of_each(self.free, tool):
+            d = np.asarray(self.value)[selected]
             A = np.concatenate([2 * p, -np.ones((len(p), 1))], 1)  # 2 p·a − |a|² = |p|² − d²
             anchors[:, k] = np.linalg.lstsq(A, np.sum(p**2, 1) - d**2, rcond=1e-9)[0][:3]
         return replace(self, anchors=anchors)
@@ -280,7 +281,9 @@ class Axis(PointSensor):
         return replace(self, constant=self.constant + numbers[:1], direction=direction)
 
     def shown(self, tool: Array) -> "Axis":
-        p, direction, value = tool[:, :3, 3], np.array(self.direction), np.asarray(self.value)
+        p = tool[:, :3, 3]
+        direction = np.array(self.direction)
+        value = np.asarray(self.value)
         if self.free:
             direction = np.linalg.lstsq(p - p.mean(0), value - value.mean(), rcond=1e-9)[0]
             direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
@@ -292,7 +295,7 @@ class Axis(PointSensor):
 
 def tangents(direction: Any) -> jax.Array:
     """Two unit vectors across a unit one, `(3, 2)`."""
-    least = jnp.eye(3)[jnp.argmin(jnp.abs(direction))]
-    first = jnp.cross(direction, least)
+    transverse = jnp.eye(3)[jnp.argmin(jnp.abs(direction))]
+    first = jnp.cross(direction, transverse)
     first = first / jnp.linalg.norm(first)
     return jnp.stack([first, jnp.cross(direction, first)], 1)

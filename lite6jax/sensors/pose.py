@@ -59,7 +59,7 @@ class Measured(Sensor):
         """Its unknowns: the constant errors, and then the frames of further stations."""
         spread = np.asarray(self.deviation) ** -2.0
         off = np.asarray(self.at) - np.asarray(self.mean)
-        constant = (OwnNumber("camera and board", "", *map(float, one)) for one in zip(spread, off, strict=True))
+        constant = (OwnNumber("camera and board", "", *map(float, prior)) for prior in zip(spread, off, strict=True))
         frames = (
             OwnNumber(f"frame of station {k + 2}", unit) for k in range(len(self.stations)) for unit in _UNITS_OF_TWIST
         )
@@ -130,7 +130,8 @@ class Measured(Sensor):
         constant = np.asarray(self.constants) if len(self.at) else np.zeros((0, self.rows, len(tool)))
         if not len(self.stations):
             return constant
-        position, none = np.asarray(self.in_first_frame()[0]), np.zeros((3, 3, len(tool)))
+        position = np.asarray(self.in_first_frame()[0])
+        none = np.zeros((3, 3, len(tool)))
         axes = np.broadcast_to(np.eye(3)[..., None], none.shape)
         lever = np.cross(axes, position[None], axis=1)
         # a displaced measurement is a prediction that is displaced the other way
@@ -148,7 +149,8 @@ def differences(position: Any, rotation: Any, tool: Frame) -> jax.Array:
     shift = tool.origin - position
     if rotation.shape[-1] == 0:
         return shift
-    R, axes = rotation, tool[:3]
+    R = rotation
+    axes = tool[:3]
     relative = [
         [R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)
     ]

@@ -80,13 +80,13 @@ class Sensor(ABC):
         parts = {name: part[..., samples] for name, part in self._of_samples().items()}
         return replace(self, **parts)  # type: ignore[type-var]
 
-    def reading_as(self, other: Self) -> Self:
+    def reading_as(self, source: Self) -> Self:
         """The sensor with its unknowns where they are, and the samples of another of its kind."""
-        return replace(self, **other._of_samples())  # type: ignore[type-var]
+        return replace(self, **source._of_samples())  # type: ignore[type-var]
 
     def _of_samples(self) -> dict[str, Any]:
-        found = {name: part for name in self.sampled if (part := getattr(self, name)).shape[-1]}
-        return found if self.whitener.ndim == 1 else found | {"whitener": self.whitener}
+        samples = {name: part for name in self.sampled if (part := getattr(self, name)).shape[-1]}
+        return samples if self.whitener.ndim == 1 else samples | {"whitener": self.whitener}
 
     # -------------------------------------------------------------- on the host
 
@@ -105,8 +105,10 @@ class Sensor(ABC):
     def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
         """How readings `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in base axes."""
         S = self.slopes(tool)
-        found = np.einsum("ris,...is->...rs", S[:, :3], shift)
-        return found if turn is None or not S[:, 3:].any() else found + np.einsum("ris,...is->...rs", S[:, 3:], turn)
+        changes = np.einsum("ris,...is->...rs", S[:, :3], shift)
+        return (
+            changes if turn is None or not S[:, 3:].any() else changes + np.einsum("ris,...is->...rs", S[:, 3:], turn)
+        )
 
     def by_numbers(self, tool: Array) -> Array:
         """How readings change with its own unknowns, `(number, row, sample)`."""

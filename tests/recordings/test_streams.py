@@ -70,7 +70,7 @@ def test_poses_in_long_gaps_are_left_out_unless_the_arm_stood_still():
     t = np.concatenate([np.arange(0, 2, 0.02), np.arange(2.1, 4, 0.02), np.arange(4.1, 6, 0.02)])
     q = np.minimum(np.outer(t, [1.0, 0.5]), [3.0, 1.5])  # it stands still from 3 s on
     found = join(t, {"q1": q[:, 0], "q2": q[:, 1]}, ["q1", "q2"], np.array([1.005, 2.05, 3.505, 4.05, 7.0]))
-    np.testing.assert_array_equal(found.kept, [True, False, True, True, False])
+    np.testing.assert_array_equal(found.usable, [True, False, True, True, False])
     assert (found.wide, found.outside) == (1, 1)
     np.testing.assert_allclose(found.columns["q1"], [1.005, 3.0, 3.0], atol=1e-12)
 
@@ -84,7 +84,7 @@ def test_captures_are_paired_with_the_pose_beside_them():
     found = join(t, columns, list(columns), at)
     assert found.method == "nearest"
     np.testing.assert_array_equal(np.stack(list(found.columns.values()), 1), q)
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [40])
+    np.testing.assert_array_equal(np.flatnonzero(~found.usable), [40])
 
 
 def test_joint_states_that_do_not_follow_the_motion_are_not_interpolated():

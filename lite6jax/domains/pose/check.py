@@ -80,11 +80,12 @@ class RecordingCheck:
 
 def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions | None = None) -> list[Cause]:
     """A calibration's distance to each nominal table, and a constant displacement of the flange."""
-    options, arm = options or ScreeningOptions(), calibration.arm
+    options = options or ScreeningOptions()
+    arm = calibration.arm
     q = check_positions(arm)
     pose = calibration_poses(calibration, q)
     # the arm's own nominal table first, then those of the same model that the vendor publishes elsewhere
-    tables = [arm, *(one for one in tables_of_model(arm.name) if one.name != arm.name and one.dof == arm.dof)]
+    tables = [arm, *(table for table in tables_of_model(arm.name) if table.name != arm.name and table.dof == arm.dof)]
     nominal = [calibration_poses(nominal_calibration(table), q) for table in tables]
     distances = [np.linalg.norm(pose[:, :3, 3] - T[:, :3, 3], axis=1) for T in nominal]
     nearest = int(np.argmin([distance.max() for distance in distances]))
@@ -139,9 +140,10 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     if settings.tool == "unknown" or recording.touches or touches_one_point(recording, noise_of(settings)[0]):
         return []
     path = settings.factory_path(Path(recording.source).parent)
-    known = nominal_calibration(arm) if path is None else read_factory(path, arm)
-    flange = calibration_poses(known, recording.joint_position)
-    declared, position = declared_tool(recording), recording.position
+    calibration = nominal_calibration(arm) if path is None else read_factory(path, arm)
+    flange = calibration_poses(calibration, recording.joint_position)
+    declared = declared_tool(recording)
+    position = recording.position
     assert position is not None
     squares, tools = [], []
     for tool in (declared, None):
@@ -153,9 +155,9 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     return [replace(cause, numbers={**cause.numbers, "declared_m": declared[:3, 3].tolist()})]
 
 
-def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOptions) -> Cause:
-    """`before` and `rest`: squared distances without and with the shift; medians, so that outliers do not decide."""
-    share = max(0.0, 1 - float(np.median(rest)) / max(float(np.median(before)), np.finfo(float).tiny))
+def _tool_offset(shift: Array, before: Array, after: Array, options: ScreeningOptions) -> Cause:
+    """`before` and `after`: squared distances without and with the shift; medians, so that outliers do not decide."""
+    share = max(0.0, 1 - float(np.median(after)) / max(float(np.median(before)), np.finfo(float).tiny))
     numbers = {"shift_m": shift.tolist(), "explained": share, "likely": share >= options.mostly_explained}
     return Cause("tool_offset", share >= options.partly_explained, (), numbers)
 
@@ -174,7 +176,8 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     of_median = _RMS_OF_MEDIAN if recording.numbers_per_sample > 1 else _RMS_OF_ONE
     pair = solution.nominal_errors, solution.checked
     before, after = (float(np.median(errors.position)) * of_median for errors in pair)
-    share, noise = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0, solution.noise
+    share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
+    noise = solution.noise
     length = np.sqrt(min(recording.numbers_per_sample, 3))
     declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
     if before <= options.as_noise_ratio * declared:

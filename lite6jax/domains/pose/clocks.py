@@ -133,26 +133,31 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
     """
     lasting = _window(time, position)
-    rows, found = lasting[spread_rows(len(lasting), _REFINED_ROWS)], []
+    rows = lasting[spread_rows(len(lasting), _REFINED_ROWS)]
+    fits = []
     for offset in _candidates(arm, joints, time[lasting], position[lasting], likely):
-        found.append(_fitted(arm, joints, time[rows], position[rows], Clocks(offset, 0.0, float(np.mean(time[rows])))))
-    found.sort(key=lambda one: one.ratio)
-    if not found or not found[0].close:
-        best = f"; the best leaves {1e3 * found[0].error:.3g} mm" if found else ""
+        fits.append(_fitted(arm, joints, time[rows], position[rows], Clocks(offset, 0.0, float(np.mean(time[rows])))))
+    fits.sort(key=lambda clocks: clocks.ratio)
+    if not fits or not fits[0].close:
+        remark = f"; the best leaves {1e3 * fits[0].error:.3g} mm" if fits else ""
         raise InputError(
-            f"the arm's motion and the poses agree at no offset of the clocks{best}: check that both files are of one "
-            "session, the arm (--arm), and the order, signs and units of the joints"
+            f"the arm's motion and the poses agree at no offset of the clocks{remark}: check that both files are of "
+            "one session, the arm (--arm), and the order, signs and units of the joints"
         )
-    first = found[0]
-    alike = [one for one in found if one.ratio < ALIKE * first.ratio and not _same(arm, joints, time, first, one)]
-    if alike and likely is None:
+    first = fits[0]
+    rivals = [
+        clocks for clocks in fits if clocks.ratio < ALIKE * first.ratio and not _same(arm, joints, time, first, clocks)
+    ]
+    if rivals and likely is None:
         raise InputError(
-            f"the motion repeats itself: offsets of the clocks that differ by {abs(alike[0].offset - first.offset):.3f}"
-            " s fit alike; record a motion that does not repeat, or stamp both files by one clock"
+            "the motion repeats itself: offsets of the clocks that differ by "
+            f"{abs(rivals[0].offset - first.offset):.3f} s fit alike; record a motion that does not repeat, or stamp "
+            "both files by one clock"
         )
-    first = first if likely is None else min([first, *alike], key=lambda one: abs(one.offset - likely))
+    first = first if likely is None else min([first, *rivals], key=lambda clocks: abs(clocks.offset - likely))
     half = max(_LONGEST_WINDOW_S / 2, 1.0)
-    center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
+    center = first.middle
+    reach = float(np.max(np.abs(time - first.middle)))
     while True:
         rows = np.flatnonzero(np.abs(time - center) <= half)
         rows = rows[spread_rows(len(rows), _MOST_ROWS)]
@@ -178,42 +183,42 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
     """
     flange = flange_poses(arm, joint)
     surplus = len(joint) - len(position)
-    found = []
+    pairings = []
     for shift in range(min(surplus, 0) - _BEYOND, max(surplus, 0) + _BEYOND + 1):
         first = max(shift, 0), max(-shift, 0)
         count = min(len(joint) - first[0], len(position) - first[1])
         if count >= FEWEST:
             error, _ = match_poses(flange[first[0] :][:count], position[first[1] :][:count])
-            found.append(Pairing(*first, count, error))
-    if not found:
+            pairings.append(Pairing(*first, count, error))
+    if not pairings:
         return None
-    best, *others = sorted(found, key=lambda one: one.error)
-    whole = best.rows == min(len(joint), len(position))
-    alone = all(other.error > ALIKE * best.error for other in others)
-    return best if whole and alone and best.error <= CLOSE * median_distance(position) else None
+    closest, *further = sorted(pairings, key=lambda pairing: pairing.error)
+    is_complete = closest.rows == min(len(joint), len(position))
+    alone = all(pairing.error > ALIKE * closest.error for pairing in further)
+    return closest if is_complete and alone and closest.error <= CLOSE * median_distance(position) else None
 
 
-def _same(arm: Arm, joints: JointStream, time: Array, one: Clocks, other: Clocks) -> bool:
+def _same(arm: Arm, joints: JointStream, time: Array, first: Clocks, second: Clocks) -> bool:
     """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
     rows = time[spread_rows(len(time), _REFINED_ROWS)]
-    start, end = one.robot_time(rows), other.robot_time(rows)
+    start, end = first.robot_time(rows), second.robot_time(rows)
     times = [start + share * (end - start) for share in np.linspace(0, 1, 6)]
-    known = np.logical_and.reduce([joints.known(at) for at in times])
-    if known.sum() < FEWEST:
+    covered = np.logical_and.reduce([joints.known(at) for at in times])
+    if covered.sum() < FEWEST:
         return False
-    places = [flange_poses(arm, joints.at(at[known]))[:, :3, 3] for at in times]
+    places = [flange_poses(arm, joints.at(at[covered]))[:, :3, 3] for at in times]
     apart = [float(np.median(np.linalg.norm(place - places[0], axis=1))) for place in places]
-    return max(apart) <= max(one.error, other.error)
+    return max(apart) <= max(first.error, second.error)
 
 
-def _standstill(arm: Arm, joints: JointStream, time: Array, found: Clocks) -> float:
+def _standstill(arm: Arm, joints: JointStream, time: Array, clocks: Clocks) -> float:
     """s, by which the offset may be changed either way before the arm moves; zero where less than `_STANDSTILL_S`."""
     width = 0.0
-    for tried in _STANDSTILL_S * 2.0 ** np.arange(8):
-        either = (found._replace(offset=found.offset + way * tried) for way in (1, -1))
-        if not any(_same(arm, joints, time, found, other) for other in either):
+    for step in _STANDSTILL_S * 2.0 ** np.arange(8):
+        either = (clocks._replace(offset=clocks.offset + sign * step) for sign in (1, -1))
+        if not any(_same(arm, joints, time, clocks, displaced) for displaced in either):
             break
-        width = float(tried)
+        width = float(step)
     return width
 
 
@@ -226,16 +231,16 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     start, end = joints.time[[0, -1]]
     fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
     times = np.arange(start, end, fine)
-    flange, known = flange_poses(arm, joints.at(times)), joints.known(times)
+    flange, covered = flange_poses(arm, joints.at(times)), joints.known(times)
     origin, x, z = (flange[:, :3, k] for k in (3, 0, 2))
     points = np.concatenate([origin, origin + _LEVER_M * z, origin + _LEVER_M * x], 1)
-    extent = _extent(points[known]) if known.any() else 0.0
+    extent = _extent(points[covered]) if covered.any() else 0.0
     if min(extent, _extent(position)) < _STILL_M:
         who = "the arm" if extent < _STILL_M else "the measured point"
         raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
     speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
     stride = max(1, round(float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S)) / fine))
-    step, flange, known = stride * fine, flange[::stride], known[::stride]
+    step, flange, covered = stride * fine, flange[::stride], covered[::stride]
 
     span, logged = time[-1] - time[0], step * len(flange)
     rows = spread_rows(len(time), int(np.clip(_TRIED_ROWS[0] * span / logged, *_TRIED_ROWS)))
@@ -247,14 +252,14 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     scores = np.full(len(shifts), np.inf)
 
     def score(chosen: Rows, rounds: int) -> None:
-        for some in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
-            at = place + shifts[some, None]
-            there = (at >= 0) & (at < len(flange))
-            there &= known[np.where(there, at, 0)]
-            enough = there.sum(1) >= min(fewest, len(rows))
+        for batch in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
+            at = place + shifts[batch, None]
+            inside = (at >= 0) & (at < len(flange))
+            inside &= covered[np.where(inside, at, 0)]
+            enough = inside.sum(1) >= min(fewest, len(rows))
             if enough.any():
-                F = flange[np.where(there, at, 0)[enough]]
-                scores[some[enough]] = _misfit(F[..., :3, :3], F[..., :3, 3], y, there[enough], rounds)
+                F = flange[np.where(inside, at, 0)[enough]]
+                scores[batch[enough]] = _misfit(F[..., :3, :3], F[..., :3, 3], y, inside[enough], rounds)
 
     score(np.arange(len(shifts)), 1)
     # an offset tried once has its outliers in it: those that may be the best are tried again without
@@ -262,16 +267,16 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     offsets = start + step * shifts - time[0]
     order = np.argsort(scores)
     near = order[:0] if likely is None else order[np.abs(offsets[order] - likely) <= _NEAR_S][:1]
-    found: list[float] = []
+    candidates: list[float] = []
     for k in (*near, *order):
-        if len(found) == _CANDIDATES or not np.isfinite(scores[k]):
+        if len(candidates) == _CANDIDATES or not np.isfinite(scores[k]):
             break
-        if all(abs(offsets[k] - other) > 5 * stride * step for other in found):
-            found.append(float(offsets[k]))
-    return found
+        if all(abs(offsets[k] - candidate) > 5 * stride * step for candidate in candidates):
+            candidates.append(float(offsets[k]))
+    return candidates
 
 
-def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
+def _misfit(R: Array, p: Array, y: Array, covered: Flags, rounds: int) -> Array:
     """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
 
     p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
@@ -280,30 +285,31 @@ def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
     Args:
         R: `(offset, sample, 3, 3)` of the flange; `p` its position.
         y: `(sample, 3)`, measured.
-        there: `(offset, sample)`, where the flange is known.
+        covered: `(offset, sample)`, where the flange is known.
         rounds: of weights by which outliers count less.
     """
-    offsets, samples = there.shape
+    offsets, samples = covered.shape
     M = np.zeros((offsets, samples, 3, 15))
     for axis in range(3):
         M[:, :, axis, 3 * axis : 3 * axis + 3] = y
         M[:, :, axis, 9 + axis] = -1.0
     M[..., 12:] = -R
-    weight, scale = there.astype(float), np.zeros(offsets)
+    weight = covered.astype(float)
+    scale = np.zeros(offsets)
     for _ in range(rounds):
         A = _least_squares(M, p, weight)[:, :9].reshape(-1, 3, 3)
         U, _, Vt = np.linalg.svd(A)
         U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
         R_sensor_base = np.swapaxes(U @ Vt, 1, 2)
         turned = R_sensor_base[:, None] @ R
-        rest = y - np.einsum("oij,osj->osi", R_sensor_base, p)
+        difference = y - np.einsum("oij,osj->osi", R_sensor_base, p)
         columns = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], 3)
-        found = _least_squares(columns, rest, weight)
-        distance = np.linalg.norm(rest - np.einsum("osij,oj->osi", columns, found), axis=2)
-        scale = np.nanmedian(np.where(there, distance, np.nan), axis=1)
-        weight = there / (1 + (distance / (2 * np.maximum(scale, 1e-9))[:, None]) ** 2)
-    seen = np.where(there[..., None], y, np.nan)
-    moved = np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=2)
+        shifts = _least_squares(columns, difference, weight)
+        distance = np.linalg.norm(difference - np.einsum("osij,oj->osi", columns, shifts), axis=2)
+        scale = np.nanmedian(np.where(covered, distance, np.nan), axis=1)
+        weight = covered / (1 + (distance / (2 * np.maximum(scale, 1e-9))[:, None]) ** 2)
+    measured = np.where(covered[..., None], y, np.nan)
+    moved = np.linalg.norm(measured - np.nanmedian(measured, axis=1, keepdims=True), axis=2)
     return scale / np.maximum(np.nanmedian(moved, axis=1), 1e-9)
 
 
@@ -333,13 +339,14 @@ def _fitted(
     from scipy.spatial.transform import Rotation  # takes longer to import than captures in their order take
 
     nothing = Clocks(start.offset, start.drift, start.middle)
-    known = joints.known(start.robot_time(time))
-    if known.sum() < FEWEST:
+    covered = joints.known(start.robot_time(time))
+    if covered.sum() < FEWEST:
         return nothing
-    middle = float(np.mean(time[known]))
-    now, kinematics = start._replace(offset=start.offset + start.drift * (middle - start.middle), middle=middle), 0.0
+    middle = float(np.mean(time[covered]))
+    now = start._replace(offset=start.offset + start.drift * (middle - start.middle), middle=middle)
+    kinematics = 0.0
     T, T_tool = frames_from_poses(
-        flange_poses(arm, joints.at(now.robot_time(time[known]))), position[known], None, None, None
+        flange_poses(arm, joints.at(now.robot_time(time[covered]))), position[covered], None, None, None
     )
     R, t, tool = T[:3, :3], T[:3, 3], T_tool[:3, 3]
 
@@ -349,23 +356,27 @@ def _fitted(
 
     # beforehand nothing is known of frame and point; an offset is believed as it is
     std = np.r_[_OFFSET_S, _DRIFT, np.full(9, np.inf), np.tile(np.repeat(geometry or (), 3), arm.dof)]
-    rounds, done = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY, False
+    rounds = _ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY
+    done = False
     while True:
         at = now.robot_time(time)
-        known = joints.known(at)
-        if known.sum() < FEWEST:
+        covered = joints.known(at)
+        if covered.sum() < FEWEST:
             return nothing
-        at, since, seen = at[known], time[known] - middle, position[known]
+        at = at[covered]
+        since = time[covered] - middle
+        measured = position[covered]
         q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
-        here = placed(q, kinematics)
+        predicted = placed(q, kinematics)
         flange = flange_poses(replace(arm, kinematics=arm.kinematics + kinematics, dh=None), q)
         velocity = (placed(ahead, kinematics) - placed(behind, kinematics))[:, :, None] / (2 * _DIFFERENCE_S)
-        turned = np.swapaxes(np.cross(np.eye(3), here[:, None]), 1, 2)  # of each axis, by which `here` moves
+        turned = np.swapaxes(np.cross(np.eye(3), predicted[:, None]), 1, 2)  # of each axis, by which `predicted` moves
         columns = [velocity, velocity * since[:, None, None], turned]
         columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
         for unit in _DIFFERENCE * np.eye(arm.kinematics.size).reshape(-1, arm.dof, 6) if geometry else ():
-            columns.append(((placed(q, kinematics + unit) - here) / _DIFFERENCE)[:, :, None])
-        missed, J = seen - here - t, np.concatenate(columns, axis=2)
+            columns.append(((placed(q, kinematics + unit) - predicted) / _DIFFERENCE)[:, :, None])
+        missed = measured - predicted - t
+        J = np.concatenate(columns, axis=2)
         distance = np.linalg.norm(missed, axis=1)
         scale = 2 * max(float(np.median(distance)), 1e-9)
         weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
@@ -392,7 +403,7 @@ def _fitted(
         offset_std=float(deviation[0]),
         drift_std=float(deviation[1]),
         error=float(np.median(distance)),
-        moved=median_distance(seen),
+        moved=median_distance(measured),
         rows=len(missed),
     )
 

@@ -105,10 +105,12 @@ class Deflections:
         """
         if self.inertia is None:
             return None
-        inertia, errors = self.inertia, errors or self.errors or self._exact
+        inertia = self.inertia
+        errors = errors or self.errors or self._exact
         if physics is not None and any(isinstance(effect, Loading) for effect in physics.effects):
             # an effect alters the masses as they are
-            inertia, errors = _with_mass_errors(inertia, errors.links), errors._replace(links=self._exact.links)
+            inertia = _with_mass_errors(inertia, errors.links)
+            errors = errors._replace(links=self._exact.links)
             inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
         return jax.tree.map(np.asarray, _loads(motion.chain, self.kinematics.ravel(), motion, inertia, errors))
 
@@ -140,15 +142,16 @@ class Deflections:
             if effect.linear:
                 assert isinstance(effect, Bending)
                 # on the host, one evaluation a number: traces of a hundred candidates would take seconds
-                each = (effect.deflect(step, self.host_motion, self.loads) for step in np.eye(effect.size))  # type: ignore[arg-type]
-                cache[effect] = _stacked(each)
+                deflections = (effect.deflect(step, self.host_motion, self.loads) for step in np.eye(effect.size))  # type: ignore[arg-type]
+                cache[effect] = _stacked(deflections)
             else:
                 cache[effect] = self.slope(effect, np.zeros(effect.size))
         return cache[effect]
 
     def basis(self, effect: Unnamed) -> Array:
         """The functions `(function, sample)` that coefficients of a nonparametric effect multiply; computed once."""
-        cache, key = self._cache(effect), effect.process
+        cache = self._cache(effect)
+        key = effect.process
         if key not in cache:
             values = effect.values_at(self.host_motion, self.loads)
             cache[key] = np.asarray(effect.functions_at(values, self.host_motion.run))
@@ -191,19 +194,20 @@ class Deflections:
             effects: beside it; those that depend on loads deflect the arm, and further ones alter the loads as well.
             values: `(effects.size,)`.
         """
-        pairs = [(one, np.asarray(values)[part]) for one, part in zip(effects.effects, effects.slices, strict=True)]
+        pairs = [(term, np.asarray(values)[part]) for term, part in zip(effects.effects, effects.slices, strict=True)]
         bending = [pair for pair in pairs if isinstance(pair[0], Bending) and any(d.loaded for d in pair[0].drivers)]
         if not bending:
             return Deflection(scale=np.zeros((effect.size, self.motion.samples)))  # type: ignore[arg-type]
-        others = [(one, numbers) for one, numbers in pairs if isinstance(one, Loading) and one != effect]
-        physics = Physics((effect, *(one for one, _ in others)))
+        loadings = [(term, numbers) for term, numbers in pairs if isinstance(term, Loading) and term != effect]
+        physics = Physics((effect, *(term for term, _ in loadings)))
 
         def deflected(numbers: Array) -> Deflection:
-            every = physics.join([numbers, *(rest for _, rest in others)])
-            motion = physics.alter(every, self.host_motion)  # type: ignore[arg-type]
-            on_arm, total = self.loads_in(motion, physics, every), Deflection()
-            for one, its_numbers in bending:
-                total = total + one.deflect(its_numbers, motion, on_arm)  # type: ignore[arg-type]
+            all_numbers = physics.join([numbers, *(loading_numbers for _, loading_numbers in loadings)])
+            motion = physics.alter(all_numbers, self.host_motion)  # type: ignore[arg-type]
+            on_arm = self.loads_in(motion, physics, all_numbers)
+            total = Deflection()
+            for term, its_numbers in bending:
+                total = total + term.deflect(its_numbers, motion, on_arm)  # type: ignore[arg-type]
             return total
 
         # loads are linear in masses and gravity, and deflections in loads except for curves, plays and steps
@@ -233,10 +237,10 @@ class Deflections:
         if self.inertia is None:
             return [(None, None)] * len(masses)
         if masses not in self._loaded:
-            steps = [sign * _STEP * one for one in np.eye(len(masses)) for sign in (-1, 1)]
+            steps = [sign * _STEP * unit for unit in np.eye(len(masses)) for sign in (-1, 1)]
             errors = (mass_errors(masses, step, len(self.kinematics), self.errors) or self._exact for step in steps)
-            each = [self.loads_in(self.motion, errors=one) for one in errors]
-            self._loaded[masses] = [*zip(each[::2], each[1::2], strict=True)]
+            loads = [self.loads_in(self.motion, errors=mass_error) for mass_error in errors]
+            self._loaded[masses] = [*zip(loads[::2], loads[1::2], strict=True)]
         return self._loaded[masses]
 
     @cached_property
@@ -249,9 +253,9 @@ class Deflections:
         return {}
 
 
-def _stacked(each: Iterable[Deflection]) -> Deflection:
+def _stacked(deflections: Iterable[Deflection]) -> Deflection:
     """The deflections by several numbers, `(number, …)`."""
-    parts = zip(*each, strict=True)
+    parts = zip(*deflections, strict=True)
     return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
 
@@ -268,7 +272,8 @@ _with_mass_errors = jax.jit(with_mass_errors)
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
     """The loads on an arm whose masses are off by some errors."""
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
-    payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
+    payload = motion.payload + errors.payload
+    inertia = with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
 
 
@@ -303,12 +308,14 @@ def components(sites: dict[Site, Array], motion: Motion, rows: int) -> tuple[Com
         rows: 3, or 6 where orientations are measured.
     """
     dof = motion.dof
-    found = [(f"joint{j + 1}", "rz") for j in range(dof) if not motion.sliding.mask(dof)[j]]
-    found += [(f"link{j + 1}", one) for j in range(dof) if dof > 1 for one in COMPONENTS[:5]]
-    found += [("base", one) for one in COMPONENTS[:6]] + [("tool", one) for one in COMPONENTS[:rows]]
-    found += [("sensor", one) for one in (*COMPONENTS[:6], SCALE)]
-    columns = ((where, one, sites[site_of(where, one)]) for where, one in found)
-    return tuple(Component(where, one, column) for where, one, column in columns if column.any())
+    pairs = [(f"joint{j + 1}", "rz") for j in range(dof) if not motion.sliding.mask(dof)[j]]
+    pairs += [(f"link{j + 1}", component) for j in range(dof) if dof > 1 for component in COMPONENTS[:5]]
+    pairs += [("base", component) for component in COMPONENTS[:6]] + [
+        ("tool", component) for component in COMPONENTS[:rows]
+    ]
+    pairs += [("sensor", component) for component in (*COMPONENTS[:6], SCALE)]
+    columns = ((where, component, sites[site_of(where, component)]) for where, component in pairs)
+    return tuple(Component(where, component, column) for where, component, column in columns if column.any())
 
 
 def quantities(motion: Motion, loads: Loads | None) -> tuple[Quantity, ...]:
@@ -318,32 +325,34 @@ def quantities(motion: Motion, loads: Loads | None) -> tuple[Quantity, ...]:
         motion: time-shifted.
         loads: on the rigid arm, or None.
     """
-    found = []
-    for driver, own, only in _drivers(motion):
+    varied = []
+    for driver, sites, only in _drivers(motion):
         if not driver.known(motion, loads):
             continue
         values = np.asarray(driver.values(motion, loads), float)
         if np.ptp(values) > _LEAST_VARIED and np.isfinite(values).all():
-            found.append(Quantity(driver, values, own, only))
-    return tuple(found)
+            varied.append(Quantity(driver, values, sites, only))
+    return tuple(varied)
 
 
 def _drivers(motion: Motion) -> Iterator[tuple[Driver, frozenset[str], str]]:
     """All drivers, the sites whose own each is (all of them where that is `""`), and the one site where it can act."""
-    dof, slides = motion.dof, motion.sliding.mask(motion.dof)
+    dof = motion.dof
+    slides = motion.sliding.mask(motion.dof)
     rise = motion.joint_temperature_rise
     apart = rise is not None and np.ptp(np.asarray(rise), 0).any()  # else that of the whole arm would be there twice
     for j in range(1, dof + 1):
-        own, last = {f"joint{j}", f"link{j}"}, {"tool"} if j == dof else set()
+        joint_sites = {f"joint{j}", f"link{j}"}
+        last = {"tool"} if j == dof else set()
         ends = ({"base"} if j <= _NEAR else set()) | ({"tool"} if j > dof - _NEAR else set())
         moved: Callable[[str], Driver] = lambda quantity, j=j: joint_driver(quantity, j, bool(slides[j - 1]))  # noqa: E731
         for driver in (moved("position"), moved("velocity"), Driver("direction of motion", j)):
-            yield driver, frozenset(own | ends), ""
-        yield moved("gravity torque"), frozenset(own | last), ""
+            yield driver, frozenset(joint_sites | ends), ""
+        yield moved("gravity torque"), frozenset(joint_sites | last), ""
         for axis in "xy":
             yield Driver(f"gravity moment {axis}", j), frozenset({f"link{j}"} | last), ""
         if apart:
-            yield Driver("temperature", j), frozenset(own | {f"link{j - 1}"}), ""
+            yield Driver("temperature", j), frozenset(joint_sites | {f"link{j - 1}"}), ""
     for axis in "xy":
         yield Driver(f"base moment {axis}"), frozenset({"base", "sensor"}), ""
     for quantity in _WHOLE_ARM:

@@ -168,7 +168,8 @@ def compensate(
         full[complete] = values
         return full
 
-    q, hit = spread(solved.joint_position.T), _reached(solved)
+    q = spread(solved.joint_position.T)
+    hit = _reached(solved)
     correction = None if targets.start is None else q - targets.start
     reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
     for k, row in enumerate(np.flatnonzero(complete)):
@@ -219,8 +220,8 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     if frame == "base":
         sites = ("clock", "sensor")
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
-        known = None if model.uncertainty is None else model.uncertainty.without_base()
-        model = replace(model, model=rigid, uncertainty=known)
+        uncertainty = None if model.uncertainty is None else model.uncertainty.without_base()
+        model = replace(model, model=rigid, uncertainty=uncertainty)
     effects = model.physics.effects
     without = [effect.site in sites or (frame == "base" and isinstance(effect, BaseDrift)) for effect in effects]
     omitted = tuple(effect.label for effect, left_out in zip(effects, without, strict=True) if left_out)
@@ -253,9 +254,9 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, said = _recognised(path, model, reach, given or {})
+    columns, notes = _recognised(path, model, reach, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
-    recording = replace(recording, notes=(*said, *recording.notes))
+    recording = replace(recording, notes=(*notes, *recording.notes))
     settings = recording.settings
     if not exists(sidecar_path(path)):
         settings = replace(settings, reference_temperature_degC=model.reference_temperature)
@@ -265,19 +266,19 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
 
 
 def _recognised(
-    path: Path, model: DiagnosedArm, reach: float, given: Mapping[str, str]
+    path: Path, model: DiagnosedArm, reach: float, meanings: Mapping[str, str]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
     _, table = open_table(path, (), ArmJoints(model.dof), [])
-    if not given and (declared or any(name in ("x_m", "x_mm") for name in table.names)):
+    if not meanings and (declared or any(name in ("x_m", "x_mm") for name in table.names)):
         return {}, ()
     columns = dict(table.numbers())
-    found = inspect(list(columns.items()), given={**declared, **given}, source=str(path))
-    place, turned = found.of("position"), found.of("rotation")
+    inspection = inspect(list(columns.items()), given={**declared, **meanings}, source=str(path))
+    place, turned = inspection.of("position"), inspection.of("rotation")
     if place is None:
-        if {"x_m", "x_mm"} & set(found.columns.values()):
-            return found.columns, ()
+        if {"x_m", "x_mm"} & set(inspection.columns.values()):
+            return inspection.columns, ()
         raise InputError(
             f"{path}: no columns look like positions to reach; say which they are: --column NAME=x_mm, and likewise "
             "y_mm and z_mm (x_m … in metres), or `columns:` in its sidecar"
@@ -306,9 +307,9 @@ def _recognised(
                 f"{name}=x_mm (or x_m), and likewise the others, or `columns:` in its sidecar"
             )
         unit = units[0]
-    meant = found.columns | place.renamed(unit=unit)
-    told = ", ".join(f"{own}={name}" for own, name in meant.items() if name != "ignore" and own != name)
-    return meant, ((f"columns are read as {told}",) if told else ())
+    meant = inspection.columns | place.renamed(unit=unit)
+    pairs = ", ".join(f"{column}={name}" for column, name in meant.items() if name != "ignore" and column != name)
+    return meant, ((f"columns are read as {pairs}",) if pairs else ())
 
 
 def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
@@ -349,39 +350,40 @@ class _Search:
 
     def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> Solved:
         """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
-        m, target = self.model, self._target(rows)
+        m = self.model
+        target = self._target(rows)
         at = jax.tree.map(lambda leaf: np.asarray(leaf)[..., rows], motion)._replace(joint_position=q.T)
         return inverse.solve(m.physics, m.model, m.values, at, m.inertia, target, self.limits, **options)
 
     def branches(self, start: Array | None) -> Array:
         """`(row, joint)`: for each row a solution, or the nearest found; on the branch of `start`, or a short path."""
         count, dof = self.targets.samples, self.model.dof
-        given = np.zeros(count, bool) if start is None else np.asarray(np.isfinite(start).all(1))
-        at = np.zeros((count, dof)) if start is None else np.where(given[:, None], start, 0.0)
+        has_start = np.zeros(count, bool) if start is None else np.asarray(np.isfinite(start).all(1))
+        at = np.zeros((count, dof)) if start is None else np.where(has_start[:, None], start, 0.0)
         motion, unsolved = self.motion(at), np.ones(count, bool)
-        found: list[tuple[Rows, Array, Array]] = []
+        solutions: list[tuple[Rows, Array, Array]] = []
 
         def solve(rows: Rows, q: Array) -> None:
             solved = self.solve(motion, rows, q)
-            found.append((rows, solved.joint_position.T, solved.cost))
+            solutions.append((rows, solved.joint_position.T, solved.cost))
             unsolved[rows[_reached(solved)]] = False
 
-        if given.any():
-            solve(np.flatnonzero(given), at[given])
+        if has_start.any():
+            solve(np.flatnonzero(has_start), at[has_start])
         for k, starts in enumerate(_STARTS):
             if not unsolved.any():
                 break
-            tried = np.repeat(np.flatnonzero(unsolved), starts)
-            rigid, missed = self._rigid(tried, self._random(len(tried), k), unlimited=k > 0)
-            best = np.full(count, np.inf)
-            np.minimum.at(best, tried, missed)
-            kept = (missed < _NEAR**2) | (missed == best[tried])
-            tried, rigid = tried[kept], rigid[kept]
-            key = np.column_stack([tried, np.round(rigid / _SAME / 4).astype(int)])
+            attempted = np.repeat(np.flatnonzero(unsolved), starts)
+            rigid, missed = self._rigid(attempted, self._random(len(attempted), k), unlimited=k > 0)
+            smallest = np.full(count, np.inf)
+            np.minimum.at(smallest, attempted, missed)
+            promising = (missed < _NEAR**2) | (missed == smallest[attempted])
+            attempted, rigid = attempted[promising], rigid[promising]
+            key = np.column_stack([attempted, np.round(rigid / _SAME / 4).astype(int)])
             _, distinct = np.unique(key, axis=0, return_index=True)
-            solve(tried[distinct], rigid[distinct])
-        rows, positions, costs = (np.concatenate(each) for each in zip(*found, strict=True))
-        return _least_motion(rows, positions, costs, at, given, self._usual())
+            solve(attempted[distinct], rigid[distinct])
+        rows, positions, costs = (np.concatenate(parts) for parts in zip(*solutions, strict=True))
+        return _least_motion(rows, positions, costs, at, has_start, self._usual())
 
     def settle(self, q: Array) -> tuple[Solved, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
@@ -393,20 +395,22 @@ class _Search:
         motion = self.motion(q)
         solved = self.solve(motion, rows, q)
         for _ in range(_SETTLINGS):
-            before, motion = motion, self.motion(solved.joint_position.T)
+            before = motion
+            motion = self.motion(solved.joint_position.T)
             changed = np.flatnonzero(self._differ(before, motion))
             if not changed.size:
                 break
             again = self.solve(motion, changed, solved.joint_position.T[changed])
-            for whole, part in zip(solved, again, strict=True):
-                whole[..., changed] = part
+            for full, part in zip(solved, again, strict=True):
+                full[..., changed] = part
         q = solved.joint_position.T
         evaluated = self._evaluated(q)
         return evaluated._replace(pressed=solved.pressed), _reached(solved) & ~_reached(evaluated)
 
     def _evaluated(self, q: Array) -> Solved:
         """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
-        motion, m = self.motion(q), self.model
+        motion = self.motion(q)
+        m = self.model
         solved = self.solve(motion, np.arange(len(q)), q, steps=0)
         if not any(effect.hysteretic for effect in m.physics.effects):
             return solved
@@ -433,18 +437,18 @@ class _Search:
         m = self.model
         solved = inverse.solve_rigid(m.model, self._target(rows), q, limits, m.sliding)
         q = solved.joint_position.T
-        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
-        q = np.where(turns & unlimited, q - whole, q)
+        whole_turns = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
+        q = np.where(turns & unlimited, q - whole_turns, q)
         inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
         return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
-    def _differ(self, one: Motion, other: Motion) -> Flags:
+    def _differ(self, before: Motion, after: Motion) -> Flags:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""
-        differ = np.zeros(one.samples, bool)
+        differ = np.zeros(before.samples, bool)
         drivers = {driver.quantity for effect in self.model.physics.effects for driver in effect.drivers}
         for quantity, name, within in (("direction of motion", "direction", 0.0), ("velocity", "joint_velocity", 1e-9)):
             if quantity in drivers:
-                change = np.abs(np.asarray(getattr(one, name)) - np.asarray(getattr(other, name)))
+                change = np.abs(np.asarray(getattr(before, name)) - np.asarray(getattr(after, name)))
                 differ |= (change > within).any(0)
         return differ
 
@@ -455,10 +459,10 @@ class _Search:
 
     def _usual(self) -> Array:
         """`(joint, 2)`, the range that was recorded, where the model is known; without one `_middle_turn`."""
-        known = self.model.uncertainty
-        if known is None:
+        uncertainty = self.model.uncertainty
+        if uncertainty is None:
             return self._middle_turn()
-        lower, upper = np.clip(known.recorded.joints.T, *self.limits.T)
+        lower, upper = np.clip(uncertainty.recorded.joints.T, *self.limits.T)
         return np.stack([lower, upper], 1)
 
     def _middle_turn(self) -> Array:
@@ -467,7 +471,7 @@ class _Search:
         return np.where(slides, self.limits, np.clip(self.limits, -np.pi, np.pi))
 
 
-def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags, usual: Array) -> Array:
+def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, has_start: Flags, usual: Array) -> Array:
     """`(row, joint)`: of the solutions of each row the one on the path that moves the joints least, by squares.
 
     The shortest path through the rows (R. Bellman, 1957). Where a row has solutions in the usual range, it takes one of
@@ -479,24 +483,26 @@ def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags,
         q: `(candidate, joint)`.
         cost: `(candidate,)` m², its squared error.
         start: `(row, joint)`, the joint positions given.
-        given: `(row,)`, whether they were.
+        has_start: `(row,)`, whether they were.
         usual: `(joint, 2)`, the usual range, from whose middle the first row is approached.
     """
     order = np.argsort(rows, kind="stable")
     groups = np.split(order, np.searchsorted(rows[order], np.arange(1, len(start))))
-    kept, inside = [], np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
+    layers = []
+    inside = np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
     for row, group in enumerate(groups):
         solutions = group[cost[group] < REACHED[0] ** 2]
         if not solutions.size:
             solutions = group[[np.argmin(cost[group])]]
-        elif inside[solutions].any() and not given[row]:
+        elif inside[solutions].any() and not has_start[row]:
             solutions = solutions[inside[solutions]]
-        if given[row]:
+        if has_start[row]:
             solutions = solutions[[np.argmin(np.abs(q[solutions] - start[row]).max(1))]]
-        kept.append(solutions)
-    length, before = np.sum((q[kept[0]] - usual.mean(1)) ** 2, 1), []
-    for previous, here in pairwise(kept):
-        steps = length[:, None] + np.sum((q[previous][:, None] - q[here]) ** 2, 2)
+        layers.append(solutions)
+    length = np.sum((q[layers[0]] - usual.mean(1)) ** 2, 1)
+    before = []
+    for previous, current in pairwise(layers):
+        steps = length[:, None] + np.sum((q[previous][:, None] - q[current]) ** 2, 2)
         before.append(np.argmin(steps, 0))
         length = np.min(steps, 0)
     at = int(np.argmin(length))
@@ -504,4 +510,4 @@ def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags,
     for predecessor in reversed(before):
         at = int(predecessor[at])
         path.append(at)
-    return np.stack([q[group[at]] for group, at in zip(kept, reversed(path), strict=True)])
+    return np.stack([q[group[at]] for group, at in zip(layers, reversed(path), strict=True)])

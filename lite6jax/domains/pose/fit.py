@@ -97,10 +97,10 @@ def fit(
     """
     with rename_argument("arm", "nominal"):
         arm = load_nominal(nominal)
-        if isinstance(source, list | tuple) and any(isinstance(each, Source) for each in source):
-            given: dict[str, Any] = {"geometry": geometry, "loss": loss, "solver": solver, "samples": samples}
-            each = cast(Sequence[Source], source)
-            return tuple(fit(one, arm, **given, seed=seed, max_steps=max_steps) for one in each)
+        if isinstance(source, list | tuple) and any(isinstance(member, Source) for member in source):
+            settings: dict[str, Any] = {"geometry": geometry, "loss": loss, "solver": solver, "samples": samples}
+            sources = cast(Sequence[Source], source)
+            return tuple(fit(member, arm, **settings, seed=seed, max_steps=max_steps) for member in sources)
         if isinstance(source, str | Path):
             source = read_source(source, arm)
         if isinstance(source, Recording):
@@ -161,25 +161,31 @@ def fit_touches(begun: RigidArm) -> Solution:
     require_determined(begun)
     unknowns = int(np.sum(begun.precision == 0)) + 1
     require_samples(recording, -(-unknowns * FOLDS // (FOLDS - 1)))
-    arm, steps, converged = begun, 0, False
+    arm = begun
+    steps = 0
+    converged = False
     while not converged and steps < DEFAULTS.steps:
         arm, before = relinearise(arm, DEFAULTS, steps=1), arm
-        steps, converged = steps + 1, bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)
-    known = fit_numbers(arm, Terms(), DEFAULTS)
+        steps = steps + 1
+        converged = bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)
+    estimated = fit_numbers(arm, Terms(), DEFAULTS)
     checked = np.empty(recording.samples)
     for fold in recording.contiguous_folds(FOLDS):
         checked[fold] = np.linalg.norm(relinearise(arm, DEFAULTS, ~fold).differences[:, fold], axis=0)
     # without a frame of the sensor's own, displacements of the base are of the chain
-    kept = [name != "link" and (name != "base" or begun.form.frame) for name, _, _ in begun.unknown]
-    nominal = relinearise(begun.keeping(kept), DEFAULTS)
-    J = (arm.frame_columns * np.sqrt(known.residuals.row_weight)).reshape(len(arm.unknown), -1)
-    factor = variance_factor(known.residuals.squares, arm.rows, FREEDOM, 0)
+    of_frames = [name != "link" and (name != "base" or begun.form.frame) for name, _, _ in begun.unknown]
+    nominal = relinearise(begun.keeping(of_frames), DEFAULTS)
+    J = (arm.frame_columns * np.sqrt(estimated.residuals.row_weight)).reshape(len(arm.unknown), -1)
+    factor = variance_factor(estimated.residuals.squares, arm.rows, FREEDOM, 0)
     covariance = scaled_inverse(J @ J.T / factor + np.diag(arm.precision)) if len(J) else np.zeros((0, 0))
-    form, q, of_steps = begun.form, recording.joint_position, _by_unknowns(arm)
+    form = begun.form
+    q = recording.joint_position
+    of_steps = _by_unknowns(arm)
     tolerance = np.zeros(form.size)
     if recording.settings.factory_calibration is None:
         tolerance[: form.chain.size] = [TOUCHED_TOLERANCE[unit == "rad"] ** -2.0 for unit in form.chain.units]
-    noise, own = float(known.scale[0] * arm.noise[0]), len(arm.unknown) - arm.measured.numbers
+    noise = float(estimated.scale[0] * arm.noise[0])
+    first_of_sensor = len(arm.unknown) - arm.measured.numbers
     assert isinstance(arm.measured, PointSensor)
     return Solution(
         arm=arm.arm,
@@ -194,36 +200,39 @@ def fit_touches(begun: RigidArm) -> Solution:
         nominal_errors=Errors(np.linalg.norm(nominal.differences, axis=0), None, q),
         checked=Errors(checked, None, q),
         noise=Noise(arm.declared_noise if arm.declared_noise[0] else None, noise, None),
-        weight=weights_left(known.residuals.squares, FREEDOM),
+        weight=weights_left(estimated.residuals.squares, FREEDOM),
         tolerance=tolerance,
         notes=recording.notes,
         recording=recording,
-        places=_places_of(arm.measured, covariance[own:, own:]),
+        places=_places_of(arm.measured, covariance[first_of_sensor:, first_of_sensor:]),
     )
 
 
 def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
     """What is known of each point, plane, anchor or axis, with the covariance `(number, number)` of its unknowns."""
-    kind, found = type(sensor).__name__.lower().replace("distance", "anchor"), []
-    moved = [sensor.displaced(_STEP * one) for one in np.eye(sensor.numbers)]
+    kind = type(sensor).__name__.lower().replace("distance", "anchor")
+    places = []
+    moved = [sensor.displaced(_STEP * unit) for unit in np.eye(sensor.numbers)]
     for k, name in enumerate(sensor.names):
-        values, std = sensor.place(k), {}
+        values = sensor.place(k)
+        std = {}
         for key, at in values.items():
-            J = np.array([(np.array(other.place(k)[key]) - at) / _STEP for other in moved]).reshape(-1, len(at))
+            J = np.array([(np.array(displaced.place(k)[key]) - at) / _STEP for displaced in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
-        found.append(Place(name if name == kind else f"{kind} {name}", values, std))
-    return tuple(found)
+        places.append(Place(name if name == kind else f"{kind} {name}", values, std))
+    return tuple(places)
 
 
 def _by_unknowns(arm: RigidArm) -> Array:
     """How the entries of a step `(size, unknown)` change with the unknowns."""
-    form, count = arm.form, len(arm.unknown)
+    form = arm.form
+    count = len(arm.unknown)
     out = np.zeros((form.size, count))
     for k, (name, _, axis) in enumerate(arm.unknown):
         if name == "reading":
             continue
         step = _STEP * np.eye(count)[k]
-        more, less = (np.asarray(arm.relinearised(one).model.geometry) for one in (step, -step))
+        more, less = (np.asarray(arm.relinearised(signed_step).model.geometry) for signed_step in (step, -step))
         change = (more - less) / (2 * _STEP)
         out[: form.chain.size, k] = np.where(np.abs(change) < 1e3, change, 0.0)  # an angle may jump by a turn
         if name == "base" and form.frame:

@@ -73,7 +73,7 @@ class Pose(NamedTuple):
         blocks: its position, and its orientation where it has one.
         role: whose it is by its name, or the controller's where it is computed.
         arm: the given one, or the bundled one that clearly fits best; None where several do.
-        tried: the arms that were tried, the nearest first.
+        agreements: of the arms that were tried, the nearest first.
         agreed: the units and the form with which the arm agrees, and the median error of its positions.
         travel: the largest extent of its positions along an axis, in their unit.
         computed: whether the arm reproduces it as exactly as only the controller's own computation.
@@ -83,7 +83,7 @@ class Pose(NamedTuple):
     blocks: tuple[Block, ...] = ()
     role: Role | None = None
     arm: Arm | None = None
-    tried: Sequence[tuple[Arm, Agreement]] = ()
+    agreements: Sequence[tuple[Arm, Agreement]] = ()
     agreed: Agreement = Agreement()
     travel: float = 0.0
     computed: bool = False
@@ -150,14 +150,18 @@ class Inspection:
     def columns(self) -> dict[str, str]:
         """The sidecar's `columns`, by their names in the file; empty where every name is one of a recording already."""
         pairs = [pair for block in self.blocks for pair in block.renamed().items()]
-        taken = {name.partition("_")[0] for name in self.given.values()}
-        told = {own: IGNORED if name.partition("_")[0] in taken else name for own, name in pairs} | dict(self.given)
+        given_quantities = {name.partition("_")[0] for name in self.given.values()}
+        meanings = {
+            column: IGNORED if name.partition("_")[0] in given_quantities else name for column, name in pairs
+        } | dict(self.given)
         unused = {name: IGNORED for name in self.texts if not is_standard(name)}
-        read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
+        read = [name for name in self.unused if (parsed := known_column(name)) and parsed.quantity != "missing"]
         unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
-        needed = read or any(own != name for own, name in told.items()) or any(map(is_refused, unused))
+        needed = read or any(column != name for column, name in meanings.items()) or any(map(is_refused, unused))
         needed = needed or bool(self.in_file)
-        return {self.in_file.get(own, own): name for own, name in (told | unused).items()} if needed else {}
+        return (
+            {self.in_file.get(column, column): name for column, name in (meanings | unused).items()} if needed else {}
+        )
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -177,8 +181,10 @@ class Inspection:
     @property
     def joint_columns(self) -> tuple[str, ...]:
         """The names of the joint positions in a recording, along the arm: `q1_deg`, `q2_mm`."""
-        named = [pair for one in self.blocks if one.kind == "q" for pair in zip(one.joints, one.names, strict=True)]
-        return tuple(name for _, name in sorted(named))
+        numbered = [
+            pair for block in self.blocks if block.kind == "q" for pair in zip(block.joints, block.names, strict=True)
+        ]
+        return tuple(name for _, name in sorted(numbered))
 
     def of(self, kind: str) -> Block | None:
         """The block of a kind: of revolute joints where there are some."""
@@ -229,7 +235,9 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {name: np.where(np.abs(one) < BEYOND, one, np.nan) for name, one in columns if one is not None}
+    numbers = {
+        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
+    }
     numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     texts = tuple(name for name, values in columns if values is None)
     for name in given:
@@ -240,23 +248,27 @@ def inspect(
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
     possible, denied = _possible(naming.candidates(free, joint_names), numbers)
-    said = {name: one for name, own in given.items() if name in numbers and (one := known_column(own))}
-    slots = {(one.quantity, one.joint): one._replace(name=name) for name, one in said.items()}
-    said_joints = [one.name for one in slots.values() if one.quantity == "q"]
+    declared = {
+        name: column for name, meaning in given.items() if name in numbers and (column := known_column(meaning))
+    }
+    slots = {(column.quantity, column.joint): column._replace(name=name) for name, column in declared.items()}
+    said_joints = [column.name for column in slots.values() if column.quantity == "q"]
     chosen = naming.choose(possible, dof, said_joints)
     blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
-    whole = next((block for block in blocks if block.kind == "q"), None)
-    blocks = _split_by_joint(blocks, said, arm)
+    all_joints = next((block for block in blocks if block.kind == "q"), None)
+    blocks = _split_by_joint(blocks, declared, arm)
     unsaid = {*assumed} - given.keys()
     blocks = [replace(block, unit=None) if {*block.columns} <= unsaid else block for block in blocks]
     joints = {name for block in blocks for name in block.columns}
     poses = _merge_given_poses([block for block in possible if not joints & set(block.columns)], slots)
-    kept = {block.source for block in poses if block.kind == "position"}
-    lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
+    possible_sources = {block.source for block in poses if block.kind == "position"}
+    lost = {
+        block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"
+    } - possible_sources
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _at_poses(numbers, [*blocks, *poses], source)
     poses = _without_differences(poses, numbers)
-    told = {name for name, column in said.items() if column.quantity in DEVIATION}
+    declared_deviations = {name for name, column in declared.items() if column.quantity in DEVIATION}
     at_times = any(block.kind == "time" for block in blocks)
     read, unclear = [], []
     for pose in naming.sources(poses):
@@ -264,33 +276,35 @@ def inspect(
         if (deviation := pose.deviation) is None:
             continue
         nominal = pose.position.rank == 2 or (read[-1].computed and not at_times)
-        if nominal or told >= {*deviation.columns}:
+        if nominal or declared_deviations >= {*deviation.columns}:
             read[-1] = _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm)
         elif not _read_sum(pose.position, deviation, read[-1], blocks, numbers, arm, sign=-1.0).computed:
             unclear += deviation.columns
     read = [pose for pose in read if pose.travel > 0] or read
-    taken = _choose_pose(read, pose_source)
-    found = Pose(arm=read[0].arm if read else arm) if taken is None else read[taken]
-    nearest = min((pose.agreed for pose in read), key=lambda one: one.error, default=Agreement())
+    selected = _choose_pose(read, pose_source)
+    best_pose = Pose(arm=read[0].arm if read else arm) if selected is None else read[selected]
+    nearest = min((pose.agreed for pose in read), key=lambda candidate: candidate.error, default=Agreement())
     of_joints = {of: unit for of, unit in nearest.units.items() if of[0] == "q"}
-    agreed = found.agreed._replace(units={**of_joints, **found.agreed.units})
-    if any(block.kind == "rotation" and given.keys() >= {*block.columns} for block in found.blocks):
+    agreed = best_pose.agreed._replace(units={**of_joints, **best_pose.agreed.units})
+    if any(block.kind == "rotation" and given.keys() >= {*block.columns} for block in best_pose.blocks):
         units = {of: unit for of, unit in agreed.units.items() if of[0] != "rotation"}
         agreed = agreed._replace(units=units, form=None)
-    blocks += found.blocks
+    blocks += best_pose.blocks
     decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
     announced: dict[str, tuple[str, sizes.Decision | None]] = {}
     likely: list[tuple[str, str, str]] = []
     if not read and not any(map(reading_of, given.values())):
-        rest = {name: values for name, values in numbers.items() if name not in used}
-        cells = {name: own for name, own in (words or {}).items() if name not in given}
+        unread = {name: values for name, values in numbers.items() if name not in used}
+        cells = {name: column_words for name, column_words in (words or {}).items() if name not in given}
         if pose_source is not None and pose_source in READINGS_OF:
-            announced = _readings(pose_source, rest, cells)
+            announced = _readings(pose_source, unread, cells)
         else:
-            called = {of: _readings(of, rest, cells, by_name=True) for of in READINGS_OF}
-            likely = [(of, name, quantity) for of, own in called.items() for name, (quantity, _) in own.items()]
+            called = {of: _readings(of, unread, cells, by_name=True) for of in READINGS_OF}
+            likely = [
+                (of, name, quantity) for of, readings in called.items() for name, (quantity, _) in readings.items()
+            ]
         given |= {name: spelled(quantity, unit=unit and unit.choice) for name, (quantity, unit) in announced.items()}
         used |= announced.keys()
     return Inspection(
@@ -300,12 +314,12 @@ def inspect(
         texts=tuple(name for name in texts if name not in given),
         denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
-        arm=found.arm,
-        arms=tuple((one.name, tried.error) for one, tried in found.tried),
-        error=found.error,
+        arm=best_pose.arm,
+        arms=tuple((candidate.name, agreement.error) for candidate, agreement in best_pose.agreements),
+        error=best_pose.error,
         motion=(motion, "as given") if motion else motion_of(decided, numbers),
-        sources=tuple(pose._replace(taken=place == taken) for place, pose in enumerate(read)),
-        motors=() if dof is None or whole is None else _motors(whole, dof, possible, numbers, decided),
+        sources=tuple(pose._replace(taken=place == selected) for place, pose in enumerate(read)),
+        motors=() if dof is None or all_joints is None else _motors(all_joints, dof, possible, numbers, decided),
         announced=announced,
         likely_readings=tuple(likely),
         unclear_deviations=tuple(unclear),
@@ -361,28 +375,28 @@ def _readings(
 
 
 def _motors(
-    whole: Block,
+    joints: Block,
     dof: int,
     possible: Sequence[Block],
     numbers: Mapping[str, Array],
     decided: Sequence[Block],
 ) -> tuple[tuple[str, ...], ...]:
     """Groups of joint positions of which any may be the arm's: too many columns, or several blocks."""
-    if len(whole.columns) > dof + 1:  # one more is a gripper's
-        return (whole.columns,)
+    if len(joints.columns) > dof + 1:  # one more is a gripper's
+        return (joints.columns,)
     q, *mixed = (block for block in decided if block.kind == "q")
     if mixed:
         return ()
     position = q.in_si(numbers)
-    others = [
-        other.columns
-        for other in possible
-        if other.kind == "q"
-        and other.columns[0] in whole.rivals
-        and len(other.columns) == len(whole.columns)
-        and sizes.unit_of_command(other.values(numbers)[:, :dof], position, q.slides) is None
+    rivals = [
+        block.columns
+        for block in possible
+        if block.kind == "q"
+        and block.columns[0] in joints.rivals
+        and len(block.columns) == len(joints.columns)
+        and sizes.unit_of_command(block.values(numbers)[:, :dof], position, q.slides) is None
     ]
-    return (whole.columns, *others) if others else ()
+    return (joints.columns, *rivals) if rivals else ()
 
 
 def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
@@ -391,8 +405,8 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
     time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
     for position in (block.columns for block in blocks if block.kind == "position"):
         try:
-            if (found := streams.merge(numbers, joints, position, time, [])) is not None:
-                return found[0]
+            if (merged := streams.merge(numbers, joints, position, time, [])) is not None:
+                return merged[0]
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     return numbers
@@ -401,30 +415,32 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
 def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
     """Which of several poses may be of a source: those of its name, else those that do not say whose they are."""
     role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
-    every = [*range(len(roles))]
-    named, open_ = ([k for k in every if roles[k] == of] for of in (role, None))
-    return every if role is None else named or open_ or every
+    indices = [*range(len(roles))]
+    of_role, open_ = ([k for k in indices if roles[k] == of] for of in (role, None))
+    return indices if role is None else of_role or open_ or indices
 
 
 def near(name: str, names: Sequence[str]) -> str:
     """What may be meant by a name that a table does not have."""
-    known = nearest_known(name)
-    return f"{'' if known is None else f'write COLUMN=MEANING, such as joint_1={known}; '}it has {list_names(names)}"
+    nearest = nearest_known(name)
+    return (
+        f"{'' if nearest is None else f'write COLUMN=MEANING, such as joint_1={nearest}; '}it has {list_names(names)}"
+    )
 
 
-def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
+def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
     """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
     run: Array | None = None
     unit_length: set[tuple[str, ...]] = set()
     possible: list[Block] = []
     denied: dict[str, str] = {}
-    for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
+    for block in sorted(blocks, key=lambda block: block.kind not in ("run", "rotation")):
         names = block.matrix or block.columns
         step = 1 if block.kind in ("run", "time") else max(len(numbers[names[0]]) // _ENOUGH, 1)
         values = np.stack([numbers[name][::step] for name in names], 1)
         if block.kind == "run":
-            there = values[np.isfinite(values)]
-            right = bool((there == np.round(there)).all())
+            finite = values[np.isfinite(values)]
+            right = bool((finite == np.round(finite)).all())
             run = values[:, 0] if right and run is None else run
         elif block.matrix:
             right = _matrix(values)
@@ -441,7 +457,7 @@ def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[lis
             possible.append(block)
         elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
             denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
-    return [block for block in found if block in possible], denied
+    return [block for block in blocks if block in possible], denied
 
 
 def _matrix(entries: Array) -> bool:
@@ -462,22 +478,24 @@ _Slots = Mapping[tuple[str, int], Column]
 
 def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> list[Block]:
     """With the given columns in their places, of all but poses; those of all joints replace the others."""
-    found = {block.kind: block for block in blocks}
-    own = {one.name for one in slots.values()}
+    by_kind = {block.kind: block for block in blocks}
+    given_names = {column.name for column in slots.values()}
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
-        told = {one.joint: one.name for one in slots.values() if one.quantity == kind}
+        by_joint = {column.joint: column.name for column in slots.values() if column.quantity == kind}
         first = int(is_per_joint(kind))
-        before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
-        columns = {joint: name for joint, name in before.items() if name not in own} | told
-        whole = sorted(told) == [*range(first, first + len(told))]
-        if whole and (len(told) == dof or not own & set(before.values())):
-            columns = told
+        before = dict(enumerate(by_kind[kind].columns, first)) if kind in by_kind else {}
+        columns = {joint: name for joint, name in before.items() if name not in given_names} | by_joint
+        contiguous = sorted(by_joint) == [*range(first, first + len(by_joint))]
+        if contiguous and (len(by_joint) == dof or not given_names & set(before.values())):
+            columns = by_joint
         if sorted(columns) == [*range(first, first + len(columns))]:
             unit = "" if first else slots[kind, 0].unit  # those of joints may differ by joint
             stated = sizes.by_name(unit) if unit else None
-            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), stated)
-    other = {kind: {one.name for one in slots.values() if one.quantity != kind} for kind in found}
-    return [found[kind] for kind in naming.KINDS if kind in found and not other[kind] & {*found[kind].columns}]
+            by_kind[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), stated)
+    elsewhere = {kind: {column.name for column in slots.values() if column.quantity != kind} for kind in by_kind}
+    return [
+        by_kind[kind] for kind in naming.KINDS if kind in by_kind and not elsewhere[kind] & {*by_kind[kind].columns}
+    ]
 
 
 def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[Block]:
@@ -492,7 +510,7 @@ def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[B
 
 def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
-    found = [*blocks]
+    merged = [*blocks]
     for form, parts in {"": PLACE, "deviation": DEVIATION, **FORMS}.items():
         if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
@@ -501,30 +519,32 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
         if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
         elif parts == DEVIATION:
-            places = [naming.of_whom(other.source) for other in found if other.kind == "position"]
+            places = [naming.of_whom(position.source) for position in merged if position.kind == "position"]
             block = Block("deviation", columns, unit, source=places[0] if len(places) == 1 else ())
         else:
-            source = next((other.source for other in found if other.kind == "position"), ())
+            source = next((position.source for position in merged if position.kind == "position"), ())
             block = Block("rotation", columns, unit, sizes.by_name(form), source=source)
-        others = (other for other in found if other.kind != block.kind and not {*columns} & {*other.columns})
-        found = [*others, block]
-    return found
+        retained = (
+            existing for existing in merged if existing.kind != block.kind and not {*columns} & {*existing.columns}
+        )
+        merged = [*retained, block]
+    return merged
 
 
-def _split_by_joint(blocks: Sequence[Block], said: Mapping[str, Column], arm: Arm | None) -> list[Block]:
+def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm: Arm | None) -> list[Block]:
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
-        return said[name].unit if name in said else naming.unit_of(name)
+        return declared[name].unit if name in declared else naming.unit_of(name)
 
     joints = next((block.columns for block in blocks if block.kind == "q"), ())
     dof = len(joints) if arm is None else arm.dof
-    named = [joint for joint, name in enumerate(joints) if unit(name) in naming.units_allowed("q", True)]
-    sliding = named if arm is None else arm.sliding
-    found = []
+    stated_sliding = [joint for joint, name in enumerate(joints) if unit(name) in naming.units_allowed("q", True)]
+    sliding = stated_sliding if arm is None else arm.sliding
+    split = []
     for block in blocks:
         if not is_per_joint(block.kind):
-            found.append(block)
+            split.append(block)
             continue
         # nothing says which of more columns are the joints'
         surplus = len(block.columns) > len(joints) + 1 > 1 and block.kind != "temp"
@@ -532,22 +552,22 @@ def _split_by_joint(blocks: Sequence[Block], said: Mapping[str, Column], arm: Ar
             continue
         within = range(len(block.columns[: dof or None]))
         for slides in (False, True):
-            own = [joint for joint in within if (differs_by_joint(block.kind) and joint in sliding) == slides]
-            if own:
-                columns = tuple(block.columns[joint] for joint in own)
+            members = [joint for joint in within if (differs_by_joint(block.kind) and joint in sliding) == slides]
+            if members:
+                columns = tuple(block.columns[joint] for joint in members)
                 units = {unit(name) for name in columns}
-                one = units.pop() if len(units) == 1 else None
-                stated = sizes.by_name(one) if one in naming.units_allowed(block.kind, slides) else None
-                joints_of = tuple(joint + 1 for joint in own)
-                found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
-    return found
+                unit_name = units.pop() if len(units) == 1 else None
+                stated = sizes.by_name(unit_name) if unit_name in naming.units_allowed(block.kind, slides) else None
+                joints_of = tuple(joint + 1 for joint in members)
+                split.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
+    return split
 
 
 def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> Pose:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
     position = source.position.values(numbers)
-    there = position[np.isfinite(position).all(1)]
-    travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
+    finite = position[np.isfinite(position).all(1)]
+    travel = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     pose = Pose((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
     q = [block for block in blocks if block.kind == "q"]
     columns = dict(sorted(pair for block in q for pair in zip(block.joints, block.columns, strict=True)))
@@ -555,38 +575,46 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
         return pose
     sliding = tuple(joint - 1 for block in q if block.slides for joint in block.joints)
     arms = bundled_of(len(columns)) if arm is None else [arm]
-    arms = [one for one in arms if (one.dof, one.sliding) == (len(columns), sliding)]
+    arms = [candidate for candidate in arms if (candidate.dof, candidate.sliding) == (len(columns), sliding)]
     joint = np.stack([numbers[name] for name in columns.values()], 1)
     read, wobbles = [], []
     for rotation in source.rotations or (None,):
-        parts, own = [joint, position], (source.position, *(() if rotation is None else (rotation,)))
+        parts = [joint, position]
+        pose_blocks = (source.position, *(() if rotation is None else (rotation,)))
         by_matrix = rotation is not None and rotation.form is not None and rotation.form.choice == MATRIX[0]
         if rotation is not None:
             turned = rotation.values(numbers)
             parts.append(quaternions(MATRIX, turned) if by_matrix else turned)
-        whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
-        q_there, p_there, *turned_there = (part[whole] for part in parts)
-        known = {block.key: block.unit.choice for block in (*q, *own) if block.unit}
-        tried = [(one, agreement(one, q_there, p_there, next(iter(turned_there), None), known)) for one in arms]
-        tried = sorted(tried, key=lambda entry: entry[1].error)
-        chosen, agreed = _choose_arm(arm, tried)
+        complete = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
+        q_there, p_there, *turned_there = (part[complete] for part in parts)
+        known_units = {block.key: block.unit.choice for block in (*q, *pose_blocks) if block.unit}
+        agreements = [
+            (candidate, agreement(candidate, q_there, p_there, next(iter(turned_there), None), known_units))
+            for candidate in arms
+        ]
+        agreements = sorted(agreements, key=lambda entry: entry[1].error)
+        chosen, agreed = _choose_arm(arm, agreements)
         if by_matrix and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
         wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
         computed = False
-        if tried and (nearest := tried[0][1]).close:
+        if agreements and (nearest := agreements[0][1]).close:
             length, angle = (nearest.units.get(of) for of in (("position", False), ("q", False)))
             in_m = p_there / units_of("x")[length.choice if length else "m"]
             in_rad = q_there / units_of("q")[angle.choice if angle else "rad"]
             computed = computed_by_controller(nearest.error, in_m, in_rad)
         role = "controller" if computed else source.role
-        read.append(pose._replace(blocks=own, role=role, arm=chosen, tried=tried, agreed=agreed, computed=computed))
-    best = read[int(np.argmin(wobbles))]
-    form = best.agreed.form
+        read.append(
+            pose._replace(
+                blocks=pose_blocks, role=role, arm=chosen, agreements=agreements, agreed=agreed, computed=computed
+            )
+        )
+    steadiest = read[int(np.argmin(wobbles))]
+    form = steadiest.agreed.form
     if form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
-        return best._replace(agreed=best.agreed._replace(form=form._replace(sure="likely")))
-    return best
+        return steadiest._replace(agreed=steadiest.agreed._replace(form=form._replace(sure="likely")))
+    return steadiest
 
 
 def _without_differences(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> list[Block]:
@@ -657,14 +685,14 @@ def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:
     return pool[0] if len(pool) == 1 else None
 
 
-def _choose_arm(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
+def _choose_arm(arm: Arm | None, agreements: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
     """The arm whose kinematics decide, where it agrees; the nearest bundled one where no other is as near."""
-    if not tried:
+    if not agreements:
         return arm, Agreement()
-    first, found = tried[0]
+    first, agreed = agreements[0]
     if arm is not None:
-        return arm, found if found.close else found.undecided()
-    alone = len(tried) == 1 or tried[1][1].error > max(ALIKE * found.error, 1e-9)
-    if not found.close or found.error > RECOGNISED_WITHIN:
-        return None, found.undecided()
-    return (first if alone else None), found  # arms that are alike agree on the units
+        return arm, agreed if agreed.close else agreed.undecided()
+    alone = len(agreements) == 1 or agreements[1][1].error > max(ALIKE * agreed.error, 1e-9)
+    if not agreed.close or agreed.error > RECOGNISED_WITHIN:
+        return None, agreed.undecided()
+    return (first if alone else None), agreed  # arms that are alike agree on the units

@@ -130,19 +130,19 @@ def solve(
         parts = []
         for first in range(0, len(rows), size):
             chunk = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]  # the last fills it
-            picked, wanted = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (start, target))
+            picked, goal = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (start, target))
             alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
-            parts.append(_solve(start.chain, physics, model, values, alone, inertia, wanted, limits, steps))
+            parts.append(_solve(start.chain, physics, model, values, alone, inertia, goal, limits, steps))
         return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
 
-    found = solve_rows(motion, np.arange(motion.samples), min(steps, _MOST_NEED))
-    if steps > _MOST_NEED and not found.ended.all():  # only those continue
-        rows = np.flatnonzero(~found.ended)
-        onward = motion._replace(joint_position=found.joint_position)  # type: ignore[arg-type]
+    solved = solve_rows(motion, np.arange(motion.samples), min(steps, _MOST_NEED))
+    if steps > _MOST_NEED and not solved.ended.all():  # only those continue
+        rows = np.flatnonzero(~solved.ended)
+        onward = motion._replace(joint_position=solved.joint_position)  # type: ignore[arg-type]
         later = solve_rows(onward, rows, steps - _MOST_NEED)
-        for whole, part in zip(found, later, strict=True):
-            whole[..., rows] = part
-    return found
+        for full, part in zip(solved, later, strict=True):
+            full[..., rows] = part
+    return solved
 
 
 def solve_rigid(
@@ -182,16 +182,17 @@ def reach(
         `(sample, joint)`, the start where none leads there, and where that succeeded `(sample,)`.
     """
     lower, upper = limits.T
-    q, reached = start.copy(), np.zeros(len(start), bool)
+    q = start.copy()
+    reached = np.zeros(len(start), bool)
     for attempt in range(_TRIES):
         rows = np.flatnonzero(~reached)
         if not rows.size:
             break
-        trial = q[rows] if attempt == 0 else rng.uniform(lower, upper, (len(rows), len(limits)))
-        own = Target(*(None if part is None else np.asarray(part)[..., rows] for part in target))  # type: ignore[arg-type]
-        found = solve_rigid(model, own, trial, limits, sliding, _MOST_NEED)
-        there = (found.cost < REACHED**2) & ~found.pressed.any(0)
-        q[rows[there]], reached[rows[there]] = found.joint_position.T[there], True
+        guess = q[rows] if attempt == 0 else rng.uniform(lower, upper, (len(rows), len(limits)))
+        goal = Target(*(None if part is None else np.asarray(part)[..., rows] for part in target))  # type: ignore[arg-type]
+        solved = solve_rigid(model, goal, guess, limits, sliding, _MOST_NEED)
+        succeeded = (solved.cost < REACHED**2) & ~solved.pressed.any(0)
+        q[rows[succeeded]], reached[rows[succeeded]] = solved.joint_position.T[succeeded], True
     return q, reached
 
 
@@ -235,9 +236,10 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     for start in branches:
         q, reached = _followed(solved, start, moved, turned)
         if reached.mean() >= _FOLLOWED:
-            found, there = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
-            found[rows[reached]], there[rows[reached]] = q[reached], True
-            return JointPath(found, there, len(branches))
+            joints = np.full((len(position), arm.dof), np.nan)
+            followed = np.zeros(len(position), bool)
+            joints[rows[reached]], followed[rows[reached]] = q[reached], True
+            return JointPath(joints, followed, len(branches))
     return None
 
 
@@ -253,31 +255,32 @@ def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray
     if not rows.size:
         return None
     solved = _solver(arm, position[rows], Rotation.from_quat(quaternion[rows], scalar_first=True).as_matrix())
-    every = np.arange(len(rows))
-    ends = [solved(every, np.tile(start, (len(rows), 1))) for start in _starts(arm)]
-    q, reached = np.stack([one for one, _ in ends], 1), np.stack([one for _, one in ends], 1)
+    indices = np.arange(len(rows))
+    ends = [solved(indices, np.tile(start, (len(rows), 1))) for start in _starts(arm)]
+    q, reached = np.stack([joints for joints, _ in ends], 1), np.stack([mask for _, mask in ends], 1)
     if reached.any(1).mean() < _FOLLOWED:
         return None
     last = arm.joint_limits.mean(1)
-    found, there = np.full((len(position), arm.dof), np.nan), np.zeros(len(position), bool)
+    joints = np.full((len(position), arm.dof), np.nan)
+    solvable = np.zeros(len(position), bool)
     for k in np.flatnonzero(reached.any(1)):
         candidates = q[k, reached[k]]
         last = candidates[np.argmin(np.sum((candidates - last) ** 2, 1))]
-        found[rows[k]], there[rows[k]] = last, True
+        joints[rows[k]], solvable[rows[k]] = last, True
     first = q[np.argmax(reached.any(1))][reached[np.argmax(reached.any(1))]]
     circle = np.where(arm.slides, first, np.exp(1j * first))  # whole turns are one branch
-    return JointPath(found, there, len(np.unique(np.round(circle, 1), axis=0)))
+    return JointPath(joints, solvable, len(np.unique(np.round(circle, 1), axis=0)))
 
 
 def _solver(arm: Arm, position: NDArray[np.floating], matrices: NDArray[np.floating]) -> _Solve:
     """What solves some of the poses of a nominal arm's flange from given joints."""
     model = arm_model(arm.kinematics.ravel(), T_flange_tool=arm.T_joint_flange)
 
-    def solved(some: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
-        target = Target(position[some].T, np.moveaxis(matrices[some], 0, -1))  # type: ignore[arg-type]
-        found = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
-        reached = (found.position_error <= _WRITTEN[0]) & (found.orientation_error <= _WRITTEN[1])
-        return found.joint_position.T, np.asarray(reached)
+    def solved(chosen: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
+        target = Target(position[chosen].T, np.moveaxis(matrices[chosen], 0, -1))  # type: ignore[arg-type]
+        solution = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
+        reached = (solution.position_error <= _WRITTEN[0]) & (solution.orientation_error <= _WRITTEN[1])
+        return solution.joint_position.T, np.asarray(reached)
 
     return solved
 
@@ -294,12 +297,13 @@ def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
     starts = _starts(arm)
     parts = [solved(np.zeros(len(part), int), part) for part in np.split(starts, _STARTS // _TOGETHER)]
     ends = np.concatenate([q[reached] for q, reached in parts])
-    turn, found = np.where(arm.slides, 0.0, 2 * np.pi), []
-    for one in sorted(ends, key=lambda one: float(np.sum((one - middle) ** 2))):
-        apart = (one - other for other in found)
+    turn = np.where(arm.slides, 0.0, 2 * np.pi)
+    branches = []
+    for end in sorted(ends, key=lambda end: float(np.sum((end - middle) ** 2))):
+        apart = (end - branch for branch in branches)
         if all(np.abs(d - turn * np.round(d / (2 * np.pi))).max() > _SAME for d in apart):
-            found.append(one)
-    return found
+            branches.append(end)
+    return branches
 
 
 def _followed(
@@ -308,15 +312,16 @@ def _followed(
     """`(row, joint)` from the joints of the first row on, and where the poses are reached without a jump."""
     count = len(moved)
     q, reached = np.zeros((count, len(start))), np.zeros(count, bool)
-    last, first = start, 0
+    last = start
+    first = 0
     while first < count:
-        way = np.cumsum(moved[first + 1 : first + _TOGETHER]), np.cumsum(turned[first + 1 : first + _TOGETHER])
-        together = 1 + int(np.sum((way[0] <= _NEAR[0]) & (way[1] <= _NEAR[1])))
+        travelled = np.cumsum(moved[first + 1 : first + _TOGETHER]), np.cumsum(turned[first + 1 : first + _TOGETHER])
+        together = 1 + int(np.sum((travelled[0] <= _NEAR[0]) & (travelled[1] <= _NEAR[1])))
         rows = np.arange(first, first + together)
         q[rows], reached[rows] = solved(rows, np.tile(last, (together, 1)))
         reached[rows[1:]] &= np.abs(q[rows[1:]] - last).max(1) <= _JUMP
-        there = rows[reached[rows]]
-        last = q[there[-1]] if there.size else last
+        arrived = rows[reached[rows]]
+        last = q[arrived[-1]] if arrived.size else last
         first += together
     return q, reached
 
@@ -325,7 +330,7 @@ class _State(NamedTuple):
     """Each sample's joints and where to try next; normal equations, residual, cost; damping, and whether it is done."""
 
     joints: Array
-    trial: Array
+    proposal: Array
     curvature: Array
     gradient: Array
     missed: Array
@@ -369,24 +374,26 @@ def _solve(
         return ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
 
     def improve(state: _State) -> _State:
-        new = normal(state.trial)
+        new = normal(state.proposal)
         cost = jnp.sum(new[2] ** 2, 0)
         better = cost < state.cost
-        now, before = (state.trial, *new, cost), (state.joints, *state[2:6])
-        q, H, g, r, least = (jnp.where(better, a, b) for a, b in zip(now, before, strict=True))
+        now, before = (state.proposal, *new, cost), (state.joints, *state[2:6])
+        q, H, g, r, smallest = (jnp.where(better, a, b) for a, b in zip(now, before, strict=True))
         damping = jnp.clip(jnp.where(better, state.damping / 8, state.damping * 4), 1e-14, 1e4)
         free = 1.0 - held(q, g)
         move = _solve_spd(H * free * free[:, None] + eye * (damping + (1 - free)), -g * free)
         move = move * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.abs(move).max(0), _STILL))
-        trial = jnp.clip(q + move, lower, upper)
+        proposal = jnp.clip(q + move, lower, upper)
         crept = better & (state.cost - cost < _CREEPING * cost)
-        done = state.done | crept | (least < _FINE**2) | (jnp.abs(trial - q).max(0) < _STILL)
-        return _State(q, jnp.where(done, q, trial), H, g, r, least, damping, done, state.step + 1)
+        done = state.done | crept | (smallest < _FINE**2) | (jnp.abs(proposal - q).max(0) < _STILL)
+        return _State(q, jnp.where(done, q, proposal), H, g, r, smallest, damping, done, state.step + 1)
 
     eye = jnp.eye(dof)[:, :, None]
     start = jnp.clip(motion.joint_position, lower, upper)
-    samples, rows = start.shape[1], 3 if target.rotation is None else 6
-    nowhere, undone = jnp.full(samples, jnp.inf), jnp.zeros(samples, bool)
+    samples = start.shape[1]
+    rows = 3 if target.rotation is None else 6
+    nowhere = jnp.full(samples, jnp.inf)
+    undone = jnp.zeros(samples, bool)
     flat, none, unmet = (jnp.zeros((*shape, samples)) for shape in ((dof, dof), (dof,), (rows,)))
     damping = jnp.full(samples, 1e-3)
     state = _State(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))

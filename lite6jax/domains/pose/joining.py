@@ -66,8 +66,8 @@ class File(NamedTuple):
     def names(self) -> dict[str, Words]:
         """Columns that may name the rows: of text, and of whole numbers that are called so."""
         used = {name for block in self.found.blocks if block.kind != "run" for name in block.columns}
-        whole = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
-        return {**self.words, **{name: write_whole(values) for name, values in whole.items()}}
+        row_labels = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
+        return {**self.words, **{name: write_whole(values) for name, values in row_labels.items()}}
 
 
 class JoinedFiles(NamedTuple):
@@ -149,9 +149,9 @@ def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
 
     assert turned.form is not None
     # as it was read; in doubt as any that it may be
-    others = turned.forms if turned.form.sure != "certain" else ()
+    further_forms = turned.forms if turned.form.sure != "certain" else ()
     path, form = None, ""
-    for form in dict.fromkeys([turned.form.choice, *others]):
+    for form in dict.fromkeys([turned.form.choice, *further_forms]):
         values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
         path = solve(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
@@ -166,11 +166,13 @@ def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
         f"q{joint + 1}_{'m' if slides else 'rad'}": column
         for joint, (slides, column) in enumerate(zip(arm.slides, path.position.T, strict=True))
     }
-    rest = {name: file.columns[name] for name in _columns(file, "time")}
-    given = {name: meaning for name, meaning in file.found.given.items() if name in rest}
-    whole = rest | columns
-    found = inspect(list(whole.items()), arm, given, file.source)
-    return WithJoints(File(file.source, file.stem, whole, found), path, turned.renamed(form=form)[turned.columns[0]])
+    times = {name: file.columns[name] for name in _columns(file, "time")}
+    meanings = {name: meaning for name, meaning in file.found.given.items() if name in times}
+    table = times | columns
+    inspection = inspect(list(table.items()), arm, meanings, file.source)
+    return WithJoints(
+        File(file.source, file.stem, table, inspection), path, turned.renamed(form=form)[turned.columns[0]]
+    )
 
 
 def is_of_pairs(file: File) -> bool:
@@ -195,23 +197,24 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     reached = np.flatnonzero(moved.path.reached)
     columns = {name: column[reached] for name, column in moved.file.columns.items()}
     columns |= {name: file.columns[name][reached] for name in of_target}
-    found = inspect(list(columns.items()), arm, {}, file.source)
-    position, rotation = found.of("position"), found.of("rotation")
+    inspection = inspect(list(columns.items()), arm, {}, file.source)
+    position, rotation = inspection.of("position"), inspection.of("rotation")
     if position is None or rotation is None or rotation.form is None or len(reached) < FEWEST:
         return SolvedPairs(columns, moved, False, (np.inf, np.inf))
-    q = _joint_columns(File(file.source, file.stem, columns, found), arm)
+    q = _joint_columns(File(file.source, file.stem, columns, inspection), arm)
     values = dict(zip(map(spelled, FORMS[rotation.form.choice]), rotation.in_si(columns).T, strict=True))
     turns = with_quaternions(values, file.source)
     R = Rotation.from_quat(np.stack([turns[name] for name in QUATERNION], 1), scalar_first=True)
-    places, flange = position.in_si(columns), flange_poses(arm, q)
+    places = position.in_si(columns)
+    flange = flange_poses(arm, q)
     inverse = -R.inv().apply(places)
     errors = (match_poses(flange, places)[0], match_poses(flange, inverse)[0])
     if errors[1] * CLEARLY > errors[0]:
         return SolvedPairs(columns, moved, False, errors)
-    rest = {name: column for name, column in columns.items() if name not in of_target}
+    converted = {name: column for name, column in columns.items() if name not in of_target}
     turned = R.inv().as_quat(scalar_first=True, canonical=True)
-    rest |= dict(zip(map(spelled, PLACE), inverse.T, strict=True)) | dict(zip(QUATERNION, turned.T, strict=True))
-    return SolvedPairs(rest, moved, True, errors)
+    converted |= dict(zip(map(spelled, PLACE), inverse.T, strict=True)) | dict(zip(QUATERNION, turned.T, strict=True))
+    return SolvedPairs(converted, moved, True, errors)
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
@@ -221,22 +224,23 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    position, q = in_si(poses.found.blocks, "position", poses.columns), _joint_columns(joints, arm)
+    position = in_si(poses.found.blocks, "position", poses.columns)
+    q = _joint_columns(joints, arm)
     assert position is not None
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     times = [in_si(file.found.blocks, "time", file.columns) for file in (joints, poses)]
-    taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
-    left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
-    if (named := _joined_by_name(joints, poses, arm, q, position)) is not None:
-        return named._replace(left_out=left_out)
+    used = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
+    left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in used)
+    if (by_name := _joined_by_name(joints, poses, arm, q, position)) is not None:
+        return by_name._replace(left_out=left_out)
     clock, at = times
     if clock is not None and at is not None:
         joined = _joined_by_time(joints, poses, arm, q, position, clock[:, 0], at[:, 0])
         if joined is not None:
             return joined._replace(left_out=left_out)
-    few = len(state_rows) <= _MOST_CAPTURES
-    pairing = pair_in_order(arm, q[state_rows], position[pose_rows]) if few else None
+    are_captures = len(state_rows) <= _MOST_CAPTURES
+    pairing = pair_in_order(arm, q[state_rows], position[pose_rows]) if are_captures else None
     if pairing is not None:
         states = state_rows[pairing.joint : pairing.joint + pairing.rows]
         placed = pose_rows[pairing.position : pairing.position + pairing.rows]
@@ -262,13 +266,13 @@ def _joined_by_name(joints: File, poses: File, arm: Arm, q: Array, position: Arr
     names = match_names(joints.names, poses.names)
     if names is None:
         return None
-    whole = np.isfinite(q[names.rows[0]]).all(axis=1) & np.isfinite(position[names.rows[1]]).all(axis=1)
-    states, placed = (rows[whole] for rows in names.rows)
+    complete = np.isfinite(q[names.rows[0]]).all(axis=1) & np.isfinite(position[names.rows[1]]).all(axis=1)
+    states, placed = (rows[complete] for rows in names.rows)
     if len(states) < FEWEST:
         return None
     error, _ = match_poses(flange_poses(arm, q[states]), position[placed])
-    told = all(column in file.words for file, column in zip((joints, poses), names.columns, strict=True))
-    if not told and error > CLOSE * median_distance(position[placed]):
+    of_text = all(column in file.words for file, column in zip((joints, poses), names.columns, strict=True))
+    if not of_text and error > CLOSE * median_distance(position[placed]):
         return None
     moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
     table = _table(joints, poses, moved, placed)
@@ -292,12 +296,12 @@ def _joined_by_time(
         clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
     except InputError as error:
         raise InputError(f"{who}: {error}{_assumed(joints, poses)}") from error
-    wanted = clocks.robot_time(at[placed] - start)
-    kept = _kept(joints, _OF_JOINTS)
-    names = [name for name in _columns(joints, "q") if name in kept]
-    joined = join(stream.time, {name: column[states] for name, column in kept.items()}, names, wanted)
-    rows = placed[joined.kept]
-    table = {_TIME: wanted[joined.kept] + first} | _table(joints, poses, joined.columns, rows)
+    robot_times = clocks.robot_time(at[placed] - start)
+    used = _kept(joints, _OF_JOINTS)
+    names = [name for name in _columns(joints, "q") if name in used]
+    joined = join(stream.time, {name: column[states] for name, column in used.items()}, names, robot_times)
+    rows = placed[joined.usable]
+    table = {_TIME: robot_times[joined.usable] + first} | _table(joints, poses, joined.columns, rows)
     unit = next(block.unit.choice for block in joints.found.blocks if block.kind == "q" and block.unit)
     return JoinedFiles(
         table, len(rows), len(placed), len(states), clocks, float(first - start), joined=joined, unit=unit
@@ -326,28 +330,33 @@ def _columns(file: File, kind: str) -> list[str]:
 
 def _joint_columns(file: File, arm: Arm) -> Array:
     """`(row, joint)` in SI units."""
-    found: dict[int, Array] = {}
-    for block in (one for one in file.found.blocks if one.kind == "q"):
-        found |= zip(block.joints, block.in_si(file.columns).T, strict=True)
-    if sorted(found) != list(range(1, arm.dof + 1)):
+    by_joint: dict[int, Array] = {}
+    for block in (block for block in file.found.blocks if block.kind == "q"):
+        by_joint |= zip(block.joints, block.in_si(file.columns).T, strict=True)
+    if sorted(by_joint) != list(range(1, arm.dof + 1)):
         raise InputError(
-            f"{file.source}: has {len(found)} joints and {arm.name} has {arm.dof}; choose the arm, or name the columns "
-            "with --column NAME=q1_deg and so on"
+            f"{file.source}: has {len(by_joint)} joints and {arm.name} has {arm.dof}; choose the arm, or name the "
+            "columns with --column NAME=q1_deg and so on"
         )
-    return np.stack([found[number] for number in sorted(found)], 1)
+    return np.stack([by_joint[number] for number in sorted(by_joint)], 1)
 
 
 def _assumed(*files: File) -> str:
     """In which units times and joints were taken where nothing says so for certain, and how to give others."""
-    said, remedies = [], []
+    assumptions, remedies = [], []
     for of_file, block in ((Path(file.source).name, block) for file in files for block in file.found.blocks):
         if block.kind not in ("q", "time") or block.unit is None or block.unit.sure == "certain":
             continue
         unit = block.unit.choice
-        other = next(one for one in block.units if one != unit)
-        name, of_all = block.columns[0], " and so on" if len(block.columns) > 1 else ""
-        verb = "" if said else " was taken"
-        said.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
-        remedies.append(f"--column {name}={block.renamed(unit=other)[name]}{of_all}")
+        alternative = next(unit_name for unit_name in block.units if unit_name != unit)
+        name = block.columns[0]
+        of_all = " and so on" if len(block.columns) > 1 else ""
+        verb = "" if assumptions else " was taken"
+        assumptions.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
+        remedies.append(f"--column {name}={block.renamed(unit=alternative)[name]}{of_all}")
     # files that have the column alike need one remedy
-    return f"; {', '.join(said)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}" if said else ""
+    return (
+        f"; {', '.join(assumptions)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}"
+        if assumptions
+        else ""
+    )

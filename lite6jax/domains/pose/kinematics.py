@@ -49,8 +49,8 @@ class RigidFrames(NamedTuple):
 
 def rigid_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> RigidFrames:
     """The frames of a six-parameter chain with the prismatic joints `sliding` at `(joint, sample)` rad or m."""
-    found = list(_walked(model, joint_position, sliding))
-    return RigidFrames(np.stack(found), _tool(model, found[-1]))
+    poses = list(_walked(model, joint_position, sliding))
+    return RigidFrames(np.stack(poses), _tool(model, poses[-1]))
 
 
 def rigid_tool(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Array:
@@ -70,15 +70,15 @@ def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) ->
 
 def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Sensor) -> Array:
     """The sensor's differences of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
-    found = np.empty((measured.rows, joint_position.shape[1]))
+    residuals = np.empty((measured.rows, joint_position.shape[1]))
 
     def block(first: int) -> None:
-        some = slice(first, first + frames.BLOCK)
-        tool = rigid_tool(model, joint_position[:, some], sliding)
-        found[:, some] = measured.select(some).differences(tool)
+        rows = slice(first, first + frames.BLOCK)
+        tool = rigid_tool(model, joint_position[:, rows], sliding)
+        residuals[:, rows] = measured.select(rows).differences(tool)
 
-    threads.by_parts(block, range(0, found.shape[1], frames.BLOCK))
-    return found
+    threads.by_parts(block, range(0, residuals.shape[1], frames.BLOCK))
+    return residuals
 
 
 def whitened(columns: Array, whitener: Array) -> Array:
@@ -154,24 +154,25 @@ def unit_quaternions(rotation: Array) -> Array:
 
 def measured_poses(recording: Recording, whitener: Array) -> Measured:
     """The poses of a recording."""
-    position, turned = recording.position, measured_rotations(recording)
+    position = recording.position
+    turned = measured_rotations(recording)
     assert position is not None
     rotation = np.zeros((3, 3, 0)) if turned is None else np.moveaxis(turned, 0, -1)
-    found = Measured(np.ascontiguousarray(position.T), rotation, whitener)
+    measured = Measured(np.ascontiguousarray(position.T), rotation, whitener)
     if recording.stations:
         further = np.tile(np.eye(4), (len(recording.stations), 1, 1))
-        found = replace(found, station=recording.station, stations=further)
-    seen = None if recording.readings is None else recording.readings.seen
-    if seen is None or not seen.mean.size:
-        return found
+        measured = replace(measured, station=recording.station, stations=further)
+    board_poses = None if recording.readings is None else recording.readings.seen
+    if board_poses is None or not board_poses.mean.size:
+        return measured
     # with their deviations as units
-    constants = np.linalg.solve(seen.whitener, seen.by_numbers)
+    constants = np.linalg.solve(board_poses.whitener, board_poses.by_numbers)
     return replace(
-        found,
+        measured,
         constants=np.moveaxis(constants, 0, -1).swapaxes(0, 1),
-        at=seen.mean,
-        mean=seen.mean,
-        deviation=seen.deviation,
+        at=board_poses.mean,
+        mean=board_poses.mean,
+        deviation=board_poses.deviation,
     )
 
 

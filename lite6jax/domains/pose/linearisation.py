@@ -59,41 +59,42 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
 
     The frames of the problem are near the true ones. Rows that are not for training divide a run.
     """
-    recording, moving = problem.recording, problem.recording.motion == "trajectory"
+    recording = problem.recording
+    moving = problem.recording.motion == "trajectory"
     if not moving or recording.time is None or problem.samples < _FEWEST or not isinstance(problem.measured, Measured):
         return 0.0
     measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T
     used = np.ones(problem.samples, bool) if training is None else training
     dt = float(np.median(np.diff(recording.time)[np.diff(recording.time) > 0]))
     runs = run_segments(2 * run_segments(recording.run) + used)
-    found: list[tuple[Array, Array]] = []
+    speeds: list[tuple[Array, Array]] = []
     for number in range(runs[-1] + 1):
         rows = (runs == number) & used
         t = recording.time[rows]
         if t.size >= _FEWEST and (np.diff(t) > 0).all():
             grid = np.arange(t[0], t[-1], dt)
-            found.append((_speed(t, measured[:, rows], grid), _speed(t, predicted[:, rows], grid)))
-    if not found:
+            speeds.append((_speed(t, measured[:, rows], grid), _speed(t, predicted[:, rows], grid)))
+    if not speeds:
         return 0.0
-    most = int(_MOST_OF_RUN * max(len(speed) for speed, _ in found))
-    lags = np.arange(-most, most + 1)
+    longest_lag = int(_MOST_OF_RUN * max(len(speed) for speed, _ in speeds))
+    lags = np.arange(-longest_lag, longest_lag + 1)
     products, squares = np.zeros(len(lags)), np.zeros((2, len(lags)))
-    for one, other in found:
-        size = len(one)
-        there = np.abs(lags) < size - _FEWEST // 2
-        lag = lags[there]
+    for measured_speed, predicted_speed in speeds:
+        size = len(measured_speed)
+        overlapping = np.abs(lags) < size - _FEWEST // 2
+        lag = lags[overlapping]
         first, last = np.maximum(-lag, 0), np.minimum(size, size - lag)  # of the part of a run that overlaps
-        sums = _between(one, first, last), _between(other, first + lag, last + lag)
+        sums = _between(measured_speed, first, last), _between(predicted_speed, first + lag, last + lag)
         count = last - first
-        spectra = np.conj(np.fft.rfft(one, 2 * size)) * np.fft.rfft(other, 2 * size)
-        products[there] += np.fft.irfft(spectra, 2 * size)[lag] - sums[0] * sums[1] / count
-        squares[0, there] += _between(one**2, first, last) - sums[0] ** 2 / count
-        squares[1, there] += _between(other**2, first + lag, last + lag) - sums[1] ** 2 / count
+        spectra = np.conj(np.fft.rfft(measured_speed, 2 * size)) * np.fft.rfft(predicted_speed, 2 * size)
+        products[overlapping] += np.fft.irfft(spectra, 2 * size)[lag] - sums[0] * sums[1] / count
+        squares[0, overlapping] += _between(measured_speed**2, first, last) - sums[0] ** 2 / count
+        squares[1, overlapping] += _between(predicted_speed**2, first + lag, last + lag) - sums[1] ** 2 / count
     correlation = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
-    best = int(np.argmax(correlation))
-    if abs(lags[best]) < _LEAST_SAMPLES or correlation[best] < max(_CORRELATED, correlation[most] + _BETTER):
+    peak = int(np.argmax(correlation))
+    if abs(lags[peak]) < _LEAST_SAMPLES or correlation[peak] < max(_CORRELATED, correlation[longest_lag] + _BETTER):
         return 0.0
-    return float(lags[best] * dt)
+    return float(lags[peak] * dt)
 
 
 def _speed(time: Array, position: Array, grid: Array) -> Array:
@@ -123,15 +124,15 @@ def search_load_model(
     """
     problem, reference = _first(problem, reference, options, training)
     selection = search(problem, options, training, reference, thorough, among)
-    other = with_alternative(selection.problem, selection.state.fit, options)
-    if other is None:
+    alternative = with_alternative(selection.problem, selection.state.fit, options)
+    if alternative is None:
         return selection
-    gain = other.gain_over(selection.state.fit)
+    gain = alternative.gain_over(selection.state.fit)
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
     again = search(other_problem, options, training, other_reference, thorough, among)
-    state = replace(selection.state, fit=other)
+    state = replace(selection.state, fit=alternative)
     if gain > options.close or again.evidence > replace(selection, state=state).evidence:
         return again
     assert isinstance(selection.problem, PoseProblem)

@@ -39,7 +39,7 @@ class StatesOfPoints(NamedTuple):
 
 
 def gather_points(
-    columns: Mapping[str, Array], words: Mapping[str, Words], arm: Arm | None, given: Mapping[str, str], source: str
+    columns: Mapping[str, Array], words: Mapping[str, Words], arm: Arm | None, meanings: Mapping[str, str], source: str
 ) -> StatesOfPoints | None:
     """A row for each state of a table with a row for each point; None where it is no such table.
 
@@ -50,16 +50,16 @@ def gather_points(
         columns: `(row,)` numbers by name.
         words: of its columns of text.
         arm: whose joints they are, where known.
-        given: meanings of columns.
+        meanings: of columns.
         source: what messages begin with.
     """
     if not words and not any(map(is_label, columns)):
         return None
-    known = {name: meaning for name, meaning in given.items() if name in columns}
-    found = inspect(list(columns.items()), arm, known, source)
-    joints = [name for block in found.blocks if block.kind == "q" for name in block.columns]
-    values = [name for pose in found.sources for name in pose.columns]
-    for state in _possible_states(found, joints, columns, words):
+    present = {name: meaning for name, meaning in meanings.items() if name in columns}
+    inspection = inspect(list(columns.items()), arm, present, source)
+    joints = [name for block in inspection.blocks if block.kind == "q" for name in block.columns]
+    values = [name for pose in inspection.sources for name in pose.columns]
+    for state in _possible_states(inspection, joints, columns, words):
         points = spread_points(columns, words, state, values, () if state == joints else joints)
         if points is None:
             continue
@@ -71,26 +71,26 @@ def gather_points(
             if body is not None:
                 return StatesOfPoints(body.columns, points, body)
         if joints and not _is_one_place(points):
-            return _take_one(points, arm, known, source)
+            return _take_one(points, arm, present, source)
     return None
 
 
 def _possible_states(
-    found: Inspection, joints: list[str], columns: Mapping[str, Array], words: Mapping[str, Words]
+    inspection: Inspection, joints: list[str], columns: Mapping[str, Array], words: Mapping[str, Words]
 ) -> Iterator[list[str]]:
     """Columns that may be equal in all rows of a state: the joints, the times, or those that name poses."""
     yield joints
-    yield [name for block in found.blocks if block.kind == "time" for name in block.columns]
-    used = {name for pose in found.sources for name in pose.columns} | {*joints}
+    yield [name for block in inspection.blocks if block.kind == "time" for name in block.columns]
+    used = {name for pose in inspection.sources for name in pose.columns} | {*joints}
     yield from ([name] for name in (*words, *filter(is_label, columns)) if name not in used)
 
 
 def _is_one_place(points: Points) -> bool:
     """Whether the points that are seen most often are repeated readings of one."""
-    one, other = (_place(points, k) for k in _most_seen(points)[:2])
-    whole = np.isfinite(one + other).all(axis=1)
-    distance = np.linalg.norm(one[whole] - other[whole], axis=1)
-    return not len(distance) or float(np.median(distance)) < _ONE_PLACE * median_distance(one[whole])
+    first, second = (_place(points, k) for k in _most_seen(points)[:2])
+    complete = np.isfinite(first + second).all(axis=1)
+    distance = np.linalg.norm(first[complete] - second[complete], axis=1)
+    return not len(distance) or float(np.median(distance)) < _ONE_PLACE * median_distance(first[complete])
 
 
 def _place(points: Points, point: int) -> Array:
@@ -102,19 +102,19 @@ def _most_seen(points: Points) -> list[int]:
     return sorted(range(len(points.labels)), key=lambda k: -points.counts[k])
 
 
-def _take_one(points: Points, arm: Arm | None, given: Mapping[str, str], source: str) -> StatesOfPoints:
+def _take_one(points: Points, arm: Arm | None, meanings: Mapping[str, str], source: str) -> StatesOfPoints:
     """The states with the readings of one point: the one with which the arm agrees best, or that is seen most often."""
     tables = {k: _with_point(points, points.points[k]) for k in _most_seen(points)[:_TRIED]}
     errors = {}
     for k, table in tables.items():
-        known = {name: meaning for name, meaning in given.items() if name in table}
-        errors[k] = inspect(list(table.items()), arm, known, source).error
-    best = min(errors, key=lambda k: errors[k])
-    return StatesOfPoints(tables[best], points, taken=points.labels[best])
+        present = {name: meaning for name, meaning in meanings.items() if name in table}
+        errors[k] = inspect(list(table.items()), arm, present, source).error
+    closest = min(errors, key=lambda k: errors[k])
+    return StatesOfPoints(tables[closest], points, taken=points.labels[closest])
 
 
 def _with_point(points: Points, names: Sequence[str]) -> dict[str, Array]:
     """The columns of the states and those of one point, by the names that these had."""
-    of_points = {name for own in points.points for name in own}
-    rest = {name: column for name, column in points.columns.items() if name not in of_points}
-    return rest | {own: points.columns[name] for own, name in zip(points.values, names, strict=True)}
+    of_points = {name for columns in points.points for name in columns}
+    remaining = {name: column for name, column in points.columns.items() if name not in of_points}
+    return remaining | {value_name: points.columns[name] for value_name, name in zip(points.values, names, strict=True)}

@@ -153,7 +153,8 @@ class DiagnosedArm:
             limits = None if isinstance(self.joint_limits, Tracer) else self.joint_limits
             require_radians(q, limits)
 
-        each, samples = q.shape[:-1], int(np.prod(q.shape[:-1], dtype=int))
+        batch_shape = q.shape[:-1]
+        samples = int(np.prod(q.shape[:-1], dtype=int))
 
         def row(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> jax.Array | None:
             if value is None:
@@ -162,20 +163,20 @@ class DiagnosedArm:
             try:
                 full = jnp.broadcast_to(array, shape)
             except ValueError as error:
-                given = f"pose: {name} has the shape {array.shape}"
-                raise InputError(f"{given}; give one that broadcasts to {shape}") from error
+                problem = f"pose: {name} has the shape {array.shape}"
+                raise InputError(f"{problem}; give one that broadcasts to {shape}") from error
             return jnp.moveaxis(full.reshape(samples, *shape[q.ndim - 1 :]), 0, -1)
 
-        rise = row("temperature_rise", temperature_rise, each)
+        rise = row("temperature_rise", temperature_rise, batch_shape)
         motion = Motion(
             joint_position=q.reshape(samples, self.dof).T,
             joint_velocity=row("joint_velocity", joint_velocity, q.shape),
             direction=row("direction", direction, q.shape),
-            time=row("time", time, each),
+            time=row("time", time, batch_shape),
             run=jnp.tile(jnp.arange(samples), (2, 1)),
             temperature_rise=rise,
             joint_temperature_rise=None if rise is None else jnp.broadcast_to(rise, (self.dof, samples)),
-            payload=row("payload", payload, each),  # type: ignore[arg-type]
+            payload=row("payload", payload, batch_shape),  # type: ignore[arg-type]
             sliding=Sliding(self.sliding),
         )
         for effect in self.physics.effects:
@@ -189,7 +190,7 @@ class DiagnosedArm:
                 if argument and not driver.known(motion, None):
                     raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
         poses = predict_poses(motion.chain, self.physics, self.model, self.values, motion, self.inertia)
-        return poses.reshape(*each, 4, 4)
+        return poses.reshape(*batch_shape, 4, 4)
 
     def without(self, *effects: str) -> "DiagnosedArm":
         """The same arm without some effects, each given by name (all of that name) or by label.
@@ -260,7 +261,8 @@ class Prediction(PublicResult):
 def predicted_poses(model: DiagnosedArm, recording: Recording) -> Prediction:
     """The poses that the sensor shows in a motion, with their standard deviations, as `predicted`."""
     motion = model.motion_of(recording)
-    poses, bars = shown_poses(model, motion), predict_deviations(model, motion)
+    poses = shown_poses(model, motion)
+    bars = predict_deviations(model, motion)
     for std in bars[:2]:
         if std is not None:
             std[np.isnan(poses[:, 0, 0])] = np.nan
@@ -285,13 +287,13 @@ def shown_poses(model: DiagnosedArm, motion: Motion) -> Array:
     return poses
 
 
-def deviation_columns(found: Any) -> dict[str, Array | NDArray[np.integer]]:
+def deviation_columns(result: Any) -> dict[str, Array | NDArray[np.integer]]:
     """Column name to values of a prediction or a compensation: `x_std_m` …, `rx_std_rad` …, `outside`, where known."""
     columns: dict[str, Any] = {}
-    for std, names in ((found.position_std, ("x_std_m", "y_std_m", "z_std_m")), (found.orientation_std, TURNED)):
+    for std, names in ((result.position_std, ("x_std_m", "y_std_m", "z_std_m")), (result.orientation_std, TURNED)):
         if std is not None:
             columns |= zip(names, std.T, strict=True)
-    return columns if found.outside is None else columns | {"outside": found.outside.astype(int)}
+    return columns if result.outside is None else columns | {"outside": result.outside.astype(int)}
 
 
 @final
@@ -317,7 +319,8 @@ class Derivatives:
         Those are `(6, row)` and `(number, 6, row)`: of positions in the sensor's axes (m) and of rotations about the
         predicted tool's axes (rad).
         """
-        units, sliding = self._units(), self.model.sliding
+        units = self._units()
+        sliding = self.model.sliding
         q = np.asarray(self._altered.joint_position)
         for first in range(0, q.shape[1], _ROWS_AT_ONCE):
             rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
@@ -340,9 +343,11 @@ class Derivatives:
 
         With that of nonparametric effects beyond the range of their drivers.
         """
-        directions, variance = independent_directions(covariance), np.zeros((6, self.motion.samples))
-        unnamed, of = [one for one in self.model.physics.effects if isinstance(one, Unnamed)], self._deflections
-        unknown = [one.unknown_at(one.values_at(of.host_motion, of.loads)) for one in unnamed]
+        directions = independent_directions(covariance)
+        variance = np.zeros((6, self.motion.samples))
+        unnamed = [effect for effect in self.model.physics.effects if isinstance(effect, Unnamed)]
+        of = self._deflections
+        unknown = [effect.unknown_at(effect.values_at(of.host_motion, of.loads)) for effect in unnamed]
         for rows, sites, J in self.blocks():
             variance[:, rows] = np.sum(np.tensordot(directions, J, 1) ** 2, 0)
             for effect, part in zip(unnamed, unknown, strict=True):
@@ -361,14 +366,16 @@ class Derivatives:
 
     def _units(self) -> list[Deflection]:
         """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
-        physics, values = self.model.physics, np.asarray(self.model.values)
+        physics = self.model.physics
+        values = np.asarray(self.model.values)
         masses = [site for site in self.sites if site[0] not in FRAMES]
         units = [self._deflections.through_masses(masses, physics, values)] if masses else []
         for effect, part in zip(physics.effects, physics.slices, strict=True):
-            one, at = freed(effect), values[part]
-            if one is not effect and effect.chosen is not None:
+            free_effect = freed(effect)
+            at = values[part]
+            if free_effect is not effect and effect.chosen is not None:
                 at = np.append(at, effect.chosen)
-            units.append(self._deflections.by_each(one, at, physics, values))
+            units.append(self._deflections.by_each(free_effect, at, physics, values))
         return units
 
     @cached_property
@@ -398,18 +405,22 @@ def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | Non
     Rows are outside too where the recorded rows are too few near them: where the standard deviation is `SPARSE` times
     what is typical of the recorded ones.
     """
-    known = model.uncertainty
-    if known is None:
+    uncertainty = model.uncertainty
+    if uncertainty is None:
         return None, None, None
-    change, recorded, q = Derivatives(model, motion, known.sites), known.recorded, np.asarray(motion.joint_position).T
+    change = Derivatives(model, motion, uncertainty.sites)
+    recorded = uncertainty.recorded
+    q = np.asarray(motion.joint_position).T
     beyond = recorded.beyond(change.driver_values())
     positions = [phrase for phrase in beyond if phrase.startswith("position of ")]
-    estimated = change.variance(known.covariance)
-    variance, outside = widened(estimated, known, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions)
+    estimated = change.variance(uncertainty.covariance)
+    variance, outside = widened(
+        estimated, uncertainty, _QUANTITIES, distance_to(recorded.positions, q), beyond, positions
+    )
     outside |= (beyond_range(q, *recorded.joints.T) > MARGIN).any(1)
-    if known.typical is not None:
+    if uncertainty.typical is not None:
         measured = (slice(0, 3), slice(3, 6))[: 2 if model.orientation else 1]
-        for rows, usual in zip(measured, known.typical, strict=False):
+        for rows, usual in zip(measured, uncertainty.typical, strict=False):
             outside |= np.sqrt(variance[rows].mean(0)) > SPARSE * usual
     std = np.sqrt(variance)
     return std[:3].T, std[3:].T if model.orientation else None, outside

@@ -173,22 +173,22 @@ class PoseProblem(RigidArm):
     @lazy
     def frame_columns(self) -> Array:
         """How residuals change with all of `unknown` but the masses, `(number, row, sample)`."""
-        found: list[Array] = [np.zeros((0, self.rows, self.samples))]
-        own = whitened(self.measured.by_numbers(self.rigid.tool), self.measured.whitener)
+        parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
+        by_reading = whitened(self.measured.by_numbers(self.rigid.tool), self.measured.whitener)
         for name, j, k in self.unknown[: len(self.unknown) - len(self.masses)]:
             if name in FRAMES:
-                found.append(self.sites[name, j, k][None])
+                parts.append(self.sites[name, j, k][None])
             elif name == "reading":
-                found.append(own[j][None])
+                parts.append(by_reading[j][None])
             elif name == "wave":
-                found.append((self.sites["joint", j, 0] * self._waves[k][j])[None])
+                parts.append((self.sites["joint", j, 0] * self._waves[k][j])[None])
             elif name == "wander":
                 effect = self.wandering[j]
                 at = site_of(effect.where, effect.component)
-                found.append((self.sites[at] * self.deflections.basis(effect)[k])[None])
+                parts.append((self.sites[at] * self.deflections.basis(effect)[k])[None])
             else:
-                found.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
-        return np.concatenate(found)
+                parts.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
+        return np.concatenate(parts)
 
     def columns(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -198,23 +198,25 @@ class PoseProblem(RigidArm):
         An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
         not given.
         """
-        own = Terms(tuple(terms))
-        values = np.zeros(own.size) if values is None else np.asarray(values, float)
-        found = np.empty((own.size, self.rows, self.samples))  # half a gigabyte of a real arm: written in its place
-        for effect, part in zip(own.terms, own.slices, strict=True):
+        term_set = Terms(tuple(terms))
+        values = np.zeros(term_set.size) if values is None else np.asarray(values, float)
+        jacobian = np.empty(
+            (term_set.size, self.rows, self.samples)
+        )  # half a gigabyte of a real arm: written in its place
+        for effect, part in zip(term_set.terms, term_set.slices, strict=True):
             assert isinstance(effect, Effect)
             if (factored := self.factored(effect)) is not None:
-                whole = found[part].reshape(len(factored.site), -1, self.rows, self.samples)
-                np.multiply(factored.site[:, None], factored.functions[:, None], out=whole)
+                block = jacobian[part].reshape(len(factored.site), -1, self.rows, self.samples)
+                np.multiply(factored.site[:, None], factored.functions[:, None], out=block)
             elif isinstance(effect, Loading) or not (effect.linear or not values[part].any()):
-                others, at = (own, values) if beside is None else beside
-                unit = self.deflections.by_each(effect, values[part], physics_of(others), at)
-                found[part] = columns.columns_of(unit, self.sites)
+                neighbours, at = (term_set, values) if beside is None else beside
+                unit = self.deflections.by_each(effect, values[part], physics_of(neighbours), at)
+                jacobian[part] = columns.columns_of(unit, self.sites)
             else:
                 if effect not in self._columns:
                     self._columns[effect] = columns.columns_of(self.deflections.unit(effect), self.sites)
-                found[part] = self._columns[effect]
-        return found
+                jacobian[part] = self._columns[effect]
+        return jacobian
 
     def factored(self, term: Term) -> Factored | None:
         """Of a function without a name, where those of one site and component share its column; None of other terms."""
@@ -232,7 +234,8 @@ class PoseProblem(RigidArm):
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
         if not self.masses:
             return self.frame_columns
-        physics, at = physics_of(terms), self.deflections
+        physics = physics_of(terms)
+        at = self.deflections
         through = np.zeros((len(self.masses), self.rows, self.samples))
 
         def through_masses(effect: Effect, numbers: Array) -> Array:
@@ -246,7 +249,7 @@ class PoseProblem(RigidArm):
                 through += through_masses(effect, numbers)
                 continue
             if ("mass", effect) not in self._columns:
-                self._columns["mass", effect] = np.stack([through_masses(effect, one) for one in np.eye(effect.size)])
+                self._columns["mass", effect] = np.stack([through_masses(effect, unit) for unit in np.eye(effect.size)])
             through += np.tensordot(numbers, self._columns["mass", effect], 1)
         return np.concatenate([self.frame_columns, through])
 
@@ -258,11 +261,12 @@ class PoseProblem(RigidArm):
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Harmonics of each revolute joint."""
-        motion, found = self.deflections.host_motion, []
+        motion = self.deflections.host_motion
+        families = []
         for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
             column, q = self.sites["joint", j, 0], np.asarray(motion.joint_position)[j]
-            found.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(JointHarmonic, j + 1), _order))
-        return tuple(found)
+            families.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(JointHarmonic, j + 1), _order))
+        return tuple(families)
 
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
@@ -272,8 +276,10 @@ class PoseProblem(RigidArm):
     @lazy
     def components(self) -> tuple[Component, ...]:
         """Of every site, as far as the sensor sees them."""
-        found = columns.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
-        return tuple(one for one in found if one.site != "sensor" or isinstance(self.measured, Measured))
+        candidates = columns.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
+        return tuple(
+            component for component in candidates if component.site != "sensor" or isinstance(self.measured, Measured)
+        )
 
     @lazy
     def quantities(self) -> tuple[Quantity, ...]:
@@ -294,9 +300,10 @@ class PoseProblem(RigidArm):
         rolloff: tuple[float, ...] = (),
     ) -> Unnamed:
         """A nonparametric effect over the ranges of these rows."""
-        (lower, upper), *further = [one.bounds for one in quantities]
-        driver, others = " and ".join(one.driver.phrase for one in quantities), tuple(chain.from_iterable(further))
-        return Unnamed(component.site, driver, lower, upper, kernel, component.name, others, spread, rolloff)
+        (lower, upper), *further = [quantity.bounds for quantity in quantities]
+        driver = " and ".join(quantity.driver.phrase for quantity in quantities)
+        further_bounds = tuple(chain.from_iterable(further))
+        return Unnamed(component.site, driver, lower, upper, kernel, component.name, further_bounds, spread, rolloff)
 
     def seen(self, functions: Array) -> Array:
         """The same: nothing filters poses."""
@@ -310,8 +317,8 @@ class PoseProblem(RigidArm):
         motion, deflection = self._deflection(nuisance, terms, values)
         form = self.motion.chain
         start, measured = self._on_device
-        if len(own := self.own_numbers(nuisance)):
-            measured = measured.displaced(own)
+        if len(sensor_numbers := self.own_numbers(nuisance)):
+            measured = measured.displaced(sensor_numbers)
         return np.asarray(bent_residual(form, start, motion.joint_position, deflection, measured))
 
     def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:
@@ -320,20 +327,20 @@ class PoseProblem(RigidArm):
 
     def once_per_turn(self, nuisance: Array) -> Array:
         """The sine and cosine of each joint's error once a turn, `(joint, 2)` rad, by the nuisance `(unknown,)`."""
-        found = np.zeros((self.motion.dof, 2))
+        amplitudes = np.zeros((self.motion.dof, 2))
         for (name, j, k), value in zip(self.unknown, self.offset + nuisance, strict=True):
             if name == "wave":
-                found[j, k] = value
-        return found
+                amplitudes[j, k] = value
+        return amplitudes
 
     def joint_errors(self, nuisance: Array) -> Array:
         """What the nuisance `(unknown,)` adds to the joints' positions, `(joint, sample)` rad."""
         errors = np.einsum("jk,kjs->js", self.once_per_turn(nuisance), self._waves)
         total = self.offset + nuisance
         for number, effect in enumerate(self.wandering):
-            own = [name == "wander" and which == number for name, which, _ in self.unknown]
+            mask = [name == "wander" and index == number for name, index, _ in self.unknown]
             _, joint, _ = site_of(effect.where, effect.component)
-            errors[joint] += total[own] @ self.deflections.basis(effect)
+            errors[joint] += total[mask] @ self.deflections.basis(effect)
         return errors
 
     def with_nuisance(self, terms: Sequence[Term]) -> "PoseProblem":
@@ -343,11 +350,11 @@ class PoseProblem(RigidArm):
             ("wander", number, k) for number, effect in enumerate(effects) for k in range(effect.size)
         )
         at = len(self.unknown) - len(self.masses)
-        known = np.concatenate([np.zeros(0), *(np.full(effect.size, effect.spread or 1.0) for effect in effects)])
+        deviations = np.concatenate([np.zeros(0), *(np.full(effect.size, effect.spread or 1.0) for effect in effects)])
         return replace(
             self,
             unknown=(*self.unknown[:at], *sites, *self.unknown[at:]),
-            precision=np.insert(self.precision, np.full(len(sites), at), known**-2.0),
+            precision=np.insert(self.precision, np.full(len(sites), at), deviations**-2.0),
             offset=np.insert(self.offset, np.full(len(sites), at), 0.0),
             informative=np.insert(self.informative, np.full(len(sites), at), True),
             wandering=effects,
@@ -364,9 +371,9 @@ class PoseProblem(RigidArm):
 
     def select(self, rows: NDArray[np.integer]) -> Self:
         """Some of the samples, each a run of its own."""
-        whole, at = self.thinned_from or (self.motion, np.arange(self.samples))
-        own = {"motion": select(self.motion, rows), "after": self.after[:, rows]}
-        return replace(super().select(rows), **own, thinned_from=(whole, at[rows]), units={})
+        full_motion, at = self.thinned_from or (self.motion, np.arange(self.samples))
+        per_sample = {"motion": select(self.motion, rows), "after": self.after[:, rows]}
+        return replace(super().select(rows), **per_sample, thinned_from=(full_motion, at[rows]), units={})
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
         """Those of the effect; a payload is not less than nothing."""
@@ -374,12 +381,12 @@ class PoseProblem(RigidArm):
             return [(-float(np.min(self.motion.payload)), term.coordinates[0].upper)]
         return [(number.lower, number.upper) for number in term.coordinates]
 
-    def thinned(self, every: int) -> "PoseProblem":
-        """One in `every` rows, in the runs that they belong to."""
-        if every == 1:
+    def thinned(self, stride: int) -> "PoseProblem":
+        """One in `stride` rows, in the runs that they belong to."""
+        if stride == 1:
             return self
-        few = self.select(np.arange(self.samples)[::every])
-        return replace(few, motion=thin(self.motion, every))
+        selected = self.select(np.arange(self.samples)[::stride])
+        return replace(selected, motion=thin(self.motion, stride))
 
     def alternative(self, terms: Terms) -> "PoseProblem | None":
         """As `with_other_loads`; None also where none of the terms depends on loads."""
@@ -403,22 +410,24 @@ class PoseProblem(RigidArm):
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
-        physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
-        motion, seen, on_arm = self.motion, self.deflections.host_motion, self.deflections.loads
+        physics = physics_of(terms)
+        values = np.asarray(values, float)
+        dof = self.motion.dof
+        motion, host_motion, on_arm = self.motion, self.deflections.host_motion, self.deflections.loads
         bent = self._undeflected
         heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()
         errors = self.mass_errors(nuisance) if heavier else None
         if physics.altering:
-            motion = seen = self.deflections.altered_motion(physics, values)
+            motion = host_motion = self.deflections.altered_motion(physics, values)
         if physics.loaded and (physics.altering or errors is not None):
-            on_arm = self.deflections.loads_in(seen, physics, values, errors)
+            on_arm = self.deflections.loads_in(host_motion, physics, values, errors)
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             heavy = not effect.nonparametric and any(driver.loaded for driver in effect.drivers)
             changed = physics.altering or (errors is not None and heavy)
             if effect.linear and not changed:
                 bent = bent + self.deflections.by_linear(effect, values[part])
             elif isinstance(effect, Bending):
-                bent = bent + effect.deflect(values[part], seen, on_arm)  # type: ignore[arg-type]
+                bent = bent + effect.deflect(values[part], host_motion, on_arm)  # type: ignore[arg-type]
         if not self.unknown:
             return motion, bent
         shifts = {"base": np.zeros((6, 1)), "link": np.zeros((dof, 6, 1)), "tool": np.zeros((6, 1))}
@@ -457,8 +466,8 @@ def _altered(
     """The motion of a problem altered by an effect of the clock or the payload, at the rows of the problem."""
     if thinned_from is None:
         return alter(motion)
-    whole, chosen = thinned_from
-    return select(alter(whole), chosen)
+    full_motion, chosen = thinned_from
+    return select(alter(full_motion), chosen)
 
 
 def pose_problem(
@@ -496,25 +505,25 @@ def pose_problem(
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
-    known = np.full(len(waves), ONCE_PER_TURN**-2.0)
+    precision = np.full(len(waves), ONCE_PER_TURN**-2.0)
     free, none = np.zeros(len(moved)), np.zeros(len(masses))
-    every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
+    all_effects = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
     if touched:  # sockets, plates and anchors have no frame of their own that could move
-        every = tuple(effect for effect in every if effect.site != "sensor")
-    missing = tuple(untestable(every, motion, inertia is not None))
+        all_effects = tuple(effect for effect in all_effects if effect.site != "sensor")
+    missing = tuple(untestable(all_effects, motion, inertia is not None))
     lacking = {item.effect for item in missing}
     with_more = {
         "unknown": (*rigid.unknown, *waves, *moved, *masses),
-        "precision": np.concatenate([rigid.precision, known, free, deviations**-2.0]),
-        "offset": np.concatenate([rigid.offset, 0 * known, free, none]),
-        "informative": np.concatenate([rigid.informative, known > 0, free == 0, none == 0]),
+        "precision": np.concatenate([rigid.precision, precision, free, deviations**-2.0]),
+        "offset": np.concatenate([rigid.offset, 0 * precision, free, none]),
+        "informative": np.concatenate([rigid.informative, precision > 0, free == 0, none == 0]),
     }
     return PoseProblem(
-        **{own.name: getattr(rigid, own.name) for own in fields(rigid)} | with_more,
+        **{field.name: getattr(rigid, field.name) for field in fields(rigid)} | with_more,
         after=np.array([rigid.recording.row >= row for row, _ in jumps]).reshape(len(jumps), rigid.samples),
         motion=motion,
         inertia=inertia,
-        candidates=tuple(effect for effect in every if effect not in lacking),
+        candidates=tuple(effect for effect in all_effects if effect not in lacking),
         untestable=missing,
     )
 
@@ -523,13 +532,13 @@ def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> t
     """The errors of masses that are nuisance, and the standard deviation of each one's prior."""
     if inertia is None:
         return (), np.zeros(0)
-    found: list[tuple[Site, float]] = []
+    uncertain: list[tuple[Site, float]] = []
     if settings.inertial_uncertainty:
         links = np.flatnonzero(np.asarray(inertia.mass))
-        found += [(("mass", int(j), k), settings.inertial_uncertainty) for j in links for k in range(4)]
+        uncertain += [(("mass", int(j), k), settings.inertial_uncertainty) for j in links for k in range(4)]
     if settings.payload_uncertainty_kg:
-        found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
-    return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])
+        uncertain.append((("payload", 0, 0), settings.payload_uncertainty_kg))
+    return tuple(site for site, _ in uncertain), np.array([deviation for _, deviation in uncertain])
 
 
 def _order(term: Term) -> float | None:

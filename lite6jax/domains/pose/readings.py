@@ -80,7 +80,7 @@ class Agreement(NamedTuple):
 
 
 def agreement(
-    arm: Arm, joint: Array, position: Array, rotation: Array | None, known: Mapping[tuple[str, bool], str]
+    arm: Arm, joint: Array, position: Array, rotation: Array | None, stated_units: Mapping[tuple[str, bool], str]
 ) -> Agreement:
     """The readings of a table with which an arm agrees best.
 
@@ -89,19 +89,19 @@ def agreement(
         joint: `(sample, joint)` in the table's unit, another of prismatic joints; no row has gaps.
         position: `(sample, 3)`, in a unit of its own.
         rotation: `(sample, 3 | 4)`, in the table's unit and convention, or None.
-        known: units that are known already, by `Block.key`.
+        stated_units: those that are known already, by `Block.key`.
     """
     if len(joint) < FEWEST:
         return Agreement()
     rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
-    by_size = _PLACES not in known and bool(arm.slides.all())
+    by_size = _PLACES not in stated_units and bool(arm.slides.all())
     possible = {
         _TURNS: [*sizes.possible_units("q", joint[:, ~arm.slides])],
         _SLIDES: [*sizes.possible_units("q", joint[:, arm.slides], slides=True)],
         _PLACES: [*sizes.possible_units("x", position)],
     }
-    possible |= {of: [unit] for of, unit in known.items() if of in possible}
+    possible |= {of: [unit] for of, unit in stated_units.items() if of in possible}
     possible |= {_TURNS: ["rad"]} if arm.slides.all() else {}
     possible |= {} if arm.sliding else {_SLIDES: ["m"]}
     possible |= {_PLACES: [sizes.length_unit(position).choice]} if by_size else {}
@@ -112,32 +112,32 @@ def agreement(
     plausible = [unit for unit, spread in spreads.items() if LEAST_SPREAD_M < spread < farthest]
     by_size = by_size or not plausible
     possible[_PLACES] = plausible or possible[_PLACES]
-    tried: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
+    outcomes: dict[tuple[str, ...], tuple[float, float, float, Array]] = {}
     for turning, sliding in product(possible[_TURNS], possible[_SLIDES]):
         divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
         flange = flange_poses(arm, joint[rows] / divisor)
         for unit in possible[_PLACES]:
             error, T_sensor_base = match_poses(flange, places[unit])
             spread = spreads[unit]
-            tried[turning, sliding, unit] = (
+            outcomes[turning, sliding, unit] = (
                 error / max(spread, 1e-9),
                 error,
                 spread,
                 T_sensor_base[:3, :3] @ flange[:, :3, :3],
             )
-    best = min(tried, key=lambda units: tried[units][0])
-    score, error, spread, predicted = tried[best]
+    chosen = min(outcomes, key=lambda units: outcomes[units][0])
+    score, error, spread, predicted = outcomes[chosen]
     decided: dict[tuple[str, bool], Decision | None] = {}
     for k, of in enumerate(possible):
         of_each: dict[str, list[float]] = {}
-        for units, one in tried.items():
-            of_each.setdefault(units[k], []).append(one[0])
-        decided[of] = _decided(best[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE)
+        for units, outcome in outcomes.items():
+            of_each.setdefault(units[k], []).append(outcome[0])
+        decided[of] = _decided(chosen[k], {unit: min(scores) for unit, scores in of_each.items()}, CLOSE)
     form = None
     if by_size:
         del decided[_PLACES]
     if rotation is not None and score <= CLOSE:
-        form, decided["rotation", False] = _rotations(predicted, rotation[rows], known.get(("rotation", False)))
+        form, decided["rotation", False] = _rotations(predicted, rotation[rows], stated_units.get(("rotation", False)))
     return Agreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
 
 
@@ -166,9 +166,9 @@ def angle_step(joint: Array) -> float:
 
 def digit_step(values: Array) -> float:
     """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
-    there = values[np.isfinite(values)]
-    there = there[:: max(len(there) // 1000, 1)]
-    digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
+    finite = values[np.isfinite(values)]
+    finite = finite[:: max(len(finite) // 1000, 1)]
+    digits = (k for k in range(10) if np.allclose(finite, np.round(finite, k), rtol=0, atol=1e-3 * 10.0**-k))
     place = next(digits, None)
     return 0.0 if place is None else 10.0**-place
 
@@ -192,20 +192,20 @@ def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:
     """The form of a rotation and its unit, by how constant the tool is on the flange."""
-    tried: dict[tuple[str, str], float] = {}
+    wobbles: dict[tuple[str, str], float] = {}
     if rotation.shape[1] == 4:
         for name, order in (("scalar_first", (1, 2, 3, 0)), ("scalar_last", (0, 1, 2, 3))):
             length = np.linalg.norm(rotation, axis=1, keepdims=True)
-            tried[name, ""] = _wobble(predicted, rotation[:, order] / np.where(length > 0, length, 1.0) + 0.0)
+            wobbles[name, ""] = _wobble(predicted, rotation[:, order] / np.where(length > 0, length, 1.0) + 0.0)
     else:
         for form, angle in product(ANGLES, (unit,) if unit else sizes.possible_units("rx", rotation)):
-            given = quaternions(form, rotation / units_of(form[0])[angle])
-            tried[form[0], angle] = _wobble(predicted, np.roll(given, -1, axis=1))
-    best = min(tried, key=lambda reading: tried[reading])
-    of_forms = {form: error for (form, angle), error in tried.items() if angle == best[1]}
-    of_units = {angle: error for (form, angle), error in tried.items() if form == best[0]}
-    form = _decided(best[0], of_forms, CLOSE_RAD)
-    return form, None if form is None or not best[1] else _decided(best[1], of_units, CLOSE_RAD)
+            turns = quaternions(form, rotation / units_of(form[0])[angle])
+            wobbles[form[0], angle] = _wobble(predicted, np.roll(turns, -1, axis=1))
+    steadiest = min(wobbles, key=lambda reading: wobbles[reading])
+    of_forms = {form: error for (form, angle), error in wobbles.items() if angle == steadiest[1]}
+    of_units = {angle: error for (form, angle), error in wobbles.items() if form == steadiest[0]}
+    form = _decided(steadiest[0], of_forms, CLOSE_RAD)
+    return form, None if form is None or not steadiest[1] else _decided(steadiest[1], of_units, CLOSE_RAD)
 
 
 def _wobble(predicted: Array, quaternion: Array) -> float:
@@ -220,19 +220,19 @@ def _wobble(predicted: Array, quaternion: Array) -> float:
     return float(np.median((turned.mean().inv() * turned).magnitude()))
 
 
-def _decided(best: str, errors: dict[str, float], limit: float) -> Decision | None:
+def _decided(choice: str, errors: dict[str, float], limit: float) -> Decision | None:
     """The best of some readings; None where it does not agree, or others do as well."""
-    others = {name: error for name, error in errors.items() if name != best}
-    numbers = {"error": errors[best], "others": others}
-    if errors[best] > limit:
+    rivals = {name: error for name, error in errors.items() if name != choice}
+    numbers = {"error": errors[choice], "others": rivals}
+    if errors[choice] > limit:
         return None
-    if not others:
-        return Decision(best, "certain", "kinematics", numbers)
-    ratio = min(others.values()) / max(errors[best], 1e-12)
+    if not rivals:
+        return Decision(choice, "certain", "kinematics", numbers)
+    ratio = min(rivals.values()) / max(errors[choice], 1e-12)
     if ratio < SLIGHTLY:
         return None
     sure: Sureness = "certain" if ratio >= CLEARLY else "likely"
-    return Decision(best, sure, "kinematics", numbers)
+    return Decision(choice, sure, "kinematics", numbers)
 
 
 def decide(
@@ -246,10 +246,12 @@ def decide(
         agreed: the units and forms with which an arm agrees.
         arm: as given, not as recognised; that a joint of it has no end matters for its unit.
     """
-    found: dict[tuple[str, bool], Block] = {}
-    for block in sorted(blocks, key=lambda one: _FIRST.index(one.kind) if one.kind in _FIRST else len(_FIRST)):
-        values, unit, form = block.values(numbers), block.unit, None
-        q = found.get(("q", block.slides))
+    decided: dict[tuple[str, bool], Block] = {}
+    for block in sorted(blocks, key=lambda block: _FIRST.index(block.kind) if block.kind in _FIRST else len(_FIRST)):
+        values = block.values(numbers)
+        unit = block.unit
+        form = None
+        q = decided.get(("q", block.slides))
         if q is None and block.kind in ("dq", "ddq", "cmd"):
             continue
         if block.kind == "rotation":
@@ -258,23 +260,23 @@ def decide(
             unit = sizes.unit_of_command(values, q.in_si(numbers), block.slides, unit and unit.choice)
             if unit is None:
                 continue
-        elif unit is None and block.kind == "deviation" and ("position", False) in found:
-            places = found["position", False].unit
+        elif unit is None and block.kind == "deviation" and ("position", False) in decided:
+            places = decided["position", False].unit
             unit = places and Decision(places.choice, "assumed", "as_positions", {})
         elif unit is None and block.kind == "time":
-            unit = sizes.time_unit(values[:, 0], in_si(found.values(), "q", numbers))
+            unit = sizes.time_unit(values[:, 0], in_si(decided.values(), "q", numbers))
         elif q is not None and unit is None and block.kind in ("dq", "ddq"):
-            slower = q if block.kind == "dq" else found.get(("dq", block.slides))
-            time = in_si(found.values(), "time", numbers)
+            slower = q if block.kind == "dq" else decided.get(("dq", block.slides))
+            time = in_si(decided.values(), "time", numbers)
             unit = _of_rate(block, values, q, slower and slower.in_si(numbers), None if time is None else time[:, 0])
-        found[block.key] = replace(block, unit=unit or _unit(block, values, agreed, arm), form=form)
-    return tuple(sorted(found.values(), key=lambda block: (naming.KINDS.index(block.kind), block.slides)))
+        decided[block.key] = replace(block, unit=unit or _unit(block, values, agreed, arm), form=form)
+    return tuple(sorted(decided.values(), key=lambda block: (naming.KINDS.index(block.kind), block.slides)))
 
 
 def in_si(blocks: Iterable[Block], kind: str, numbers: Mapping[str, Array]) -> Array | None:
     """`(sample, column)` in SI units of blocks of a kind whose units are decided; None where there are none."""
-    found = [block.in_si(numbers) for block in blocks if block.kind == kind]
-    return np.hstack(found) if found else None
+    columns = [block.in_si(numbers) for block in blocks if block.kind == kind]
+    return np.hstack(columns) if columns else None
 
 
 def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[str, str]:

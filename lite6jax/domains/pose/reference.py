@@ -146,7 +146,9 @@ class _RigidArm(NamedTuple):
 
     def within(self, noise: Sequence[float]) -> bool:
         """Whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
-        return all((found or 0.0) <= most for found, most in zip(self.registration.noise, noise, strict=True))
+        return all(
+            (residual or 0.0) <= allowed for residual, allowed in zip(self.registration.noise, noise, strict=True)
+        )
 
 
 def compare(
@@ -193,7 +195,7 @@ def compare(
         reference = replace(reference, settings=settings)
 
     chains = _chains(recording, reference, arm)
-    known = recording.settings.factory_calibration is not None and geometry != "free"
+    chain_known = recording.settings.factory_calibration is not None and geometry != "free"
     declared_noise = reference.settings.position_noise_m, reference.settings.orientation_noise_rad
     noise = tuple(
         max(_NOISE_MARGIN * (declared or 0.0), rounding)
@@ -201,44 +203,48 @@ def compare(
     )
     # whether the tool, and the frame, are fitted although declared, fewest first; undeclared ones always are
     tool, frame = reference.settings.tool != "unknown", reference.settings.pose_frame == "base"
-    every = ((False, False), (True, False), (False, True), (True, True))
-    freed = [fitted for fitted in every if (tool or not fitted[0]) and (frame or not fitted[1])]
+    combinations = ((False, False), (True, False), (False, True), (True, True))
+    freed = [fitted for fitted in combinations if (tool or not fitted[0]) and (frame or not fitted[1])]
     candidates = [_explained_by(reference, arm, chain, fitted) for fitted in freed for chain in chains]
-    declared, chosen = candidates[0], _simplest(candidates, noise)
+    declared = candidates[0]
+    chosen = _simplest(candidates, noise)
     explained = chosen.within(noise)
-    if not explained and not known:
+    if not explained and not chain_known:
         chosen = declared  # frames fitted together with a wrong geometry mean nothing
-    found = _differences(declared, chosen)
-    nearest, shared = chosen, None
+    differences = _differences(declared, chosen)
+    nearest = chosen
+    shared = None
     if not explained:
         free = _with_fitted_geometry(reference, arm, chosen)
         if free is not None and free.rms <= _SUBSTANTIAL * chosen.rms:
             nearest = free
             unknown = {"difference": "unknown_geometry", "position_rms_after_m": free.rms}
-            found.append(_geometry_difference(free, chosen) if known else unknown)
-        if not known and geometry != "free":
+            differences.append(_geometry_difference(free, chosen) if chain_known else unknown)
+        if not chain_known and geometry != "free":
             shared = free
         if not nearest.within(noise):
-            found.append(
+            differences.append(
                 {
                     "difference": "not_rigid",
                     "position_rms_after_m": nearest.rms,
                     "noise_declared": declared_noise[0] is not None,
                 }
             )
-    held = chosen
+    as_declared = chosen
     if not undeclared:
-        held = next(c for c in candidates if c.chain[:2] == chosen.chain[:2] and not any(c.fitted))
-    exactly = held.within(_ROUNDING)  # no effect of the reference is then absorbed by a frame or lost in its noise
+        as_declared = next(c for c in candidates if c.chain[:2] == chosen.chain[:2] and not any(c.fitted))
+    exactly = as_declared.within(
+        _ROUNDING
+    )  # no effect of the reference is then absorbed by a frame or lost in its noise
     if not exactly:
         notes += _cancelling(recording, reference)
-    kept = nearest.registration.kept | (nearest.registration.distance < _ROUNDING[0])
-    if not kept.all():
-        notes.append({"note": "outlying_rows", "count": int(np.sum(~kept)), "rows": kept.size})
-    if geometry == "declared" and not held.within(noise) and (known or shared is not None):
+    inliers = nearest.registration.kept | (nearest.registration.distance < _ROUNDING[0])
+    if not inliers.all():
+        notes.append({"note": "outlying_rows", "count": int(np.sum(~inliers)), "rows": inliers.size})
+    if geometry == "declared" and not as_declared.within(noise) and (chain_known or shared is not None):
         geometry = "exact"
-    common = shared or held
-    base = chains[0] if known else common.chain
+    common = shared or as_declared
+    base = chains[0] if chain_known else common.chain
     corrected = _corrected(recording, reference, arm, common, base.kinematics)
     if not exactly:
         corrected = _relative_to(reference, corrected, common.fitted)
@@ -251,9 +257,9 @@ def compare(
         matched=reference.samples,
         reproduced=explained and chosen is declared,
         rigid=exactly,
-        distance=declared.registration.distance[kept],
-        remaining=nearest.registration.distance[kept],
-        differences=tuple(found),
+        distance=declared.registration.distance[inliers],
+        remaining=nearest.registration.distance[inliers],
+        differences=tuple(differences),
         notes=tuple(notes),
         recording=corrected,
         factory=factory,
@@ -272,9 +278,9 @@ def _match(recording: Recording, reference: Recording) -> tuple[Recording, Recor
         InputError: fewer than half of the shorter recording's rows have a partner.
     """
     _, i, j = np.intersect1d(recording.row, reference.row, return_indices=True)
-    same = np.abs(recording.joint_position[i] - reference.joint_position[j]).max(1, initial=0.0) <= SAME_JOINTS
+    equal_joints = np.abs(recording.joint_position[i] - reference.joint_position[j]).max(1, initial=0.0) <= SAME_JOINTS
     partner = np.full(recording.samples, -1)
-    partner[i[same]] = j[same]
+    partner[i[equal_joints]] = j[equal_joints]
     open_rows = np.flatnonzero(partner < 0)
     spare = np.setdiff1d(np.arange(reference.samples), partner)
     if open_rows.size and spare.size:
@@ -283,14 +289,14 @@ def _match(recording: Recording, reference: Recording) -> tuple[Recording, Recor
             recording.joint_position[open_rows], k=count, p=np.inf, distance_upper_bound=SAME_JOINTS
         )
         distance, index = (np.reshape(part, (open_rows.size, count)) for part in nearest)
-        taken = np.zeros(reference.samples, bool)
+        used = np.zeros(reference.samples, bool)
         for at in np.argsort(distance, axis=None, kind="stable"):
             row, k = divmod(int(at), count)
             if not np.isfinite(distance[row, k]):
                 break
             candidate = spare[index[row, k]]
-            if partner[open_rows[row]] < 0 and not taken[candidate]:
-                partner[open_rows[row]], taken[candidate] = candidate, True
+            if partner[open_rows[row]] < 0 and not used[candidate]:
+                partner[open_rows[row]], used[candidate] = candidate, True
     rows = np.flatnonzero(partner >= 0)
     shorter = min(recording.samples, reference.samples)
     if 2 * rows.size < shorter:
@@ -316,7 +322,9 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
     flange = flange_poses(replace(arm, kinematics=base, dh=None), recording.joint_position)
     P = _registered(recording, flange, (False, False)).T_sensor_base @ flange
     in_base = (measured - F[:3, 3]) @ F[:3, :3]
-    rotation, reference_rotation, quaternion = measured_rotations(recording), measured_rotations(reference), None
+    rotation = measured_rotations(recording)
+    reference_rotation = measured_rotations(reference)
+    quaternion = None
     if rotation is None or reference_rotation is None:
         offset = in_base - (common.flange @ U)[:, :3, 3]
         in_flange = np.einsum("sji,sj->si", common.flange[:, :3, :3], offset)
@@ -331,8 +339,8 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
         quaternion = unit_quaternions(corrected[:, :3, :3])
     combined = {}
     for key in ("position_noise_m", "orientation_noise_rad", "joint_noise_rad"):
-        own, other = getattr(settings, key), getattr(reference.settings, key)
-        combined[key] = own if own is None else float(np.hypot(own, other or 0.0))
+        noise, reference_noise = getattr(settings, key), getattr(reference.settings, key)
+        combined[key] = noise if noise is None else float(np.hypot(noise, reference_noise or 0.0))
     return replace(recording, position=position, quaternion=quaternion, settings=replace(settings, **combined))
 
 
@@ -346,12 +354,14 @@ def _relative_to(reference: Recording, recording: Recording, fitted: tuple[bool,
         settings = replace(settings, tool="unknown")
     if fitted[1] or reference.settings.pose_frame == "unknown":
         settings = replace(settings, pose_frame="unknown")
-    other, joints, ambient = _temperature(reference), recording.joint_temperature, recording.ambient_temperature
-    if other is not None and _temperature(recording) is not None:
-        mean = float(other.mean())
+    reference_temperature = _temperature(reference)
+    joints = recording.joint_temperature
+    ambient = recording.ambient_temperature
+    if reference_temperature is not None and _temperature(recording) is not None:
+        mean = float(reference_temperature.mean())
         settings = replace(settings, reference_temperature_degC=mean)
-        joints = None if joints is None else joints - (other - mean)[:, None]
-        ambient = None if ambient is None else ambient - (other - mean)
+        joints = None if joints is None else joints - (reference_temperature - mean)[:, None]
+        ambient = None if ambient is None else ambient - (reference_temperature - mean)
     return replace(recording, joint_temperature=joints, ambient_temperature=ambient, settings=settings)
 
 
@@ -363,13 +373,13 @@ def _temperature(recording: Recording) -> Array | None:
 
 def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, Any]]:
     """Which drivers are equal in both recordings, so that their effects cancel, and which are not."""
-    own, other = _temperature(recording), _temperature(reference)
+    temperature, reference_temperature = _temperature(recording), _temperature(reference)
     differs = {
         "payload": np.abs(recording.payload - reference.payload) > _SAME_PAYLOAD,
         "direction_of_motion": (recording.direction_of_motion != reference.direction_of_motion).any(1),
     }
-    if own is not None and other is not None:
-        differs["temperature"] = np.abs(own - other) > _SAME_TEMPERATURE
+    if temperature is not None and reference_temperature is not None:
+        differs["temperature"] = np.abs(temperature - reference_temperature) > _SAME_TEMPERATURE
     notes: list[dict[str, Any]] = []
     equal = [driver for driver, rows in differs.items() if not rows.any()]
     if equal:
@@ -377,10 +387,10 @@ def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, An
     for driver in ("payload", "direction_of_motion"):
         if driver not in equal:
             notes.append({"note": f"{driver}_differs", "count": int(differs[driver].sum())})
-    if own is not None and other is not None and "temperature" not in equal:
-        mean, reference_mean = float(own.mean()), float(other.mean())
+    if temperature is not None and reference_temperature is not None and "temperature" not in equal:
+        mean, reference_mean = float(temperature.mean()), float(reference_temperature.mean())
         notes.append({"note": "temperature_differs", "mean_degC": mean, "reference_mean_degC": reference_mean})
-    if (own is None) != (other is None):
+    if (temperature is None) != (reference_temperature is None):
         notes.append({"note": "one_temperature"})
     return notes
 
@@ -395,10 +405,10 @@ def _chains(recording: Recording, reference: Recording, arm: Arm) -> list[_Chain
     ]
 
     kind_of = {name: "ros_default_table" if name in VARIANTS else "published_table" for name in bundled_arms()}
-    tables = [arm, *(one for one in tables_of_model(arm.name) if one.name != arm.name and one.dof == arm.dof)]
-    nominal = [_Chain(kind_of.get(one.name, "nominal_table"), one.name, one.kinematics) for one in tables]
-    own = 0 if recording.settings.factory_calibration is None else 1
-    return [*calibrated[:own], *nominal, *calibrated[own:]]
+    tables = [arm, *(table for table in tables_of_model(arm.name) if table.name != arm.name and table.dof == arm.dof)]
+    nominal = [_Chain(kind_of.get(table.name, "nominal_table"), table.name, table.kinematics) for table in tables]
+    calibrated_count = 0 if recording.settings.factory_calibration is None else 1
+    return [*calibrated[:calibrated_count], *nominal, *calibrated[calibrated_count:]]
 
 
 def _explained_by(reference: Recording, arm: Arm, chain: _Chain, fitted: tuple[bool, bool]) -> _RigidArm:
@@ -425,9 +435,9 @@ def _simplest(candidates: Sequence[_RigidArm], noise: Sequence[float]) -> _Rigid
     for rigid in candidates:
         if rigid.within(noise):
             return rigid
-    best = [min(rigid.registration.noise[k] or 0.0 for rigid in candidates) for k in (0, 1)]
-    most = (max(noise[0], _NEARLY * best[0]), max(noise[1], _NEARLY * best[1]))
-    near = next((rigid for rigid in candidates if rigid.within(most)), candidates[0])
+    smallest = [min(rigid.registration.noise[k] or 0.0 for rigid in candidates) for k in (0, 1)]
+    limit = (max(noise[0], _NEARLY * smallest[0]), max(noise[1], _NEARLY * smallest[1]))
+    near = next((rigid for rigid in candidates if rigid.within(limit)), candidates[0])
     return near if near.rms < _SUBSTANTIAL * candidates[0].rms else candidates[0]
 
 
@@ -444,8 +454,8 @@ def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _
     begun = rigid_arm(freed, arm, "free")
     if begun.rows * begun.samples < _REDUNDANCY * len(begun.unknown):
         return None
-    found = start.registration
-    model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
+    fit = start.registration
+    model = ArmModel(start.chain.kinematics.ravel(), fit.T_sensor_base, arm.T_joint_flange @ fit.T_flange_tool)  # type: ignore[arg-type]
     rows = np.asarray(relinearise(replace(begun, start=model), DEFAULTS).model.geometry).reshape(-1, 6)
     fitted = _explained_by(freed, arm, start.chain._replace(kinematics=rows), (False, False))
     return fitted._replace(fitted=start.fitted)
@@ -454,19 +464,21 @@ def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _
 def _differences(declared: _RigidArm, chosen: _RigidArm) -> list[dict[str, Any]]:
     """`other_table`, `other_frame` and `other_tool`, as plain JSON values in SI units."""
     step = {"position_rms_before_m": declared.rms, "position_rms_after_m": chosen.rms}
-    found: list[dict[str, Any]] = []
+    differences: list[dict[str, Any]] = []
     if chosen.chain[:2] != declared.chain[:2]:
         model, reference = ({"kind": kind, "name": name} for kind, name, _ in (declared.chain, chosen.chain))
-        found.append({"difference": "other_table", "model": model, "reference": reference, **step})
+        differences.append({"difference": "other_table", "model": model, "reference": reference, **step})
     expected, T = declared.registration, chosen.registration
     if chosen.fitted[1]:
-        found.append({"difference": "other_frame", **_displacement(expected.T_sensor_base, T.T_sensor_base), **step})
+        differences.append(
+            {"difference": "other_frame", **_displacement(expected.T_sensor_base, T.T_sensor_base), **step}
+        )
     if chosen.fitted[0]:
         tool = _displacement(expected.T_flange_tool, T.T_flange_tool)
         if T.turned is None:
             tool["rotation_rad"] = None
-        found.append({"difference": "other_tool", **tool, **step})
-    return found
+        differences.append({"difference": "other_tool", **tool, **step})
+    return differences
 
 
 def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
@@ -474,7 +486,7 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 
     Of many displacements with the same effect, these are the smallest: the fit's prior is wide.
     """
-    after, before = (frames.transform_from_row(one.chain.kinematics) for one in (free, start))
+    after, before = (frames.transform_from_row(rigid.chain.kinematics) for rigid in (free, start))
     displaced = frames.compare_transforms(after @ np.linalg.inv(before), np.broadcast_to(np.eye(4), after.shape))
     links = [
         {"link": j, "distance_m": float(distance), "rotation_rad": float(angle)}

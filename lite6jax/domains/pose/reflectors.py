@@ -93,51 +93,53 @@ def with_pose_of_reflectors(
     points = _rigid_points(reflector_columns(list(columns)) if candidates is None else candidates, columns)
     if not points:
         return None
-    found = _rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
-    if found is None:
+    body = _rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
+    if body is None:
         return None
     names = {name for point in points for name in point}
     units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
-    unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
-    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
-    pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
-    rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
-    return WithPose(rest | pose, tuple(points), found, unit)
+    unit = units.pop() if len(units) == 1 else sizes.length_unit(body.position).choice
+    pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", body.position.T, strict=True)}
+    pose |= dict(zip(("qw", "qx", "qy", "qz"), body.quaternion.T, strict=True))
+    remaining = {name: column for name, column in columns.items() if name not in names | pose.keys()}
+    return WithPose(remaining | pose, tuple(points), body, unit)
 
 
 def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
     """The columns x y z of points of which there may be enough on a rigid body; empty where there are not."""
-    found: dict[tuple[str, str], dict[str, str]] = {}
+    by_body: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         if (match := _AXIS.fullmatch(name.strip())) and match["body"] and not _TURNED.search(match["body"]):
-            found.setdefault((match["body"], (match["unit"] or "").lower()), {}).setdefault(match["axis"].lower(), name)
-    points = [(axes["x"], axes["y"], axes["z"]) for axes in found.values() if len(axes) == 3]
+            by_body.setdefault((match["body"], (match["unit"] or "").lower()), {}).setdefault(
+                match["axis"].lower(), name
+            )
+    points = [(axes["x"], axes["y"], axes["z"]) for axes in by_body.values() if len(axes) == 3]
     return points if len(points) >= FEWEST_POINTS else []
 
 
 def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
     """Those of some points that keep their distances from each other while they move: the largest such group."""
     placed = {point: _seen(np.stack([columns[name] for name in point], 1)) for point in points}
-    seen = (place[np.isfinite(place).all(axis=1)] for place in placed.values())
-    way = max((median_distance(there) for there in seen if len(there)), default=0.0)
+    visible = (place[np.isfinite(place).all(axis=1)] for place in placed.values())
+    travel = max((median_distance(places) for places in visible if len(places)), default=0.0)
 
-    def keeps(one: Array, other: Array) -> bool:
-        distance = np.linalg.norm(one - other, axis=1)
+    def keeps(first: Array, second: Array) -> bool:
+        distance = np.linalg.norm(first - second, axis=1)
         distance = distance[np.isfinite(distance)]
         if len(distance) < FEWEST_POINTS:
             return False
         usual = float(np.median(distance))
         varies = 1.4826 * float(np.median(np.abs(distance - usual)))
-        return varies < _RIGID * way and usual > 5 * varies and usual > 0
+        return varies < _RIGID * travel and usual > 5 * varies and usual > 0
 
     groups: list[list[tuple[str, str, str]]] = []
     for point, place in placed.items():
-        fitting = (group for group in groups if all(keeps(place, placed[other]) for other in group))
+        fitting = (group for group in groups if all(keeps(place, placed[member]) for member in group))
         if (group := next(fitting, None)) is None:
             groups.append(group := [])
         group.append(point)
-    best = max(groups, key=len, default=[])
-    return best if len(best) >= FEWEST_POINTS else []
+    largest = max(groups, key=len, default=[])
+    return largest if len(largest) >= FEWEST_POINTS else []
 
 
 def _rigid_pose(points: Array) -> RigidPose | None:
@@ -149,21 +151,22 @@ def _rigid_pose(points: Array) -> RigidPose | None:
     from scipy.spatial.transform import Rotation
 
     points = np.stack([_seen(points[:, k]) for k in range(points.shape[1])], 1)
-    there = np.isfinite(points.sum(axis=2))
-    whole = np.flatnonzero(there.all(axis=1))
-    rows = there.sum(1) >= FEWEST_POINTS
-    if not whole.size:
+    visible = np.isfinite(points.sum(axis=2))
+    complete = np.flatnonzero(visible.all(axis=1))
+    rows = visible.sum(1) >= FEWEST_POINTS
+    if not complete.size:
         return None
-    shape = points[whole[0]] - points[whole[0]].mean(0)
+    shape = points[complete[0]] - points[complete[0]].mean(0)
     spread = np.linalg.svd(shape, compute_uv=False)
     if spread[1] < _FLAT * spread[0]:
         return None
     axes = shape
-    filled, weight = np.nan_to_num(points[rows]), there[rows].astype(float)
+    filled = np.nan_to_num(points[rows])
+    weight = visible[rows].astype(float)
     for _ in range(_ROUNDS):
         R, t = _carried(shape, filled, weight)
-        back = np.einsum("rji,rpj->rpi", R, filled - t[:, None])
-        shape = np.einsum("rp,rpi->pi", weight, back) / np.maximum(weight.sum(0), 1)[:, None]
+        in_body = np.einsum("rji,rpj->rpi", R, filled - t[:, None])
+        shape = np.einsum("rp,rpi->pi", weight, in_body) / np.maximum(weight.sum(0), 1)[:, None]
         turn, move = _carried(shape, axes[None], np.ones((1, len(axes))))  # the shape stays where it was first seen
         shape = shape @ turn[0].T + move[0]
         shape -= shape.mean(0)
@@ -172,12 +175,13 @@ def _rigid_pose(points: Array) -> RigidPose | None:
     of_row = np.sqrt((weight * missed**2).sum(1) / weight.sum(1))
     usual = max(float(np.median(of_row)), 1e-12)
     fits = of_row <= _OUTLYING * usual
-    kept = np.flatnonzero(rows)[fits]
-    found, pose = np.isin(np.arange(len(points)), kept), np.full((len(points), 7), np.nan)
-    pose[kept, :3], pose[kept, 3:] = t[fits], Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
+    fitted_rows = np.flatnonzero(rows)[fits]
+    is_fitted = np.isin(np.arange(len(points)), fitted_rows)
+    pose = np.full((len(points), 7), np.nan)
+    pose[fitted_rows, :3], pose[fitted_rows, 3:] = t[fits], Rotation.from_matrix(R[fits]).as_quat(scalar_first=True)
     misfit = float(np.sqrt(np.sum((weight * missed**2)[fits]) / max(np.sum(weight[fits]), 1)))
     size = float(np.sqrt(np.mean(np.sum(shape**2, 1))))
-    return RigidPose(found, pose[:, :3], pose[:, 3:], misfit, size, points.shape[1], int(np.sum(~fits)))
+    return RigidPose(is_fitted, pose[:, :3], pose[:, 3:], misfit, size, points.shape[1], int(np.sum(~fits)))
 
 
 def _carried(shape: Array, points: Array, weight: Array) -> tuple[Array, Array]:

@@ -117,13 +117,16 @@ def register(
     turned = None if rotation is None else problem.differences[3:].T
     squares = np.sum(problem.residuals**2, 0)
     weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
-    count, parameters = problem.rows * problem.samples, len(problem.unknown)
+    count = problem.rows * problem.samples
+    parameters = len(problem.unknown)
     lost = np.sqrt(count / max(count - parameters, 1)) / gaussian_t_scale(3, FREEDOM)
-    found = [None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)]
-    assert found[0] is not None
+    remaining_noise = [
+        None if e is None else float(lost * t_scale(np.sum(e**2, 1), 3, FREEDOM)) for e in (missed, turned)
+    ]
+    assert remaining_noise[0] is not None
     determined = rank(problem.frame_columns.reshape(parameters, count), _DETERMINED) == parameters
     fitted = problem.T_sensor_base, problem.T_flange_tool
-    return Registration(*fitted, missed, turned, weight, (found[0], found[1]), determined)
+    return Registration(*fitted, missed, turned, weight, (remaining_noise[0], remaining_noise[1]), determined)
 
 
 def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
@@ -152,20 +155,24 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     flange[:, :3, 3] /= growth[:, None]
     used = np.isfinite(growth)
     require_samples(recording.select(used), _NUMBERS[recording.numbers_per_sample])
-    position, rotation = recording.position, measured_rotations(recording)
+    position = recording.position
+    rotation = measured_rotations(recording)
     assert position is not None
-    rotation, noise = None if rotation is None else rotation[used], noise_of(recording.settings)
+    rotation = None if rotation is None else rotation[used]
+    noise = noise_of(recording.settings)
     before = np.asarray(model.model.T_flange_tool)[:3, :3]
-    found = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
-    if not found.determined:
+    registration = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
+    if not registration.determined:
         raise InputError(
             f"{recording.source}: its poses do not determine sensor frame and tool; record some that turn the flange "
             "about other axes"
         )
-    rigid = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
+    rigid = ArmModel(model.model.geometry, registration.T_sensor_base, registration.T_flange_tool)  # type: ignore[arg-type]
     moved = replace(model, model=rigid, orientation=rotation is not None)
-    noise = found.noise[0], found.noise[1] if rotation is not None else None
-    return replace(moved, uncertainty=_with_own_frames(moved, moved.motion_of(recording.select(used)), noise)), found
+    noise = registration.noise[0], registration.noise[1] if rotation is not None else None
+    return replace(
+        moved, uncertainty=_with_own_frames(moved, moved.motion_of(recording.select(used)), noise)
+    ), registration
 
 
 def _with_own_frames(model: DiagnosedArm, motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
@@ -173,23 +180,25 @@ def _with_own_frames(model: DiagnosedArm, motion: Motion, noise: tuple[float, fl
 
     These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
     """
-    known = model.uncertainty
-    if known is None:
+    uncertainty = model.uncertainty
+    if uncertainty is None:
         return None
     rows = 3 if noise[1] is None else 6
     frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
-    stays = [name not in ("base", "tool") for name, _, _ in known.sites]
-    others = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
-    J = Derivatives(model, motion, (*frames, *others)).all()[:, :rows]
+    stays = [name not in ("base", "tool") for name, _, _ in uncertainty.sites]
+    retained = tuple(site for site, remains in zip(uncertainty.sites, stays, strict=True) if remains)
+    J = Derivatives(model, motion, (*frames, *retained)).all()[:, :rows]
     J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
     F, R = np.split(J.reshape(len(J), -1), [len(frames)])
-    own = scaled_inverse(F @ F.T)
-    follow = own @ (F @ R.T)
-    numbers = np.flatnonzero([*stays, *([True] * (len(known.covariance) - len(stays)))])
-    rest = known.covariance[np.ix_(numbers, numbers)]
-    together = -follow @ rest
-    C = np.block([[own - together @ follow.T, together], [together.T, rest]])
-    return replace(known, sites=(*frames, *others), covariance=C, typical=None)  # the new frames are less certain
+    frame_covariance = scaled_inverse(F @ F.T)
+    follow = frame_covariance @ (F @ R.T)
+    numbers = np.flatnonzero([*stays, *([True] * (len(uncertainty.covariance) - len(stays)))])
+    covariance = uncertainty.covariance[np.ix_(numbers, numbers)]
+    together = -follow @ covariance
+    C = np.block([[frame_covariance - together @ follow.T, together], [together.T, covariance]])
+    return replace(
+        uncertainty, sites=(*frames, *retained), covariance=C, typical=None
+    )  # the new frames are less certain
 
 
 @final

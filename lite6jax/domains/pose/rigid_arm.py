@@ -256,8 +256,8 @@ class RigidArm(NuisanceProblem):
 
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
-        own = self.own_numbers(nuisance)
-        measured = self.measured.displaced(own) if len(own) else self.measured
+        sensor_numbers = self.own_numbers(nuisance)
+        measured = self.measured.displaced(sensor_numbers) if len(sensor_numbers) else self.measured
         return replace(self, start=self.displaced(nuisance), measured=measured, offset=self.offset + nuisance)
 
     def with_poses(self, recording: Recording) -> Self:
@@ -269,17 +269,19 @@ class RigidArm(NuisanceProblem):
         """Some of the samples."""
         return replace(self, recording=self.recording.select(rows), measured=self.measured.select(rows))
 
-    def keeping(self, kept: Sequence[bool]) -> Self:
+    def keeping(self, mask: Sequence[bool]) -> Self:
         """The arm with some of its unknowns; all others stay where they are."""
-        parts = {name: getattr(self, name)[kept] for name in ("precision", "offset", "informative")}
-        return replace(self, unknown=tuple(compress(self.unknown, kept)), **parts)
+        parts = {name: getattr(self, name)[mask] for name in ("precision", "offset", "informative")}
+        return replace(self, unknown=tuple(compress(self.unknown, mask)), **parts)
 
-    def fitted(self, most: int) -> Self:
-        """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
-        if self.samples <= most:
+    def fitted(self, limit: int) -> Self:
+        """The arm with its unknowns fitted, to `limit` evenly spaced samples where there are more."""
+        if self.samples <= limit:
             return relinearise(self, DEFAULTS)
-        few = self.select(spread_rows(self.samples, most)).fitted(most)
-        return replace(self, start=few.start, measured=few.measured.reading_as(self.measured), offset=few.offset)
+        subset = self.select(spread_rows(self.samples, limit)).fitted(limit)
+        return replace(
+            self, start=subset.start, measured=subset.measured.reading_as(self.measured), offset=subset.offset
+        )
 
     def log_likelihood(self, scale: float) -> float:
         """Of Student's t at noise of `scale` times the declared one and of the prior, but for terms of the scale."""
@@ -316,16 +318,16 @@ def require_determined(arm: RigidArm) -> None:
         return
     if arm.samples < _FEWEST_READINGS:
         raise InputError(f"{arm.recording.source}: its {arm.samples} readings are too few; {_REMEDIES[readings.kind]}")
-    own = iter(arm.measured.own)
+    sensor_numbers = iter(arm.measured.own)
     numbers = []
     for k, (name, _, axis) in enumerate(arm.unknown):
         if name == "reading":
-            one = next(own)
-            if not one.precision:
-                numbers.append((k, one.name, LEAST_KNOWN["m"] if one.unit == "m" else _DIRECTION_KNOWN))
+            number = next(sensor_numbers)
+            if not number.precision:
+                numbers.append((k, number.name, LEAST_KNOWN["m"] if number.unit == "m" else _DIRECTION_KNOWN))
         elif name == "tool" or (name == "base" and arm.form.frame):
-            what = "the tool" if name == "tool" else "the sensor's frame"
-            numbers.append((k, what, LEAST_KNOWN["m" if axis < 3 else "rad"]))
+            part = "the tool" if name == "tool" else "the sensor's frame"
+            numbers.append((k, part, LEAST_KNOWN["m" if axis < 3 else "rad"]))
     if not numbers:
         return
     at, names, sizes = zip(*numbers, strict=True)
@@ -357,16 +359,17 @@ def rigid_arm(
     Raises:
         InputError: as `recording_problem`.
     """
-    touches, T_frame = recording.touches, np.eye(4)
+    touches = recording.touches
+    T_frame = np.eye(4)
     if touches is not None:
-        given = declared_geometry(recording, arm, geometry, factory)
-        arm, form, movable, values = given.arm, given.form, given.movable, given.values
+        declaration = declared_geometry(recording, arm, geometry, factory)
+        arm, form, movable, values = declaration.arm, declaration.form, declaration.movable, declaration.values
         declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
         noise = declared[0] or UNDECLARED_TOUCH, None
         sensor = touch_sensor(recording, noise[0])
-        if not given.calibrated:
+        if not declaration.calibrated:
             _require_scale(recording, sensor)
-        T_tool = given.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
+        T_tool = declaration.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
     else:
         problem = recording_problem(recording, arm, geometry, factory)
         arm, form, movable = problem.arm, problem.form, problem.movable
@@ -389,16 +392,16 @@ def rigid_arm(
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
     precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
-    own = sensor.own
-    stated = [uncertainty is not None or touches is not None] * len(unknown) + [True] * len(own)
-    unknown += [("reading", k, 0) for k in range(len(own))]
+    sensor_numbers = sensor.own
+    stated = [uncertainty is not None or touches is not None] * len(unknown) + [True] * len(sensor_numbers)
+    unknown += [("reading", k, 0) for k in range(len(sensor_numbers))]
     begun = RigidArm(
         recording=recording,
         arm=arm,
         start=start,
         unknown=tuple(unknown),
-        precision=np.array([*precision, *(one.precision for one in own)]),
-        offset=np.array([*np.zeros(len(precision)), *(one.offset for one in own)]),
+        precision=np.array([*precision, *(number.precision for number in sensor_numbers)]),
+        offset=np.array([*np.zeros(len(precision)), *(number.offset for number in sensor_numbers)]),
         informative=np.array(stated, bool),
         noise=noise,
         declared_noise=declared,
@@ -439,22 +442,22 @@ def _locate_tool(arm: RigidArm, tries: int) -> RigidArm:
     Several points of an unknown tool are tried. At each the sensor's unknowns are computed in closed form, and then all
     are fitted by least squares.
     """
-    few = arm.keeping([name in ("tool", "reading") for name, _, _ in arm.unknown])
-    found = []
+    reduced = arm.keeping([name in ("tool", "reading") for name, _, _ in arm.unknown])
+    candidates = []
     for point in _TOOLS[: tries if arm.form.tool else 1]:
         T_flange_tool = arm.T_flange_tool @ frames.transform_from_row([*point, 0, 0, 0])
-        begun = replace(few, start=arm.start._replace(T_flange_tool=T_flange_tool))  # type: ignore[arg-type]
+        begun = replace(reduced, start=arm.start._replace(T_flange_tool=T_flange_tool))  # type: ignore[arg-type]
         assert isinstance(arm.measured, PointSensor)
         steps = None if tries > 1 else _ROUGH_STEPS
         shown = _with_sensor(begun, arm.measured.shown(begun.rigid.tool))
-        found.append(relinearise(shown, DEFAULTS, steps=steps))
-    best = min(found, key=lambda one: float(np.median(one.squares)))
-    return _with_sensor(replace(arm, start=best.start), best.measured)
+        candidates.append(relinearise(shown, DEFAULTS, steps=steps))
+    closest = min(candidates, key=lambda candidate: float(np.median(candidate.squares)))
+    return _with_sensor(replace(arm, start=closest.start), closest.measured)
 
 
 def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
     """The arm with another sensor of its kind, and its own frames at the mean of their prior."""
-    offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(one.offset for one in sensor.own)])
+    offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(number.offset for number in sensor.own)])
     return replace(arm, measured=sensor, offset=offset)
 
 
@@ -471,26 +474,28 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
     readings, settings = recording.touches, recording.settings
     assert readings is not None
     whitener = np.full(2, 1 / noise)
-    there, group = np.unique(readings.group, return_inverse=True)
-    names = tuple(readings.names[k] for k in there)
+    present, group = np.unique(readings.group, return_inverse=True)
+    names = tuple(readings.names[k] for k in present)
 
-    def places(known: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
-        points = np.array([known.get(name, (0.0, 0.0, 0.0)) for name in names], float).T
-        return points, tuple(name not in known for name in names)
+    def places(coordinates: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
+        points = np.array([coordinates.get(name, (0.0, 0.0, 0.0)) for name in names], float).T
+        return points, tuple(name not in coordinates for name in names)
 
     if readings.kind == "contact":
         points, free = places(settings.contact_points or {})
         return Contact(group, whitener, points, names, free, _rods(recording, names, free))
     if readings.kind == "plane":
         planes = settings.planes or {}
-        given = [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names]
-        normal, height = np.split(np.array(given, float).T / np.linalg.norm(np.array(given)[:, :3], axis=1), [3])
+        declared = [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names]
+        normal, height = np.split(np.array(declared, float).T / np.linalg.norm(np.array(declared)[:, :3], axis=1), [3])
         free = tuple(name not in planes for name in names)
         return Plane(group, whitener, normal, np.zeros_like(normal), height[0], names, free)
     if readings.kind == "distance":
-        given = settings.anchor_m
-        anchors = dict.fromkeys(names, given) if isinstance(given, tuple) else {} if given == "unknown" else given
-        if isinstance(given, tuple) and len(names) > 1:
+        declared = settings.anchor_m
+        anchors = (
+            dict.fromkeys(names, declared) if isinstance(declared, tuple) else {} if declared == "unknown" else declared
+        )
+        if isinstance(declared, tuple) and len(names) > 1:
             raise InputError(
                 f"{recording.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
                 f"{{{names[0]}: [x, y, z], ...}}, or unknown"
@@ -509,14 +514,17 @@ def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) 
     Raises:
         InputError: a ring of distances, or one between contacts of which both are known.
     """
-    source, place = recording.source, {name: k for k, name in enumerate(names)}
-    left = [one for one in recording.settings.contact_distances if set(one.between) <= place.keys()]
+    source = recording.source
+    place = {name: k for k, name in enumerate(names)}
+    remaining = [distance for distance in recording.settings.contact_distances if set(distance.between) <= place.keys()]
     rods: list[Rod] = []
     fixed = {k for k in range(len(names)) if not free[k]}
     reached = set(fixed)
-    while left:
-        at = next((one for one in left if {place[name] for name in one.between} & reached), left[0])
-        left.remove(at)
+    while remaining:
+        at = next(
+            (distance for distance in remaining if {place[name] for name in distance.between} & reached), remaining[0]
+        )
+        remaining.remove(at)
         a, b = (place[name] for name in at.between)
         a, b = (b, a) if b in reached and a not in reached else (a, b)
         if b in reached:
@@ -539,8 +547,8 @@ def _require_scale(recording: Recording, sensor: PointSensor) -> None:
         return
     remedy = "declare one plane's place as planes: {a: {normal, offset_m}}"
     if isinstance(sensor, Contact):
-        if given := recording.settings.contact_distances:
-            a, b = given[0].between
+        if distances := recording.settings.contact_distances:
+            a, b = distances[0].between
             raise InputError(
                 f"{recording.source}: contact_distances is between {a} and {b}, which are not both among its contacts "
                 f"{', '.join(sensor.names[:6])}; correct the names"

@@ -57,13 +57,13 @@ class Change:
         joints = [joint + 1 for joint in self.joints]
         if self.code == "swapped_joints":
             return {"joints": joints}
-        found: dict[str, Any] = {"joint": joints[0]} if joints else {}
+        numbers: dict[str, Any] = {"joint": joints[0]} if joints else {}
         if self.code == "joint_unit":
-            found["unit"] = "deg" if float(self.value) < 1 else "rad"
+            numbers["unit"] = "deg" if float(self.value) < 1 else "rad"
         if self.code == "coupled_joint":
-            found["added_joint"] = joints[1]
+            numbers["added_joint"] = joints[1]
         name = _NUMBERS.get(self.code)
-        return found if name is None else found | {name: self.value}
+        return numbers if name is None else numbers | {name: self.value}
 
     def undone(self, recording: Recording) -> Recording:
         """The recording without the fault."""
@@ -83,7 +83,8 @@ class Change:
         R = measured_rotations(replace(recording, quaternion=quaternion))
         if self.code == "mirrored_sensor":
             M = _reflection(convention)
-            position, R = position @ M, None if R is None else M @ R @ M
+            position = position @ M
+            R = None if R is None else M @ R @ M
         elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
             R = np.swapaxes(R, 1, 2)
             position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
@@ -122,8 +123,8 @@ def single_changes(recording: Recording) -> Iterator[Hypothesis]:
         yield from _changes_of_poses(recording)
     for pair in combinations(range(dof), 2):
         yield (Change("swapped_joints", pair),)
-    most = dof if dof <= 8 else 2  # of more joints there are too many sets
-    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, most + 1)):
+    largest_set = dof if dof <= 8 else 2  # of more joints there are too many sets
+    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
         yield tuple(Change("mirrored_joint", (i,)) for i in joints)
     for i in turning:
         yield from ((Change("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
@@ -173,18 +174,18 @@ def rounded_to_quarters(angle: float) -> float:
 
 def listed(several: Sequence[Hypothesis]) -> list[list[dict[str, Any]]]:
     """Hypotheses as numbers of a fault."""
-    return [[{"fault": change.code, **change.numbers} for change in one] for one in several]
+    return [[{"fault": change.code, **change.numbers} for change in hypothesis] for hypothesis in several]
 
 
 def added(hypothesis: Hypothesis, more: Change) -> Hypothesis:
     """With one more change; a zero or a scale that is changed already is changed by both."""
-    rest = [c for c in hypothesis if (c.code, c.joints) != (more.code, more.joints)]
+    unchanged = [c for c in hypothesis if (c.code, c.joints) != (more.code, more.joints)]
     for change in hypothesis:
-        if change not in rest and more.code == "joint_turns":
+        if change not in unchanged and more.code == "joint_turns":
             more = replace(more, value=float(change.value) + float(more.value))
-        elif change not in rest and more.code == "sensor_scale":
+        elif change not in unchanged and more.code == "sensor_scale":
             more = replace(more, value=float(change.value) * float(more.value))
-    return joined(tuple(rest), (more,))
+    return joined(tuple(unchanged), (more,))
 
 
 def joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
@@ -221,6 +222,7 @@ def differ_by_turns(a: Hypothesis, b: Hypothesis) -> bool:
 
 def _reflection(axes: str) -> Array:
     """`(3, 3)`: one axis reversed, or two exchanged."""
-    M, places = np.eye(3), ["xyz".index(axis) for axis in axes]
+    M = np.eye(3)
+    places = ["xyz".index(axis) for axis in axes]
     M[places] = M[places[::-1]] if len(places) > 1 else -M[places]
     return M

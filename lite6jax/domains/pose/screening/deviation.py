@@ -81,7 +81,8 @@ class Deviation:
     @cached_property
     def granted(self) -> Array:
         """`(number,)`, σ of the displacements of the chain and of a declared frame and tool; zero of all others."""
-        arm, sigma = self.arm, np.zeros(self.size)
+        arm = self.arm
+        sigma = np.zeros(self.size)
         unknown = zip(arm.unknown, arm.precision, strict=True)
         of_links = {axis: precision for (name, _, axis), precision in unknown if name == "link"}
         if not of_links:
@@ -94,9 +95,10 @@ class Deviation:
     @cached_property
     def free(self) -> Array:
         """`(number,)`, standard deviations of what every hypothesis leaves free; zero of all others."""
-        sigma, own = np.zeros(self.size), self._own
+        sigma = np.zeros(self.size)
+        sensor_places = self._own
         sigma[self._free_places] = _WIDE
-        precision = self.arm.precision[own]
+        precision = self.arm.precision[sensor_places]
         first = 6 * self.frames
         sigma[first : first + len(precision)] = np.minimum(np.maximum(precision, 1e-12) ** -0.5, _WIDE)
         return sigma
@@ -105,10 +107,10 @@ class Deviation:
     def data(self) -> tuple[Array, Array]:
         """The triangular factor R `(number, number)` of the derivatives, and the part z `(number,)` of the data."""
         arm = self.arm
-        seen = np.zeros((1, arm.rows, arm.samples))
+        positions = np.zeros((1, arm.rows, arm.samples))
         if arm.recording.touches is None:
-            seen[0, :3] = arm.rigid.tool[:, :3, 3].T
-        parts = [arm.twists, arm.joints, arm.whitened(seen)]
+            positions[0, :3] = arm.rigid.tool[:, :3, 3].T
+        parts = [arm.twists, arm.joints, arm.whitened(positions)]
         if arm.measured.numbers:
             parts.insert(1, arm.whitened(arm.measured.by_numbers(arm.rigid.tool)))
         scale = max(arm.scale, _LEAST_SCALE)
@@ -120,7 +122,9 @@ class Deviation:
     @cached_property
     def displaced(self) -> Array:
         """`(number,)`, where the fit has displaced the frames to."""
-        arm, start, u = self.arm, self.start, np.zeros(self.size)
+        arm = self.arm
+        start = self.start
+        u = np.zeros(self.size)
         steps = [np.linalg.inv(start.T_sensor_base) @ arm.T_sensor_base, *(arm.links @ np.linalg.inv(start.links))[1:]]
         for frame, T in enumerate(steps):
             u[6 * frame : 6 * frame + 3] = T[:3, 3]
@@ -142,7 +146,7 @@ class Deviation:
     def weighed(self, hypothesis: Sequence[Change], factors: Sequence[float] = _FACTORS) -> Weighed:
         """A hypothesis at the likeliest of some factors."""
         R, z = self.data
-        tried = []
+        candidates = []
         for factor in factors:
             L = np.maximum(factor * self.granted, self.free)
             for change in hypothesis:
@@ -151,8 +155,8 @@ class Deviation:
             along = U.T @ z
             fit = 0.5 * float(np.sum((s * along) ** 2 / (1 + s**2)))
             mean = L * (Vt.T @ (s * along / (1 + s**2)))
-            tried.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log1p(s**2))), fit, mean))
-        return max(tried, key=lambda one: one.evidence)
+            candidates.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log1p(s**2))), fit, mean))
+        return max(candidates, key=lambda candidate: candidate.evidence)
 
     def log_likelihood(self, scale: float) -> float:
         """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
@@ -186,7 +190,8 @@ class Deviation:
 
     def summary(self) -> dict[str, Any]:
         """How far the fitted arm is from the nominal one, and which frame is furthest beside what is granted."""
-        weighed, granted = self.weighed(()), self.granted
+        weighed = self.weighed(())
+        granted = self.granted
         apart = self.arm.rigid.tool[:, :3, 3] - self.start.rigid.tool[:, :3, 3]
         shares = np.abs(weighed.displacements) / np.where(granted > 0, granted, np.inf)
         equal = shares > (1 - 1e-3) * shares.max()  # along one axis, two frames share a displacement alike

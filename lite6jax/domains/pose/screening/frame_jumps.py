@@ -44,15 +44,15 @@ class Jump(NamedTuple):
 
 def remove_jumps(state: Screened) -> Screened:
     """The poses after each jump where they would have been without it."""
-    known, most, options = state.corrections.known_jumps, state.corrections.jumps, state.options
-    if known is not None:
-        for row, part in known:
+    known_jumps, limit, options = state.corrections.known_jumps, state.corrections.jumps, state.options
+    if known_jumps is not None:
+        for row, part in known_jumps:
             jump = _jump_at(state.rigid_arm, row, part, options)
             if jump is None:
                 break
             state = _without(state, jump)
         return state
-    for _ in range(options.most_jumps if most is None else most):
+    for _ in range(options.most_jumps if limit is None else limit):
         jump, numbers = seek_jump(state.rigid_arm, options)
         if jump is None:
             return state.rule_out("frame_jump", samples=state.recording.samples, **numbers)
@@ -79,12 +79,15 @@ def _without(state: Screened, jump: Jump) -> Screened:
 
     def remove(recording: Recording) -> Recording:
         """The correction in more rows of the same recording, which show between which of them the jump happened."""
-        there, rows = arm.with_poses(recording), arm.recording.row
+        full_arm = arm.with_poses(recording)
+        rows = arm.recording.row
         before, sample = (int(np.flatnonzero(recording.row == rows[j])[0]) for j in (max(k - 1, 0), k))
         if sample - before > 1:
-            own = _numbers(arm, jump.part)
-            sample = _located(there, before, sample, own, refined.twist[: own.stop - own.start])
-        return _displaced_back(there, there, refined._replace(sample=sample), small_displacement(refined.twist))
+            part_numbers = _numbers(arm, jump.part)
+            sample = _located(
+                full_arm, before, sample, part_numbers, refined.twist[: part_numbers.stop - part_numbers.start]
+            )
+        return _displaced_back(full_arm, full_arm, refined._replace(sample=sample), small_displacement(refined.twist))
 
     return state.corrected(DataFault("frame_jump", row_numbers(row[k:]), numbers), rigid=arm).transformed(remove)
 
@@ -107,11 +110,13 @@ def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> J
     sample = int(np.argmax(later))
     if not sample:
         return None
-    few, numbers = spread_rows(arm.samples, options.most_samples), _numbers(arm, part)
-    after, arm = few >= sample, arm.select(few)
+    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    numbers = _numbers(arm, part)
+    after = sampled_rows >= sample
+    arm = arm.select(sampled_rows)
     values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
-    known = _twist(np.where(np.isfinite(std), values, 0.0))
-    return Jump(sample, part, known, _displacement(arm, numbers, values, after), float("nan"))
+    twist = _twist(np.where(np.isfinite(std), values, 0.0))
+    return Jump(sample, part, twist, _displacement(arm, numbers, values, after), float("nan"))
 
 
 def _twist(values: Array) -> Array:
@@ -126,21 +131,25 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     cubic of time; autocorrelated residuals count as fewer. In a trajectory the jump must be visible between
     neighbouring rows too, more than at any other row: the arm's own physics is smooth there.
     """
-    whole, few = arm, spread_rows(arm.samples, options.most_samples)
-    arm = arm.select(few)
-    projected, n = Projected(arm, physics_columns(arm), options), arm.samples
+    full_arm = arm
+    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    arm = arm.select(sampled_rows)
+    projected = Projected(arm, physics_columns(arm), options)
+    n = arm.samples
     if projected.freedom < n or n < 4 * options.jump_margin:
         return None, {"reason": "too_few_rows"}
     segment = run_segments(arm.recording.run)
-    found, block = list[tuple[float, int, str]](), max(1, n // options.jump_blocks)
+    splits = list[tuple[float, int, str]]()
+    block = max(1, n // options.jump_blocks)
     for part, advantage in (("base", 1.0), ("tool", options.tool_advantage)):
         columns = arm.twists[_numbers(arm, part)]
         starts = np.unique(np.concatenate([np.arange(0, n, block), np.flatnonzero(np.diff(segment)) + 1]))
         k, gain = _best_split(projected, columns, starts, options)
         k, gain = _best_split(projected, columns, np.arange(max(k - block, 1), min(k + block + 1, n)), options)
-        found.append((gain / advantage, k, part))
-    _, k, part = max(found, key=lambda item: item[0])
-    numbers, later = _numbers(arm, part), np.arange(n) >= k
+        splits.append((gain / advantage, k, part))
+    _, k, part = max(splits, key=lambda item: item[0])
+    numbers = _numbers(arm, part)
+    later = np.arange(n) >= k
     after = np.where(later, arm.twists[numbers], 0.0)
     values, _, statistic = projected.regression(after)
     p = _p_value(projected, after, values, statistic, options)
@@ -148,9 +157,9 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, after)[:, k:] ** 2, 0)) / arm.rows)
     if p > options.jump_level or sigmas < options.jump_noise or statistic < options.jump_share * projected.freedom:
         return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
-    if len(few) < whole.samples:
-        k = _located(whole, few[k - 1], few[k], numbers, values)
-    if not _sharp(whole, k, options):
+    if len(sampled_rows) < full_arm.samples:
+        k = _located(full_arm, sampled_rows[k - 1], sampled_rows[k], numbers, values)
+    if not _sharp(full_arm, k, options):
         return None, {"reason": "gradual", "p_value": p}
     return Jump(k, part, _twist(values), displacement, p), {}
 
@@ -169,7 +178,8 @@ def _p_value(projected: Projected, after: Array, values: Array, statistic: float
     time = autocorrelation_time(rows)
     if at(time) > options.jump_level:
         return at(time)
-    fitted, segment = projected.basis.reshape(-1, arm.rows, arm.samples), run_segments(arm.recording.run)
+    fitted = projected.basis.reshape(-1, arm.rows, arm.samples)
+    segment = run_segments(arm.recording.run)
     groups = np.zeros(arm.rows, int)
     model = noise_model(rows, fitted, np.zeros(len(fitted)), groups, segment, DEFAULTS).models[0]
     return at(max(time, model.time))
@@ -194,7 +204,8 @@ def without_jump(
         options: the thresholds.
         beside_physics: whether it is estimated beside all physics.
     """
-    total, moved = np.eye(4), arm
+    total = np.eye(4)
+    moved = arm
     twist = small_displacement(jump.twist)
     if jump.part == "base" and jump.displacement > options.large_jump_noise * arm.noise[0]:
         assert arm.recording.position is not None
@@ -224,14 +235,17 @@ def without_jump(
 
 def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Recording:
     """The recording with the poses after a jump by `T` displaced back."""
-    recording, after, R = arm.recording, np.arange(arm.samples) >= jump.sample, measured_rotations(arm.recording)
+    recording = arm.recording
+    after = np.arange(arm.samples) >= jump.sample
+    R = measured_rotations(arm.recording)
     assert recording.position is not None
-    position, turned = recording.position.copy(), R
+    position = recording.position.copy()
+    turned = R
     if jump.part == "base":
-        back = fitted.T_sensor_base @ np.linalg.inv(T) @ np.linalg.inv(fitted.T_sensor_base)
-        position[after] = position[after] @ back[:3, :3].T + back[:3, 3]
+        correction = fitted.T_sensor_base @ np.linalg.inv(T) @ np.linalg.inv(fitted.T_sensor_base)
+        position[after] = position[after] @ correction[:3, :3].T + correction[:3, 3]
         if R is not None:
-            turned = np.where(after[:, None, None], back[:3, :3] @ R, R)
+            turned = np.where(after[:, None, None], correction[:3, :3] @ R, R)
     else:
         flange, tool = fitted.rigid.frames[-1], fitted.T_flange_tool
         position[after] -= (flange @ T @ tool - flange @ tool)[after, :3, 3]
@@ -268,7 +282,9 @@ def _best_split(
 
 def _sharp(arm: RigidArm, k: int, options: ScreeningOptions) -> bool:
     """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
-    n, w, segment = arm.samples, options.jump_window, run_segments(arm.recording.run)
+    n = arm.samples
+    w = options.jump_window
+    segment = run_segments(arm.recording.run)
     if arm.recording.motion == "static" or k < w or k > n - w or segment[k - 1] != segment[k]:
         return True
     steps = np.arange(w) + 0.5

@@ -61,35 +61,40 @@ def correct_mismatch(state: Screened) -> Screened:
     """
     arm, options = state.rigid_arm, state.options
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
-    few = arm.select(spread_rows(arm.samples, options.column_rows))
-    error = median_error(few)
+    thinned = arm.select(spread_rows(arm.samples, options.column_rows))
+    error = median_error(thinned)
     touches = arm.recording.touches is not None
     if not touches and touches_one_point(arm.recording, arm.noise[0]):
         return _rule_out(state, error, limit, one_point=True)
     if error <= limit:
         return _rule_out(state, error, limit)
     allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
-    near = _search(few, options, allowed)
-    other, left = (None, np.inf) if touches else _nearest_arm(few)
-    unfitted = [median_error(_free_frames(few, undo(h, few.recording))) for h in near]
-    if left <= min([allowed, error / options.clearly_nearer, *unfitted]):
-        numbers = {"declared": arm.arm.name, "arm": other, "median_error_m": error, "corrected_error_m": left}
+    near = _search(thinned, options, allowed)
+    nearest_name, nearest_error = (None, np.inf) if touches else _nearest_arm(thinned)
+    unfitted = [median_error(_free_frames(thinned, undo(h, thinned.recording))) for h in near]
+    if nearest_error <= min([allowed, error / options.clearly_nearer, *unfitted]):
+        numbers = {
+            "declared": arm.arm.name,
+            "arm": nearest_name,
+            "median_error_m": error,
+            "corrected_error_m": nearest_error,
+        }
         return state.corrected(DataFault("other_arm", (), numbers))
     fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
     errors = [median_error(fit) for _, fit in fits]
-    least = min(errors, default=np.inf)
+    smallest = min(errors, default=np.inf)
     # a chain that is not known may be further from its table than the limit, and fit the recording as it is
     recorded = arm.fitted(options.most_fitted)
     fitted_error = median_error(recorded)
-    if least > allowed:
-        best = {"best_alternative_m": least} if fits else {}
+    if smallest > allowed:
+        alternative = {"best_alternative_m": smallest} if fits else {}
         if fitted_error <= options.corrected_reach * arm.arm.reach:
-            return _rule_out(state, error, limit, fitted_error_m=fitted_error, **best)
-        numbers = {"median_error_m": error, "fitted_error_m": fitted_error, "best_alternative_m": None} | best
+            return _rule_out(state, error, limit, fitted_error_m=fitted_error, **alternative)
+        numbers = {"median_error_m": error, "fitted_error_m": fitted_error, "best_alternative_m": None} | alternative
         return state.corrected(DataFault("unexplained", (), numbers))
-    equal_below = max(options.equal_ratio * least, least + options.equal_noise * arm.noise[0])
-    equal = [fit for fit, left in zip(fits, errors, strict=True) if left <= equal_below]
-    equal.sort(key=lambda one: (_outside_limits(state, one[0]), simplicity(one[0])))
+    equal_below = max(options.equal_ratio * smallest, smallest + options.equal_noise * arm.noise[0])
+    equal = [fit for fit, fit_error in zip(fits, errors, strict=True) if fit_error <= equal_below]
+    equal.sort(key=lambda pair: (_outside_limits(state, pair[0]), simplicity(pair[0])))
     chosen, corrected = equal[0]
     scale = min(corrected.scale, recorded.scale)
     gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
@@ -97,15 +102,17 @@ def correct_mismatch(state: Screened) -> Screened:
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     distinct, rivals = [chosen], []
     for hypothesis, fit in equal[1:]:
-        if any(differ_by_turns(hypothesis, other) for other in distinct) or contains(hypothesis, chosen):
+        if any(differ_by_turns(hypothesis, accepted) for accepted in distinct) or contains(hypothesis, chosen):
             continue
         distinct.append(hypothesis)
-        alike = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
-        alike &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
-        if alike and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.prior.cost("data_fault"):
+        equally_simple = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
+        equally_simple &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
+        if equally_simple and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.prior.cost(
+            "data_fault"
+        ):
             rivals.append(hypothesis)
-    others = [chosen, *rivals] if rivals else distinct[1:]
-    numbers = {"median_error_m": error, "corrected_error_m": least, "alternatives": listed(others)}
+    alternatives = [chosen, *rivals] if rivals else distinct[1:]
+    numbers = {"median_error_m": error, "corrected_error_m": smallest, "alternatives": listed(alternatives)}
     if rivals:
         return state.corrected(DataFault("undecided", (), numbers))
     refined = _refined(state, chosen, corrected)
@@ -121,7 +128,9 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     weighed = deviation.weighed(of_values)
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
-    return tuple(one for one in hypothesis if one.code != "sensor_scale" or _is_gross_scale(one, state.options))
+    return tuple(
+        change for change in hypothesis if change.code != "sensor_scale" or _is_gross_scale(change, state.options)
+    )
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
@@ -135,16 +144,16 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
     """
     board = state.recording.settings.board
     for change in hypothesis:
-        own = change.numbers | (numbers if change is hypothesis[-1] else {})
+        fault_numbers = change.numbers | (numbers if change is hypothesis[-1] else {})
         if change.code == "declared_frame":
             turned = Rotation.from_matrix(rigid.T_sensor_base[:3, :3]).as_rotvec()
-            own |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
+            fault_numbers |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
         if change.code == "declared_tool":
             tool = np.linalg.inv(rigid.arm.T_joint_flange) @ rigid.T_flange_tool
-            own["translation_m"] = tool[:3, 3].tolist()
+            fault_numbers["translation_m"] = tool[:3, 3].tolist()
         if change.code == "sensor_scale" and board is not None:
-            own |= {"declared_m": board.square_m, "square_m": board.square_m / float(change.value)}
-        state = state.corrected(DataFault(change.code, (), own), rigid=rigid)
+            fault_numbers |= {"declared_m": board.square_m, "square_m": board.square_m / float(change.value)}
+        state = state.corrected(DataFault(change.code, (), fault_numbers), rigid=rigid)
     return state.transformed(partial(undo, hypothesis))
 
 
@@ -167,20 +176,20 @@ def touches_one_point(recording: Recording, noise: float) -> bool:
     return median_distance(recording.position) <= 3 * noise
 
 
-def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hypothesis]:
+def _search(thinned: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hypothesis]:
     """Hypotheses worth a fit: the best by error, of few changes first, more only where fewer do not suffice."""
-    simple = list(single_changes(few.recording))
-    touches = few.recording.touches is not None
+    simple = list(single_changes(thinned.recording))
+    touches = thinned.recording.touches is not None
     if touches:  # each hypothesis takes a fit of its places
-        few = few.select(spread_rows(few.samples, options.pair_rows))
+        thinned = thinned.select(spread_rows(thinned.samples, options.pair_rows))
     else:
-        simple += _scales(few, options)
+        simple += _scales(thinned, options)
     beam: list[Hypothesis] = [()]
-    best: dict[Hypothesis, float] = {}
+    errors: dict[Hypothesis, float] = {}
     for changes in range(1 if touches else options.most_changes):
-        rows = few if not changes else few.select(spread_rows(few.samples, options.pair_rows))
-        tried = {joined(h, more) for h in beam for more in simple if compatible(h, more)}
-        scored = {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in tried}
+        rows = thinned if not changes else thinned.select(spread_rows(thinned.samples, options.pair_rows))
+        candidates = {joined(h, more) for h in beam for more in simple if compatible(h, more)}
+        scored = {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in candidates}
         beam = sorted(scored, key=lambda h: (scored[h], simplicity(h)))[: options.pairs_first]
         if not beam:
             break
@@ -191,51 +200,54 @@ def _search(few: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hy
             if zeros:
                 refined = joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
                 scored[refined] = median_error(_free_frames(rows, undo(refined, rows.recording)))
-        least = min(scored.values())
-        stuck = bool(best) and least > options.worth_another * min(best.values())
-        best |= scored
-        if least <= options.unfitted_ratio * allowed or stuck:
+        smallest = min(scored.values())
+        stuck = bool(errors) and smallest > options.worth_another * min(errors.values())
+        errors |= scored
+        if smallest <= options.unfitted_ratio * allowed or stuck:
             break
-    least = min(best.values(), default=np.inf)
-    worth = max(options.unfitted_ratio * allowed, options.fitted_ratio * least)
+    smallest = min(errors.values(), default=np.inf)
+    limit = max(options.unfitted_ratio * allowed, options.fitted_ratio * smallest)
     # a number of any size reduces some error of any arm: `explain_deviation` judges what explains a part of it
-    near = (h for h in best if best[h] <= (options.unfitted_ratio * allowed if any(map(is_estimated, h)) else worth))
-    ranked = sorted(near, key=lambda h: (best[h], simplicity(h)))
+    near = (
+        h for h in errors if errors[h] <= (options.unfitted_ratio * allowed if any(map(is_estimated, h)) else limit)
+    )
+    ranked = sorted(near, key=lambda h: (errors[h], simplicity(h)))
     return ranked[: options.pairs_first]
 
 
-def _scales(few: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
+def _scales(thinned: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
     """The scale of the sensor at which the nominal arm misses the poses least, where it is grossly wrong."""
-    few = few.select(spread_rows(few.samples, options.pair_rows))
+    thinned = thinned.select(spread_rows(thinned.samples, options.pair_rows))
 
     def error(log_scale: float) -> float:
         change = Change("sensor_scale", (), float(np.exp(log_scale)))
-        return median_error(_free_frames(few, change.undone(few.recording)))
+        return median_error(_free_frames(thinned, change.undone(thinned.recording)))
 
-    most = float(np.log(options.largest_scale))
-    nearest: Any = minimize_scalar(error, bounds=(-most, most), method="bounded")
+    bound = float(np.log(options.largest_scale))
+    nearest: Any = minimize_scalar(error, bounds=(-bound, bound), method="bounded")
     log_scale = float(nearest.x)
     grossly = abs(log_scale) > np.log(options.least_scale)
     return [(Change("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
 
 
-def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
+def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     """Zeros of joints that are off by more than a calibration corrects, of a fit of all of them."""
-    arm = _free_frames(few, undo(hypothesis, few.recording))
+    arm = _free_frames(thinned, undo(hypothesis, thinned.recording))
     settings, dof = arm.recording.settings, arm.recording.dof
     free_frame, free_tool = settings.pose_frame != "base", settings.tool == "unknown"
-    if few.recording.touches is not None:
-        free_frame = few.form.frame
+    if thinned.recording.touches is not None:
+        free_frame = thinned.form.frame
     zeros = with_zeros(arm.recording)
     axes = range(max(arm.rows, 3))
     unknown = [("base", 0, k) for k in range(6)] * free_frame + [("tool", 0, k) for k in axes] * free_tool
     unknown += [("link", i, 5) if i < dof - 1 else ("tool", 0, 5) for i in zeros]
-    own = [k for k, (name, _, _) in enumerate(arm.unknown) if name == "reading"]
-    precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[own]]
-    offset, last = np.r_[np.zeros(len(unknown)), arm.offset[own]], len(unknown)
-    unknown += [arm.unknown[k] for k in own]
+    reading_places = [k for k, (name, _, _) in enumerate(arm.unknown) if name == "reading"]
+    precision = np.r_[np.zeros(len(unknown) - len(zeros)), np.ones(len(zeros)), arm.precision[reading_places]]
+    offset = np.r_[np.zeros(len(unknown)), arm.offset[reading_places]]
+    last = len(unknown)
+    unknown += [arm.unknown[k] for k in reading_places]
     numbers = {"precision": precision, "offset": offset, "informative": precision > 0}
-    fit = replace(arm, unknown=tuple(unknown), **numbers).fitted(few.samples)
+    fit = replace(arm, unknown=tuple(unknown), **numbers).fitted(thinned.samples)
     off = fit.offset[last - len(zeros) : last]
     total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
     for change in (c for c in hypothesis if c.code == "joint_turns"):
@@ -247,15 +259,20 @@ def _zeros(few: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     return tuple(changes)
 
 
-def _nearest_arm(few: RigidArm) -> tuple[str | None, float]:
+def _nearest_arm(thinned: RigidArm) -> tuple[str | None, float]:
     """The other bundled arm whose nominal kinematics agree best, and its median error in m."""
-    declared_tool = np.linalg.inv(few.arm.T_joint_flange) @ few.T_flange_tool
+    declared_tool = np.linalg.inv(thinned.arm.T_joint_flange) @ thinned.T_flange_tool
     errors = []
-    for one in bundled_of(few.recording.dof):
-        if one.sliding == few.recording.sliding and one.name != few.arm.name:
-            tool = one.T_joint_flange @ declared_tool
-            start = few.start._replace(geometry=one.kinematics.ravel(), T_flange_tool=tool)  # type: ignore[arg-type]
-            errors.append((median_error(_free_frames(replace(few, arm=one, start=start), few.recording)), one.name))
+    for candidate in bundled_of(thinned.recording.dof):
+        if candidate.sliding == thinned.recording.sliding and candidate.name != thinned.arm.name:
+            tool = candidate.T_joint_flange @ declared_tool
+            start = thinned.start._replace(geometry=candidate.kinematics.ravel(), T_flange_tool=tool)  # type: ignore[arg-type]
+            errors.append(
+                (
+                    median_error(_free_frames(replace(thinned, arm=candidate, start=start), thinned.recording)),
+                    candidate.name,
+                )
+            )
     error, name = min(errors, default=(np.inf, None))
     return name, error
 
@@ -314,13 +331,13 @@ def explain_deviation(state: Screened) -> Screened:
         explained = _likeliest(Deviation(fitted, start), options)
         if explained is None:
             break
-        change, others = explained
+        change, rivals = explained
         more = added(made, change)
         begun = rigid_arm(undo(more, state.recording), fitted.arm, state.geometry, state.factory)
         again = begun.fitted(options.most_fitted)
         if again.scale > options.equal_ratio * fitted.scale:  # the fit had taken up something else
             break
-        alternatives += others
+        alternatives += rivals
         made, start, fitted = more, begun, again
     if made:
         numbers: dict[str, Any] = {"median_error_m": error, "corrected_error_m": median_error(start)}
@@ -342,15 +359,15 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change,
         changes += [Change("declared_tool")] * (not deviation.arm.form.tool)
     none = deviation.weighed(())
     weighed = {change: deviation.weighed((change,)) for change in changes}
-    best = max(weighed, key=lambda change: weighed[change].evidence)
+    likeliest = max(weighed, key=lambda change: weighed[change].evidence)
     required = options.prior.cost("data_fault") + float(np.log(len(changes)))
-    if weighed[best].evidence - none.evidence < required:
+    if weighed[likeliest].evidence - none.evidence < required:
         return None
-    fits = {change: deviation.weighed((change,), [weighed[best].factor]).fit for change in changes}
-    alike = [change for change in changes if fits[best] - fits[change] < options.prior.cost("data_fault")]
-    alike.sort(key=lambda change: simplicity((change,)))
-    valued = [deviation.valued(change, weighed[change]) for change in alike]
-    if not _is_gross(valued[0], deviation.share(alike[0], weighed[alike[0]]), options):
+    fits = {change: deviation.weighed((change,), [weighed[likeliest].factor]).fit for change in changes}
+    comparable = [change for change in changes if fits[likeliest] - fits[change] < options.prior.cost("data_fault")]
+    comparable.sort(key=lambda change: simplicity((change,)))
+    valued = [deviation.valued(change, weighed[change]) for change in comparable]
+    if not _is_gross(valued[0], deviation.share(comparable[0], weighed[comparable[0]]), options):
         return None
     return valued[0], [(change,) for change in valued[1:]]
 
@@ -376,7 +393,7 @@ def _is_gross_scale(change: Change, options: ScreeningOptions) -> bool:
 def tables_of_model(name: str) -> list[Arm]:
     """The bundled tables of the model that an arm's name begins with: two of a lite6."""
     model = name.split("_")[0]
-    return [load_bundled(other) for other in bundled_arms() if other.split("_")[0] == model]
+    return [load_bundled(table) for table in bundled_arms() if table.split("_")[0] == model]
 
 
 def use_other_table(state: Screened) -> Screened:
@@ -392,41 +409,48 @@ def use_other_table(state: Screened) -> Screened:
     declared = [arm.arm]
     if arm.exact:
         declared = [t for t in tables if np.abs(t.links - arm.links).max() < options.published_tolerance]
-    others = [table for table in tables if declared and table.name != declared[0].name]
-    if not others:
+    alternatives = [table for table in tables if declared and table.name != declared[0].name]
+    if not alternatives:
         reason = "own_chain" if arm.exact else "single_table"
         return state.rule_out("nominal_table", reason=reason, declared=arm.arm.name)
-    other, vague = others[0], False
-    numbers: dict[str, Any] = {"declared": declared[0].name, "table": other.name}
-    theirs = _with_table(arm, other).fitted(options.most_fitted)
+    alternative = alternatives[0]
+    vague = False
+    numbers: dict[str, Any] = {"declared": declared[0].name, "table": alternative.name}
+    theirs = _with_table(arm, alternative).fitted(options.most_fitted)
     if arm.exact:
         # of the way from the declared table to the other at which the data lie
         between = np.zeros((len(arm.links) + 1, 6))
-        T = other.links @ np.linalg.inv(arm.links)
+        T = alternative.links @ np.linalg.inv(arm.links)
         between[:-1, :3], between[:-1, 3:] = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
         column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
         share, std = (float(n[0]) for n in estimated(arm, physics_columns(arm, skip=("links",)), column, options))
         clear = std < options.share_std or theirs.scale < options.table_ratio * arm.scale
-        there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
-        decided, likelier, vague = bool(clear and there), bool(theirs.scale < arm.scale), bool(np.isinf(std))
+        at_alternative = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
+        decided, likelier, vague = bool(clear and at_alternative), bool(theirs.scale < arm.scale), bool(np.isinf(std))
         numbers |= {"decided": decided} | ({"share": share, "share_std": std} if np.isfinite(std) else {})
     else:
         ours = _with_table(arm, arm.arm).fitted(options.most_fitted)
         more = len(arm.unknown) - len(theirs.unknown)
         fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
         required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("nominal_table"))
-        decided, likelier = bool(theirs.log_likelihood(arm.scale) > required), False
+        decided = bool(theirs.log_likelihood(arm.scale) > required)
+        likelier = False
         ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}
         numbers |= {"decided": decided} | ratios
-    if not decided and other.name != state.corrections.table:
+    if not decided and alternative.name != state.corrections.table:
         reason = "indistinguishable" if vague else "declared_fits"
         return state.rule_out("nominal_table", reason=reason, likelier=likelier, **numbers, fitted=not arm.exact)
-    recording, nominal, factory, used = arm.recording, arm.arm, state.factory, "none"
+    recording = arm.recording
+    nominal = arm.arm
+    factory = state.factory
+    used = "none"
     if not arm.exact or state.geometry == "declared":
         # its factory calibration was not that arm's
         settings = replace(recording.settings, factory_calibration=None, factory_uncertainty=None)
-        settings = settings if settings.arm_is_file else replace(settings, arm=other.name)
-        recording, nominal, factory = replace(recording, settings=settings), other, None
+        settings = settings if settings.arm_is_file else replace(settings, arm=alternative.name)
+        recording = replace(recording, settings=settings)
+        nominal = alternative
+        factory = None
         used = "instead_of_file" if arm.exact else "table"
     fault = DataFault("nominal_table", (), numbers | {"used": used})
     return replace(state.corrected(fault, recording), arm=nominal, factory=factory)
@@ -435,8 +459,8 @@ def use_other_table(state: Screened) -> Screened:
 def _with_table(arm: RigidArm, table: Arm) -> RigidArm:
     """With a chain that is not fitted, the sensor's frame and the tool as far as they are free, and its own numbers."""
     free_frame = arm.recording.settings.pose_frame != "base"
-    kept = [name in ("tool", "reading") or (name == "base" and free_frame) for name, _, _ in arm.unknown]
+    mask = [name in ("tool", "reading") or (name == "base" and free_frame) for name, _, _ in arm.unknown]
     T = arm.T_sensor_base if free_frame else np.eye(4)  # a known one was displaced for the first link
     rows = np.array([frames.row_from_transform(link) for link in table.links])
     start = ArmModel(rows.ravel(), T, arm.T_flange_tool)  # type: ignore[arg-type]
-    return replace(arm.keeping(kept), start=start)
+    return replace(arm.keeping(mask), start=start)

@@ -26,15 +26,15 @@ def reproduced(arm: RigidArm) -> tuple[float, float]:
     The frame and the tool of the orientations are free, whatever those of the positions are: they may be another's. Too
     few rows, and a table that is far off, are infinitely far.
     """
-    few = arm.select(spread_rows(arm.samples, _ROWS))
-    measured = measured_rotations(few.recording)
+    thinned = arm.select(spread_rows(arm.samples, _ROWS))
+    measured = measured_rotations(thinned.recording)
     assert measured is not None
-    links = few.links.copy()
+    links = thinned.links.copy()
     links[:, :3, 3] = 0.0
     numbers = 3 * (len(links) + 1)
-    if 3 * few.samples < 2 * numbers:
+    if 3 * thinned.samples < 2 * numbers:
         return np.inf, np.inf
-    turns = frames.chain(links, few.recording.joint_position, few.recording.sliding)
+    turns = frames.chain(links, thinned.recording.joint_position, thinned.recording.sliding)
     turns[:, :3, 3] = 0.0
     T_frame, T_tool = np.eye(4), np.eye(4)
     T_frame[:3, :3], T_tool[:3, :3] = _frame_and_tool(turns[:, :3, :3], measured)
@@ -42,9 +42,9 @@ def reproduced(arm: RigidArm) -> tuple[float, float]:
     unknown: list[Site] = [("base", 0, k) for k in (3, 4, 5)]
     unknown += [("link", j, k) for j in range(len(links) - 1) for k in (3, 4, 5)]
     unknown += [("tool", 0, k) for k in (3, 4, 5)]
-    still = replace(few.recording, position=np.zeros((few.samples, 3)))
+    still = replace(thinned.recording, position=np.zeros((thinned.samples, 3)))
     turned = replace(
-        few.with_poses(still),
+        thinned.with_poses(still),
         start=ArmModel(rows.ravel(), T_frame, T_tool),  # type: ignore[arg-type]
         unknown=tuple(unknown),
         precision=np.full(len(unknown), 1e-6),
@@ -54,8 +54,8 @@ def reproduced(arm: RigidArm) -> tuple[float, float]:
     by_table = float(np.median(turned.turn))
     if by_table > _NEAR:
         return by_table, np.inf
-    freedom = (3 * few.samples / (3 * few.samples - numbers)) ** 0.5
-    return by_table, freedom * float(np.median(turned.fitted(few.samples).turn))
+    freedom = (3 * thinned.samples / (3 * thinned.samples - numbers)) ** 0.5
+    return by_table, freedom * float(np.median(turned.fitted(thinned.samples).turn))
 
 
 def _frame_and_tool(R: Array, measured: Array) -> tuple[Array, Array]:

@@ -66,13 +66,13 @@ class _Evidence(NamedTuple):
 
     def convicts(self, mark: Mark, rows: NDArray[np.integer]) -> Rows:
         """Which of the rows of a mark hold no measurement."""
-        every = np.ones(len(rows), bool)
+        all_rows = np.ones(len(rows), bool)
         none = np.zeros(len(rows), bool)
         if mark.array == "joint_position":
             column = slice(None) if mark.column is None else mark.column
             usual = np.mean(self.beyond[:, column]) < self.options.most_placeholders
             if mark.value is not None and usual and self.beyond[rows][:, column].all() and len(rows) > 1:
-                return every
+                return all_rows
         if self.missed is not None:
             missed = self.missed[rows]
             fewest = min(2, len(rows)) if mark.value is not None else 2
@@ -80,16 +80,16 @@ class _Evidence(NamedTuple):
                 fewest = max(fewest, len(rows) - 1)  # of what was read last, or of one column, one row may be right
             if missed.sum() < fewest or (mark.column is not None and len(rows) < 2):
                 return none
-            return missed if mark.column is None else every
-        return every if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows) else none
+            return missed if mark.column is None else all_rows
+        return all_rows if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows) else none
 
     def _contradicts(self, mark: Mark, rows: NDArray[np.integer]) -> bool:
         """Whether the poses of the same joints, or the joints of the same pose, are far from each other."""
         joints = mark.array == "joint_position"
-        others = self.recording.position if joints else self.recording.joint_position
-        assert others is not None
-        apart = np.linalg.norm(others[rows] - np.median(others[rows], axis=0), axis=1)
-        return float(apart.max()) > self.options.placeholder_apart * median_distance(others)
+        counterpart = self.recording.position if joints else self.recording.joint_position
+        assert counterpart is not None
+        apart = np.linalg.norm(counterpart[rows] - np.median(counterpart[rows], axis=0), axis=1)
+        return float(apart.max()) > self.options.placeholder_apart * median_distance(counterpart)
 
 
 def _evidence(recording: Recording, arm: Arm | None, options: ScreeningOptions) -> _Evidence:

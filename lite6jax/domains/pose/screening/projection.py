@@ -21,12 +21,12 @@ class Projected:
 
     Attributes:
         arm: fitted.
-        known: `(number, row, sample)`, beside the arm's own unknowns.
+        nuisance: `(number, row, sample)`, beside the arm's own unknowns.
         options: the thresholds.
     """
 
     arm: RigidArm
-    known: Array
+    nuisance: Array
     options: ScreeningOptions
 
     @cached_property
@@ -38,7 +38,7 @@ class Projected:
     @cached_property
     def basis(self) -> Array:
         """`(rank, row sample)`, orthonormal, of the known columns."""
-        columns = np.concatenate([self.arm.frame_columns, self.known]) * self.weight
+        columns = np.concatenate([self.arm.frame_columns, self.nuisance]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
         return orthonormal(unit_rows(flat), DEFAULTS.rounding)
 
@@ -70,26 +70,26 @@ class Projected:
         inverse = np.zeros_like(G) if confounded.all() else np.linalg.inv(G)
         inverse[confounded] = inverse[:, confounded] = 0.0
         values = -inverse @ (X @ self.residual)
-        left = self.residual + values @ X
-        white = inverse * max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
-        pulls = (X * left).reshape(len(X), self.arm.rows, -1).sum(1)
+        remainder = self.residual + values @ X
+        white = inverse * max(float(remainder @ remainder) / max(self.freedom - len(X), 1), 1e-300)
+        pulls = (X * remainder).reshape(len(X), self.arm.rows, -1).sum(1)
         uneven = inverse @ (pulls @ pulls.T) @ inverse
         grown = np.sqrt(np.maximum(1.0, np.diagonal(uneven) / np.maximum(np.diagonal(white), 1e-300)))
         covariance = white * np.outer(grown, grown)
         covariance[confounded, confounded] = np.inf
         explained = float(values @ (X @ X.T) @ values)
-        return values, covariance, explained / max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
+        return values, covariance, explained / max(float(remainder @ remainder) / max(self.freedom - len(X), 1), 1e-300)
 
 
-def estimated(arm: RigidArm, known: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
+def estimated(arm: RigidArm, nuisance: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
     """The numbers of `columns` `(number, row, sample)` and their standard deviations, beside the known ones."""
-    values, covariance, _ = Projected(arm, known, options).regression(columns)
+    values, covariance, _ = Projected(arm, nuisance, options).regression(columns)
     return values, np.sqrt(np.diagonal(covariance))
 
 
-def next_step(arm: RigidArm, known: Array, columns: Array, options: ScreeningOptions) -> Array | None:
+def next_step(arm: RigidArm, nuisance: Array, columns: Array, options: ScreeningOptions) -> Array | None:
     """What a correction by `columns` still lacks, `(number,)`; None where that is little beside its deviations."""
-    values, std = estimated(arm, known, columns, options)
+    values, std = estimated(arm, nuisance, columns, options)
     if np.all(np.abs(values) < options.converged * std):
         return None
     return np.where(np.isfinite(std), values, 0.0)
@@ -133,10 +133,10 @@ def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
             break
     along = np.concatenate([arm.links[:, :3, 3], arm.T_flange_tool[None, :3, 3]])
     stretch = np.einsum("jk,jkrs->jrs", along, twists.reshape(len(along), 6, arm.rows, -1)[:, :3])
-    seen = np.zeros((1, arm.rows, arm.samples))
-    seen[0, :3] = arm.rigid.tool[:, :3, 3].T
+    positions = np.zeros((1, arm.rows, arm.samples))
+    positions[0, :3] = arm.rigid.tool[:, :3, 3].T
     stretch = stretch.sum(0, keepdims=True) if "links" in skip else stretch
-    scale = np.concatenate([stretch, arm.whitened(seen)])
+    scale = np.concatenate([stretch, arm.whitened(positions)])
     out += [scale, scale * warmth]
     return np.concatenate(out)
 

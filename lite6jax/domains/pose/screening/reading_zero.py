@@ -17,18 +17,18 @@ from lite6jax.recordings.fault import DataFault
 
 def free_constant(state: Screened) -> Screened:
     """With a constant of the distances that is fitted, where it is a fault or was decided to be one."""
-    recording, wanted = state.recording, state.corrections.constant
+    recording, decision = state.recording, state.corrections.constant
     readings, settings = recording.touches, recording.settings
     if readings is None or readings.kind != "distance" or settings.distance_offset == "unknown":
         return state
-    if wanted is False:
+    if decision is False:
         return state
     options = state.options
     freed = replace(recording, settings=replace(settings, distance_offset="unknown"))
     free = rigid_arm(freed, state.rigid_arm.arm, state.geometry, state.factory)
     fitted = free.fitted(options.most_fitted)
     constant, std = _constant(fitted)
-    if not wanted:
+    if not decision:
         plain = state.rigid_arm.fitted(options.most_fitted)
         scale = min(fitted.scale, plain.scale)
         gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)

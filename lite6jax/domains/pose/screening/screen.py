@@ -64,12 +64,12 @@ def drop_repeats(state: Screened) -> Screened:
     again, first = repeated_rows(state.recording)
     if not again.size:
         return state.rule_out("repeated_rows", samples=state.recording.samples)
-    kept = np.ones(state.recording.samples, bool)
-    kept[again] = False
+    retained = np.ones(state.recording.samples, bool)
+    retained[again] = False
     row = state.recording.row
     first_rows = row[first][np.argsort(row[again])].tolist()
     fault = DataFault("repeated_rows", row_numbers(row[again]), {"first_rows": first_rows})
-    return state.corrected(fault, state.recording.select(kept))
+    return state.corrected(fault, state.recording.select(retained))
 
 
 def convert_positions(state: Screened) -> Screened:
@@ -118,11 +118,11 @@ def note_commanded(state: Screened) -> Screened:
         return float(np.mean(on_grid)) if values.size else 0.0
 
     largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
-    named = {"grid_rad": grid, "grid_unit": unit}
+    grid_numbers = {"grid_rad": grid, "grid_unit": unit}
     if values.size >= options.grid_positions and largest == 1.0:
-        numbers = {"distinct_positions": int(values.size), **named}
+        numbers = {"distinct_positions": int(values.size), **grid_numbers}
         return state.corrected(DataFault("commanded_joints", (), numbers))
-    return state.rule_out("commanded_joints", reason="not_round", share=largest, **named)
+    return state.rule_out("commanded_joints", reason="not_round", share=largest, **grid_numbers)
 
 
 def drop_computed_orientations(state: Screened) -> Screened:
@@ -156,14 +156,14 @@ def note_computed(state: Screened) -> Screened:
     arm, recording, options = state.rigid_arm, state.recording, state.options
     if recording.settings.pose_source == "controller_fk":
         return state.rule_out("computed_pose", reason="declared")
-    known = rigid_arm(recording, arm.arm, state.geometry, state.factory)
-    error = float(np.median(known.distance))
+    declared = rigid_arm(recording, arm.arm, state.geometry, state.factory)
+    error = float(np.median(declared.distance))
     position = recording.position
     assert position is not None
     computed = computed_by_controller(error, position, recording.joint_position)
     computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
-    if computed and float(np.median(known.turn)) <= options.computed_rad:
-        numbers = {"median_error_m": error, "chain": "factory" if known.exact else "nominal"}
+    if computed and float(np.median(declared.turn)) <= options.computed_rad:
+        numbers = {"median_error_m": error, "chain": "factory" if declared.exact else "nominal"}
         return state.corrected(DataFault("computed_pose", (), numbers))
     error = float(np.median(arm.distance))
     if _is_computed(arm) and float(np.median(arm.turn)) <= options.computed_rad:
@@ -251,9 +251,9 @@ def price(screened: Screened, numbers: float, samples: int) -> float:
         numbers: how many were measured, n: rows times samples.
         samples: how many.
     """
-    found = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
-    quantities = sum(screen.estimated(fault) for screen, fault in found)
-    located = sum(screen.located for screen, _ in found)
+    corrections = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
+    quantities = sum(screen.estimated(fault) for screen, fault in corrections)
+    located = sum(screen.located for screen, _ in corrections)
     return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
 
 
@@ -298,7 +298,8 @@ def screen(
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
-            state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
+            state = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted))
+            fitted = True
         state = entry.run(state)
         if state.count("other_arm") and not allow_undecided:
             n = state.found[-1].numbers

@@ -100,11 +100,11 @@ class Screened:
             recording = self.recording if rigid is None else rigid.recording
         elif rigid is not None:
             rigid = rigid.with_poses(recording)
-        ruled_out = tuple(one for one in self.ruled_out if one.code != fault.code)
+        ruled_out = tuple(excluded for excluded in self.ruled_out if excluded.code != fault.code)
         return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault), ruled_out=ruled_out)
 
     def rule_out(self, *codes: str, **numbers: Any) -> "Screened":
         """With faults ruled out by the same numbers, but for those of which one was found before."""
-        found = {fault.code for fault in self.found}
-        ruled_out = (DataFault(code, (), numbers) for code in codes if code not in found)
+        corrected_codes = {fault.code for fault in self.found}
+        ruled_out = (DataFault(code, (), numbers) for code in codes if code not in corrected_codes)
         return replace(self, ruled_out=(*self.ruled_out, *ruled_out))

@@ -28,13 +28,13 @@ class Unsettled(NamedTuple):
         shape: "move", a share of each move was left; "velocity", a time at the recorded velocity; "constant", the same
             angle after each move.
         joints: concerned, from 0.
-        rest: `(joint,)` share, s or rad.
+        remainder: `(joint,)` share, s or rad.
         std: of it.
     """
 
     shape: Shape
     joints: tuple[int, ...]
-    rest: Array
+    remainder: Array
     std: Array
 
 
@@ -45,24 +45,27 @@ def settle_joints(state: Screened) -> Screened:
         return state.rule_out("unsettled_readouts", reason="moving", samples=samples)
     if not state.corrections.settling:
         return state
-    found, ruled_out = seek_unsettled(state.rigid_arm, state.options)
-    if found is None:
+    unsettled, ruled_out = seek_unsettled(state.rigid_arm, state.options)
+    if unsettled is None:
         return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
-    joints = [j + 1 for j in found.joints]
-    arm, found = settled(state.rigid_arm, found, state.options)
-    largest = int(np.argmax(np.abs(found.rest)))
-    correction = _rests(state.recording)[found.shape] * found.rest
+    joints = [j + 1 for j in unsettled.joints]
+    arm, unsettled = settled(state.rigid_arm, unsettled, state.options)
+    largest = int(np.argmax(np.abs(unsettled.remainder)))
+    correction = _rests(state.recording)[unsettled.shape] * unsettled.remainder
     numbers = {
-        "shape": found.shape,
+        "shape": unsettled.shape,
         "joints": joints,
-        "all_joints": len(joints) == len(found.rest),
-        "rest": float(found.rest[largest]),
-        "rest_std": float(found.std[largest]),
+        "all_joints": len(joints) == len(unsettled.remainder),
+        "rest": float(unsettled.remainder[largest]),
+        "rest_std": float(unsettled.std[largest]),
         "largest_rms_rad": float(np.sqrt(np.mean(correction**2, 0)).max()),
     }
 
     def settle(recording: Recording) -> Recording:
-        return replace(recording, joint_position=recording.joint_position + _rests(recording)[found.shape] * found.rest)
+        return replace(
+            recording,
+            joint_position=recording.joint_position + _rests(recording)[unsettled.shape] * unsettled.remainder,
+        )
 
     return state.corrected(DataFault("unsettled_readouts", (), numbers), rigid=arm).transformed(settle)
 
@@ -84,74 +87,80 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     too_few = {"reason": "too_few_rows"}
     if arm.samples < 3:
         return None, too_few
-    few = spread_rows(arm.samples, options.most_samples)
-    shapes: dict[Shape, Array] = {name: shape[few] for name, shape in _rests(recording).items()}
-    arm = arm.select(few)
+    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    shapes: dict[Shape, Array] = {name: shape[sampled_rows] for name, shape in _rests(recording).items()}
+    arm = arm.select(sampled_rows)
     # from where each joint is in the row after; zero in the last row of a run
     future = np.where(np.diff(run_segments(recording.run), prepend=-1)[:, None] != 0, 0.0, -moves(recording))
-    future = np.roll(future, -1, axis=0)[few]
+    future = np.roll(future, -1, axis=0)[sampled_rows]
     columns: dict[Shape, Array] = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
-    known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
-    tests, least, ordered = len(shapes) * (1 + dof), 1.0, False
-    found: list[tuple[float, Unsettled]] = []
-    for name, own in columns.items():
-        others = [columns[other] for other in columns if other != name]
-        projected = Projected(arm, np.concatenate([known, *others]), options)
+    nuisance = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
+    tests = len(shapes) * (1 + dof)
+    smallest_p = 1.0
+    ordered = False
+    candidates: list[tuple[float, Unsettled]] = []
+    for name, tested in columns.items():
+        rival_columns = [columns[rival] for rival in columns if rival != name]
+        projected = Projected(arm, np.concatenate([nuisance, *rival_columns]), options)
         if projected.freedom < arm.samples:
             return None, too_few
-        each, covariance, separate = projected.regression(own)
-        one, variance, common = projected.regression(own.sum(0, keepdims=True))
+        per_joint, covariance, separate = projected.regression(tested)
+        shared, variance, common = projected.regression(tested.sum(0, keepdims=True))
         std = np.sqrt(np.diagonal(covariance))
-        p_one = float(ndtr(-one[0] / np.sqrt(variance[0, 0]))) * tests
-        p_each = ndtr(-each / std) * tests
-        least = min(least, p_one, float(p_each.min()))
+        p_one = float(ndtr(-shared[0] / np.sqrt(variance[0, 0]))) * tests
+        p_each = ndtr(-per_joint / std) * tests
+        smallest_p = min(smallest_p, p_one, float(p_each.min()))
         if min(p_one, float(p_each.min())) > options.settling_level:
             continue
         chance = chdtri(max(dof - 1, 1), options.settling_level)
         if p_one > options.settling_level or separate - common > max(chance, options.separate_share * separate):
             concerned = p_each < options.settling_level
-            rest = np.where(concerned, each, 0.0)
-            explained = float(np.sum((rest / std) ** 2))
+            remainder = np.where(concerned, per_joint, 0.0)
+            explained = float(np.sum((remainder / std) ** 2))
         else:
-            rest, std = np.full(dof, one[0]), np.full(dof, np.sqrt(variance[0, 0]))
-            concerned, explained = np.ones(dof, bool), common
+            remainder, std = np.full(dof, shared[0]), np.full(dof, np.sqrt(variance[0, 0]))
+            concerned = np.ones(dof, bool)
+            explained = common
         if explained < options.settling_share * projected.freedom:
             continue
         if name != "velocity":
             after = future if name == "move" else np.sign(future)
-            both = projected.regression(np.concatenate([own, arm.joints * after.T[:, None]]))[2]
-            chance = chdtri(len(own), options.jump_level)
-            if both - separate > max(chance, options.next_move_share * separate):
+            with_next = projected.regression(np.concatenate([tested, arm.joints * after.T[:, None]]))[2]
+            chance = chdtri(len(tested), options.jump_level)
+            if with_next - separate > max(chance, options.next_move_share * separate):
                 ordered = True
                 continue
         joints = tuple(int(j) for j in np.flatnonzero(concerned))
         if joints:
-            found.append((separate, Unsettled(name, joints, rest, std)))
-    if found:
-        return max(found, key=lambda item: item[0])[1], {}
-    return None, {"reason": "ordered_poses" if ordered else "chance", "p_value": min(least, 1.0)}
+            candidates.append((separate, Unsettled(name, joints, remainder, std)))
+    if candidates:
+        return max(candidates, key=lambda item: item[0])[1], {}
+    return None, {"reason": "ordered_poses" if ordered else "chance", "p_value": min(smallest_p, 1.0)}
 
 
-def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
+def settled(arm: RigidArm, unsettled: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
-    rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
-    common = np.ptp(found.rest) == 0
-    few, step = spread_rows(arm.samples, options.most_samples), found.rest
-    start, shape = arm.recording, _rests(arm.recording)[found.shape]
+    remainder = np.zeros(len(unsettled.remainder))
+    concerned = np.isin(np.arange(len(unsettled.remainder)), unsettled.joints)
+    common = np.ptp(unsettled.remainder) == 0
+    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    step = unsettled.remainder
+    start = arm.recording
+    shape = _rests(arm.recording)[unsettled.shape]
     for _ in range(options.refinements):
-        rest = rest + step
-        moved = replace(start, joint_position=start.joint_position + shape * rest)
+        remainder = remainder + step
+        moved = replace(start, joint_position=start.joint_position + shape * remainder)
         arm = arm.with_poses(moved).fitted(options.most_fitted)
-        part = arm.select(few)
-        columns = part.joints * shape[few].T[:, None]
-        physics = physics_columns(part, skip=("direction",) if found.shape == "constant" else ())
-        known = np.concatenate([physics, _curves(part, options)])
+        part = arm.select(sampled_rows)
+        columns = part.joints * shape[sampled_rows].T[:, None]
+        physics = physics_columns(part, skip=("direction",) if unsettled.shape == "constant" else ())
+        nuisance = np.concatenate([physics, _curves(part, options)])
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        if (more := next_step(part, known, group, options)) is None:
+        if (more := next_step(part, nuisance, group, options)) is None:
             break
-        step = np.zeros_like(rest)
+        step = np.zeros_like(remainder)
         step[concerned] = more
-    return arm, found._replace(rest=rest)
+    return arm, unsettled._replace(remainder=remainder)
 
 
 def _rests(recording: Recording) -> dict[Shape, Array]:

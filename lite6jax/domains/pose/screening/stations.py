@@ -40,8 +40,8 @@ def join_stations(state: Screened) -> Screened:
                 f"record {FEWEST_POSES} or more from each place"
             )
         parts.append(_without_gross_faults(state, part))
-    most = max(parts, key=lambda part: part.samples)
-    frames = [_sensor_frame(part, most.T_flange_tool) for part in parts]
+    largest = max(parts, key=lambda part: part.samples)
+    frames = [_sensor_frame(part, largest.T_flange_tool) for part in parts]
     carried = partial(_carry, to_first=frames[0] @ np.linalg.inv(frames))
     return replace(state, recording=carried(recording)).transformed(carried)
 
