@@ -233,6 +233,8 @@ _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _COMPARED = 0.2
 """`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
+_MEMORY = 0.3
+"""s, `EngineOptions.longest_memory`: whitening by a longer one leaves velocities alone."""
 _DAMPING = (1e-4, 1e-2, 1.0, 100.0)
 """`EngineOptions.damping`: derivatives are secants, and may be wrong by as much as they are."""
 
@@ -345,6 +347,7 @@ def diagnose_tracking(
             screened = screen_tracking(recording, arm)
             problem = tracking_problem(screened.data)
             problem = replace(problem, valid=problem.valid & ~screened.stale)
+            engine = replace(engine, longest_memory=_MEMORY / problem.data.commands.period)
             if problem.unknowns:
                 entered("linearising")
                 problem = relinearise(problem, engine, problem.valid, _STARTS)

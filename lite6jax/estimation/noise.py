@@ -191,7 +191,7 @@ def _autocorrelation(
             scale = left / max(rows.size - determined, 1.0)
         return found
 
-    tried = coefficients(rows.shape[1])
+    tried = coefficients(min(rows.shape[1], _FORGOTTEN * options.longest_memory))
     best, climbed = (before.coefficient, before.share), None
     if not before.share or before.coefficient not in tried:
         best = max(product(tried[1::3], _SHARES[1::3]), key=likelihood)
@@ -203,7 +203,7 @@ def _autocorrelation(
     return Autocorrelation(*best) if likelihood(best) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
 
 
-def coefficients(samples: int) -> Sequence[float]:
+def coefficients(samples: float) -> Sequence[float]:
     """Of autoregressions, those that forget within so many samples, and two at least."""
     return _COEFFICIENTS[: max(sum((1 - one) * samples >= _FORGOTTEN for one in _COEFFICIENTS), 2)]
 

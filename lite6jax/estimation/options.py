@@ -53,6 +53,9 @@ class EngineOptions:
     )
     least_in_run: int = option(4, "mean samples of a run from which autocorrelation is estimated", "two parameters")
     most_for_noise: int = option(2000, "samples from which the noise model is estimated", "known to 3 %")
+    longest_memory: float = option(
+        float("inf"), "samples after which noise has forgotten to 1/e, at most", "the length of a recording bounds it"
+    )
     # least squares
     steps: int = option(
         25, "most Gauss-Newton steps of a fit in one linearisation", "four suffice where the model is right"

@@ -227,9 +227,6 @@ class PoseProblem(RigidArm):
             self._columns[key] = self.sites[columns.site_of(*key)][None]
         return Factored(self._columns[key], self.deflections.basis(term))
 
-    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
-
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
         if not self.masses:
@@ -381,12 +378,12 @@ class PoseProblem(RigidArm):
             return [(-float(np.min(self.motion.payload)), term.coordinates[0].upper)]
         return [(number.lower, number.upper) for number in term.coordinates]
 
-    def thinned(self, stride: int) -> "PoseProblem":
-        """One in `stride` rows, in the runs that they belong to."""
-        if stride == 1:
+    def thinned(self, every: int) -> "PoseProblem":
+        """One in `every` rows, in the runs that they belong to."""
+        if every == 1:
             return self
-        selected = self.select(np.arange(self.samples)[::stride])
-        return replace(selected, motion=thin(self.motion, stride))
+        selected = self.select(np.arange(self.samples)[::every])
+        return replace(selected, motion=thin(self.motion, every))
 
     def alternative(self, terms: Terms) -> "PoseProblem | None":
         """As `with_other_loads`; None also where none of the terms depends on loads."""

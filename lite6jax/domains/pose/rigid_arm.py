@@ -90,6 +90,9 @@ class NuisanceProblem:
         """Position and orientation share one scale over their noise."""
         return np.zeros(self.rows, int)
 
+    def contribution(self: Any, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
+        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
+
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`frame_columns`, whatever terms are beside them."""
         return self.frame_columns
