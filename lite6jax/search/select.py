@@ -123,17 +123,22 @@ class Selector:
         tried = set[object]()
         while worth := self._next(state := self._with_usual(state), tried):
             tried |= {candidate.key for candidate in worth}
-            state = self._settled(self._likelier(state, worth))
+            state = self._settled(self._likelier(state, worth, tried))
         return state
 
-    def _likelier(self, state: State, worth: Sequence[Ranked]) -> State:
-        """The state with more terms; where residuals are curved with those alone whose fit is likelier."""
+    def _likelier(self, state: State, worth: Sequence[Ranked], tried: set[object]) -> State:
+        """The state with more terms; where residuals are curved with those alone whose fit is likelier.
+
+        Where the fit of a process is not, no other one is tried at its site, which joins those that are `tried`.
+        """
         added = self._added(state, worth)
         if not self.problem.curved or added.evidence > state.evidence:
             return added
         if len(worth) > 1:
             for candidate in worth:
-                state = self._likelier(state, [candidate])
+                state = self._likelier(state, [candidate], tried)
+        elif worth[0].process:
+            tried.add(worth[0].site)
         return state
 
     def _with_usual(self, state: State) -> State:
@@ -170,7 +175,9 @@ class Selector:
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or not self._has_room(one, model) or not self._is_possible(test, one):
+            if one.key in tried or (one.process and one.site in tried):
+                continue
+            if not self._has_room(one, model) or not self._is_possible(test, one):
                 continue
             rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
             if not (rows & taken).any():
