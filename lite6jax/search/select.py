@@ -129,7 +129,8 @@ class Selector:
     def _likelier(self, state: State, worth: Sequence[Ranked], tried: set[object]) -> State:
         """The state with more terms; where residuals are curved with those alone whose fit is likelier.
 
-        Where the fit of a process is not, no other one is tried at its site, which joins those that are `tried`.
+        Where the fit of a process is not, or of the second name, columns say nothing there: its site joins those that
+        are `tried`.
         """
         added = self._added(state, worth)
         if not self.problem.curved or added.evidence > state.evidence:
@@ -137,8 +138,10 @@ class Selector:
         if len(worth) > 1:
             for candidate in worth:
                 state = self._likelier(state, [candidate], tried)
-        elif worth[0].process:
+        elif worth[0].process or (worth[0].site, "once") in tried:
             tried.add(worth[0].site)
+        else:
+            tried.add((worth[0].site, "once"))
         return state
 
     def _with_usual(self, state: State) -> State:
@@ -175,7 +178,7 @@ class Selector:
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
                 break
-            if one.key in tried or (one.process and one.site in tried):
+            if one.key in tried or one.site in tried:
                 continue
             if not self._has_room(one, model) or not self._is_possible(test, one):
                 continue
