@@ -290,27 +290,32 @@ def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Sele
     return replace(selection, state=replace(state, tested=tuple(nearest)))
 
 
-def _without_idle_processes(selection: Selection, options: EngineOptions) -> Selection:
-    """The selection without nonparametric effects that hardly change any joint beside what is left there."""
+def _without_negligible(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection without effects that move no joint by more than descriptions of others may be wrong.
+
+    Nor has it nonparametric effects that hardly change any joint beside what is left there.
+    """
     state = selection.state
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
     fit = state.fit
     terms = fit.terms.terms
+    valid = problem.valid
     whole = problem.residual(fit.nuisance, fit.terms, fit.values)
-    left = np.mean(whole[:, problem.valid] ** 2, 1)
-    kept = []
+    remaining = np.mean(whole[:, valid] ** 2, 1)
+    explained = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
+    significant = []
     for tested in state.tested:
-        if tested.term.nonparametric:
-            others = fit.terms.part(fit.values, [term != tested.term for term in terms])
-            moved = whole - problem.residual(fit.nuisance, *others)
-            share = np.mean(moved[:, problem.valid] ** 2, 1) / left
-            if np.max(share) < (1 + _IDLE) ** 2 - 1:
-                continue
-        kept.append(tested)
-    if len(kept) == len(terms):
+        others = fit.terms.part(fit.values, [term != tested.term for term in terms])
+        moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
+        if np.all(moved < _DISCREPANCY**2 * explained):
+            continue
+        if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:
+            continue
+        significant.append(tested)
+    if len(significant) == len(terms):
         return selection
-    return replace(selection, state=refitted(problem, state, kept, options))
+    return replace(selection, state=refitted(problem, state, significant, options))
 
 
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
@@ -356,7 +361,7 @@ def diagnose_tracking(
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
             entered("estimating")
-            selection = _with_gaps_of_rollouts(_without_idle_processes(selection, engine), engine)
+            selection = _with_gaps_of_rollouts(_without_negligible(selection, engine), engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_without, (selection, engine), anywhere=False)

@@ -35,6 +35,11 @@ from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limit
 
 Array = NDArray[np.floating]
 
+_LARGE = 30.0
+"""Log odds by their columns, from which curved terms are compared by their fits."""
+_RIVALS = 4
+"""Names that are fitted beside the likeliest one."""
+
 
 class Selector:
     """A problem with all that is tried in it."""
@@ -130,19 +135,39 @@ class Selector:
         """The state with more terms; where residuals are curved with those alone whose fit is likelier.
 
         Where the fit of a process is not, or of the second name, columns say nothing there: its site joins those that
-        are `tried`.
+        are `tried`. Columns of large effects say little of their fits: the likeliest names of a site are all fitted.
         """
-        added = self._added(state, worth)
-        if not self.problem.curved or added.evidence > state.evidence:
-            return added
-        if len(worth) > 1:
-            for candidate in worth:
-                state = self._likelier(state, [candidate], tried)
-        elif worth[0].process or (worth[0].site, "once") in tried:
-            tried.add(worth[0].site)
-        else:
-            tried.add((worth[0].site, "once"))
+        if not self.problem.curved:
+            return self._added(state, worth)
+        if len(worth) > 1 and max(candidate.net for candidate in worth) < _LARGE:
+            added = self._added(state, worth)
+            if added.evidence > state.evidence:
+                return added
+        for candidate in worth:
+            added = max(
+                (self._added(state, [rival]) for rival in self._comparable(state, candidate)),
+                key=lambda trial: trial.evidence,
+            )
+            if added.evidence > state.evidence:
+                state = added
+            elif candidate.process or (candidate.site, "once") in tried:
+                tried.add(candidate.site)
+            else:
+                tried.add((candidate.site, "once"))
         return state
+
+    def _comparable(self, state: State, candidate: Ranked) -> list[Ranked]:
+        """A candidate and, where it is large, the likeliest other names of its site."""
+        if candidate.net < _LARGE:
+            return [candidate]
+        test = self.test(state)
+        named = self._not_refused(Weighed(self.scan, test).named(), test, state)
+        rivals = [
+            name
+            for name in sorted(named, key=lambda name: -name.net)
+            if name.site == candidate.site and name.key != candidate.key and name.net > self.options.margin
+        ]
+        return [candidate, *rivals[:_RIVALS]]
 
     def _with_usual(self, state: State) -> State:
         """The state with the names that nearly every problem has, before anything else is asked for.

@@ -5,10 +5,24 @@ import math
 import numpy as np
 
 
-def follow(command, period, *, kp, kd, inertia, weight=0.0, coulomb=0.0, viscous=0.0, delay=0.0, play=0.0, fine=100):
+def follow(
+    command,
+    period,
+    *,
+    kp,
+    kd,
+    inertia,
+    weight=0.0,
+    coulomb=0.0,
+    viscous=0.0,
+    delay=0.0,
+    play=0.0,
+    rate=math.inf,
+    fine=100,
+):
     """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
 
-    Its weight exerts weight·sin q, in Nm.
+    Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most.
     """
     h = period / fine
     command = [float(u) for u in command]
@@ -17,12 +31,14 @@ def follow(command, period, *, kp, kd, inertia, weight=0.0, coulomb=0.0, viscous
         q = command[0] - weight * math.sin(q) / kp
     v = 0.0
     y = q
+    limited = command[0]
     read = np.empty(len(command))
     for k in range(len(command) * fine):
         if k % fine == 0:
             read[k // fine] = y
         late = max(math.floor((k * h - delay) / period + 1e-9), 0)
-        pulled = kp * (command[late] - q) - (kd + viscous) * v - weight * math.sin(q)
+        limited += min(max(command[late] - limited, -rate * h), rate * h)
+        pulled = kp * (limited - q) - (kd + viscous) * v - weight * math.sin(q)
         stopped = v + h * pulled / inertia
         band = h * coulomb / inertia
         v = math.copysign(max(abs(stopped) - band, 0.0), stopped)

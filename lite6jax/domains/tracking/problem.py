@@ -330,12 +330,20 @@ class TrackingProblem:
         if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0:
             largest = self._largest(effect)
             if at * largest < 1:
-                return 1 / (_REACHED * largest) - at
+                return 1 / self._reached(effect, largest) - at
         step = max(_SHARE * abs(at), _SHARE * coordinate.typical) if at else coordinate.typical
         lower = self.limits(effect)[k][0]
         if at < lower:
             return lower - at + step
         return step if at + step <= coordinate.upper else -step
+
+    def _reached(self, effect: OfJoint, largest: float) -> float:
+        """A limit that is reached: no joint moves much faster than its commands may."""
+        reached = _REACHED * largest
+        if not isinstance(effect, RateLimit):
+            return reached
+        speed = np.abs(np.asarray(self.data.motion.joint_velocity)[effect.joint - 1])
+        return min(reached, max(float(np.quantile(speed, 0.99)), 0.1 * reached))
 
     def _largest(self, effect: OfJoint) -> float:
         """The speed of a joint's command in rad/s, or its servo's torque in Nm, that is seldom exceeded."""

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from lite6jax import diagnose
 from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.dynamic import CoulombFriction
 from lite6jax.effects.servo import RateLimit
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
-from tests.domains.tracking.test_servo_fit import PENDULUM, SERVO, commands_of, record
+from tests.domains.tracking.test_servo_fit import PENDULUM, PERIOD, SERVO, commands_of, record
 
 SAMPLES = 600
 
@@ -99,3 +102,60 @@ def test_unknown_servos_are_a_nuisance_that_moves_to_where_it_is_linearised():
         number = 0.01 * np.eye(2)[k]
         change = problem.residual(number, Terms(), np.zeros(0)) - problem.residual(np.zeros(2), Terms(), np.zeros(0))
         assert apart(column, change / 0.01) < 0.05
+
+
+FAR = np.array([1.5, -0.8])
+"""Of the logarithms of stiffness and damping."""
+
+
+@pytest.fixture(scope="module")
+def unknown():
+    return tracking_problem(tracking_rows(record(commands_of(SAMPLES), "unknown"), PENDULUM))
+
+
+def test_columns_at_a_nuisance_are_how_residuals_change_there(unknown):
+    friction = CoulombFriction(1)
+    terms = Terms((friction,))
+    there = unknown.linearised_at(FAR)
+    column = there.columns([friction])[0]
+    step = friction.coordinates[0].typical
+    change = unknown.residual(FAR, terms, np.array([step])) - unknown.residual(FAR, terms, np.zeros(1))
+    assert apart(column, change / step) < 0.05
+    assert apart(unknown.columns([friction])[0], change / step) > 0.3
+    stiffness = there.nuisance_columns(Terms(), np.zeros(0))[0]
+    number = np.array([0.01, 0.0])
+    change = unknown.residual(FAR + number, Terms(), np.zeros(0)) - unknown.residual(FAR, Terms(), np.zeros(0))
+    assert apart(stiffness, change / 0.01) < 0.05
+    assert unknown.linearised_at(np.full(2, 0.001)) is unknown
+
+
+def test_what_a_limit_contributes_is_a_difference_of_rollouts(problem):
+    limit = Terms((RateLimit(1),))
+    friction = Terms((CoulombFriction(1),))
+    model = Terms((*limit.terms, *friction.terms))
+    numbers = np.array([2.0, 0.3])
+    none = np.zeros(len(problem.precision))
+    contribution = problem.contribution(limit, numbers[:1], (model, numbers))
+    both = problem.residual(none, model, numbers)
+    assert contribution == pytest.approx(both - problem.residual(none, friction, numbers[1:]), abs=1e-9)
+    assert np.abs(contribution).max() > 100.0
+
+
+def test_fitted_friction_is_never_less_than_none():
+    problem = tracking_problem(tracking_rows(record(commands_of(SAMPLES), SERVO, coulomb=0.0, viscous=0.4), PENDULUM))
+    fitted = fit(problem, Terms((CoulombFriction(1),)), EngineOptions())
+    assert fitted.values == pytest.approx([-0.2], abs=1e-12)  # of the description, all that can be taken away
+
+
+def test_a_rate_limit_beside_a_servo_of_which_nothing_is_known_is_found():
+    # without the limit the servo that comes nearest to such a joint is of any stiffness
+    time = np.maximum(np.arange(SAMPLES) * PERIOD - 0.3, 0.0)
+    command = np.round(0.5 * np.sin(2 * np.pi * 0.4 * time) + 0.15 * np.sin(2 * np.pi * 1.3 * time), 6)
+    log = record(command, "unknown", rate=0.8)
+    document = diagnose(log, PENDULUM).to_dict()
+    assert [(finding["effect"], finding["site"]) for finding in document["findings"]] == [("rate_limit", "joint1")]
+    velocity = document["findings"][0]["parameters"]["velocity_rad_per_s"]
+    assert velocity["value"] == pytest.approx(0.8, rel=2e-3)
+    assert document["servos"][0]["stiffness_Nm_per_rad"] == pytest.approx(200.0, rel=0.1)
+    after = document["after"]["heldout_rollout_rms_rad"]
+    assert after < 0.005 * document["before"]["heldout_rollout_rms_rad"]
