@@ -70,7 +70,8 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     for component in problem.components:  # what is left beside the site must be noise
         moved = test.whitened(component.column)
         moved = moved - direction * np.sum(direction * moved, 0)
-        squares, freedom = np.sum(moved * across, 0) ** 2, float(test.fit.freedom) - problem.samples
+        squares = np.sum(moved * across, 0) ** 2
+        freedom = float(test.fit.freedom) - problem.samples
         further = best_amplitude(np.sum(moved**2, 0), squares, float(np.sum(across**2)), max(freedom, 1.0))
         if float(further.gain) > options.margin + np.log(len(gains)):
             return None

@@ -88,10 +88,12 @@ class Marginal:
     @cached_property
     def _by_group(self) -> tuple[Array, Array]:
         """The sum of squares left in each group of rows, and its degrees of freedom, with the declared noise."""
-        problem, fit = self.test.problem, self.test.fit
+        problem = self.test.problem
+        fit = self.test.fit
         measured = problem.rows * problem.samples
         # in sum that times the residual, which of a group alone may be negative
-        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left_of_span[measured:] ** 2)
+        by_row = np.sum(self.test.left_of_rows**2, 1)
+        of_priors = np.sum(self.test.left_of_span[measured:] ** 2)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
         squares = np.maximum(np.bincount(problem.groups, by_row) + of_priors, 1e-300)
@@ -137,7 +139,8 @@ class Marginal:
 
     def equations(self, sums: Sums, functions: Array) -> tuple[Array, Array]:
         """Pull `(…, number)` and information `(…, number, number)` of functions `(…, number, sample)` at a site."""
-        weight, pull = sums.weight, sums.pull
+        weight = sums.weight
+        pull = sums.pull
         if sums.row is not None:
             (whitened, pull), weight = sums.row, np.ones_like(weight)
             functions = whitened(functions)

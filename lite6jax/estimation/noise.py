@@ -181,7 +181,9 @@ def _autocorrelation(
         model = Autocorrelation(*pair)
         X = model.whitened(columns, starts).reshape(len(columns), rows.size)
         y = model.whitened(rows, starts).ravel()
-        measured, target, scale = X @ X.T, X @ y, float(y @ y) / rows.size
+        measured = X @ X.T
+        target = X @ y
+        scale = float(y @ y) / rows.size
         filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
         log_likelihood = -np.inf
         for _ in range(_SCALINGS):

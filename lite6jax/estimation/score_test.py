@@ -130,7 +130,8 @@ class ScoreTest:
         """
         if all(kept):
             return self
-        f, residual = self.fit, self.residual
+        f = self.fit
+        residual = self.residual
         # what a term explains under a prior is there already
         out = [not stays and not _has_prior(term) for term, stays in zip(f.terms.terms, kept, strict=True)]
         if any(out):
@@ -212,14 +213,17 @@ class ScoreTest:
         """
         if self.fit.noise.white:
             weight, basis, residual = self.over_rows(column)
-            gram, inside = (functions * weight) @ functions.swapaxes(1, 2), functions @ basis.T
+            gram = (functions * weight) @ functions.swapaxes(1, 2)
+            inside = functions @ basis.T
             score = functions @ residual
         else:  # whitening mixes the samples of a column, which then is no product of site and function
             rows = np.flatnonzero(column.any(1))
             white = _white(self.fit, functions[:, :, None] * column[rows], self.scale, rows)
             flat = white.reshape(*functions.shape[:2], -1)
             basis, residual = self.of_rows(rows)
-            gram, inside, score = flat @ flat.swapaxes(1, 2), flat @ basis.T, flat @ residual
+            gram = flat @ flat.swapaxes(1, 2)
+            inside = flat @ basis.T
+            score = flat @ residual
         information, norms = _of_unit_columns(gram, inside)
         eigenvalues, V = np.linalg.eigh(information)
         threshold = self.options.confounded
@@ -478,9 +482,12 @@ def _determined(
     """
     precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
     first = len(problem.precision)
-    blocks, of_prior, owners = [columns[:first]], [precision[:first]], [np.full(first, -1)]
+    blocks = [columns[:first]]
+    of_prior = [precision[:first]]
+    owners = [np.full(first, -1)]
     for k, (term, at) in enumerate(zip(terms.terms, terms.slices, strict=True)):
-        part, part_precision = columns[first:][at], precision[first:][at]
+        part = columns[first:][at]
+        part_precision = precision[first:][at]
         if not _has_prior(term):
             part_precision = np.zeros_like(part_precision)
         elif term.size > _MANY:
@@ -524,7 +531,8 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
 
     Of all rows where `rows` does not name those that the columns have.
     """
-    groups, noise = fit.residuals.groups, fit.noise
+    groups = fit.residuals.groups
+    noise = fit.noise
     if rows is not None:
         groups, noise = groups[rows], replace(noise, groups=groups[rows])
     return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)

@@ -95,7 +95,8 @@ def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> F
 
 def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOptions) -> Fit:
     """The fit with exact derivatives, and with the chosen numbers of some terms free."""
-    terms, values = [], []
+    terms = []
+    values = []
     for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
@@ -137,7 +138,8 @@ def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float
     ):
         last = part.stop - 1
         if is_free:
-            term, remaining[last] = before.held(float(released.values[last])), False
+            term = before.held(float(released.values[last]))
+            remaining[last] = False
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(remaining, remaining)]

@@ -161,7 +161,9 @@ class Scan:
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         """Tries all processes, or those `among` which it is to choose."""
-        self.problem, self.options, self.among = problem, options, among
+        self.problem = problem
+        self.options = options
+        self.among = among
         self.prior = options.prior
         self.considered = set[_Considered]()
         drivers = [quantity for quantity in problem.quantities if not quantity.driver.is_order]
@@ -344,16 +346,20 @@ class Weighed:
 
     def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
         """Beside the model of a test, of sites that act on some `(row,)`; on any where these are not given."""
-        self._scan, self._test, self._marginal = scan, test, Marginal(test)
+        self._scan = scan
+        self._test = test
+        self._marginal = Marginal(test)
         components = scan.problem.components
         self.components = [component for component in components if rows is None or np.any(component.column[rows])]
         self._problem = test.problem
-        self._options, self._rows = scan.options, slice(None) if rows is None else rows
+        self._options = scan.options
+        self._rows = slice(None) if rows is None else rows
         self._known: dict[int, Sums] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
-        scan, white = self._scan, self._test.fit.noise.white
+        scan = self._scan
+        white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
         candidates = [*self.named(), *self.waves()]
         candidates += self.of_read_outs()
@@ -538,7 +544,10 @@ class Weighed:
         """
         continuous, splines = self._scan.splines
         candidates: list[Ranked] = []
-        at, pulls, informations, limits = [], [], [], []
+        at = []
+        pulls = []
+        informations = []
+        limits = []
         for component in self.components:
             pull, information, residual_sum, freedom = self._equations(component, splines)
             upper_bounds = bound(pull, information, residual_sum, freedom, self._options.confounded)
@@ -560,8 +569,10 @@ class Weighed:
         least = max([least, *(candidate.net - self._options.close for candidate in candidates)])
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
-            batch, order = order[:_WEIGHED], order[_WEIGHED:]
-            pull, information = np.stack([pulls[i] for i in batch]), np.stack([informations[i] for i in batch])
+            batch = order[:_WEIGHED]
+            order = order[_WEIGHED:]
+            pull = np.stack([pulls[i] for i in batch])
+            information = np.stack([informations[i] for i in batch])
             residual_sum, freedom = (np.array([at[i][n] for i in batch])[:, None, None] for n in (2, 3))
             evidence_by_kernel = [
                 self._of_splines(name, pull, information, residual_sum, freedom) for name in kernels.SCALED
@@ -826,7 +837,8 @@ class Weighed:
 
 def _of_term(evidence: Evidence, cost: float, term: Term, label: str = "") -> Ranked:
     """A term with a formula, by its label or another one."""
-    gain, volume = float(evidence.gain), float(evidence.volume)
+    gain = float(evidence.gain)
+    volume = float(evidence.volume)
     return Ranked(gain, cost, volume, term.site, (label or term.label,), "", lambda: term)
 
 

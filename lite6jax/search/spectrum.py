@@ -47,7 +47,10 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
 
     The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
-    q, site, training, options = family.angle, family.column, test.fit.training, test.options
+    q = family.angle
+    site = family.column
+    training = test.fit.training
+    options = test.options
     score = np.sum(site * test.left_of_rows, 0)[training]
     weight = np.sum(site**2, 0)[training]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
