@@ -43,10 +43,10 @@ def predict(
             effect needs, by name.
     """
     bare = replace(model, uncertainty=None) if isinstance(model, _MODELS) else model
-    found = predicted(bare, motion, **circumstances)
-    if isinstance(found, TrackedMotion):
-        return found.position
-    return found.poses if isinstance(found, Prediction) else found.torque
+    prediction = predicted(bare, motion, **circumstances)
+    if isinstance(prediction, TrackedMotion):
+        return prediction.position
+    return prediction.poses if isinstance(prediction, Prediction) else prediction.torque
 
 
 @overload
@@ -80,13 +80,14 @@ def predicted(
         motion = read_commands(motion, model) if isinstance(model, DiagnosedServos) else read_motion(motion, model)
     if isinstance(motion, Recording):
         if circumstances:
-            given = ", ".join(circumstances)
-            raise InputError(f"motion: is a recording, and arrays go with joint positions only; leave out {given}")
+            names = ", ".join(circumstances)
+            raise InputError(f"motion: is a recording, and arrays go with joint positions only; leave out {names}")
         remedy = "add time_s"
     else:
         if not (isinstance(motion, Sequence) or hasattr(motion, "__array__")):
             raise wrong_type("motion", motion, "a Recording, the path of its file, or an array of joint positions")
-        motion, remedy = assemble_motion(model, motion, **circumstances), "give time=…"
+        motion = assemble_motion(model, motion, **circumstances)
+        remedy = "give time=…"
     if isinstance(model, DiagnosedServos):
         return predicted_joints(model, motion)
     if isinstance(model, DiagnosedArm):

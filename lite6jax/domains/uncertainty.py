@@ -70,8 +70,8 @@ class RecordedRange:
 
     def beyond(self, values: Mapping[str, Array]) -> dict[str, Array]:
         """By how much quantities `(sample,)` are beyond what was recorded of them, as `beyond_range`, by phrase."""
-        known = {phrase: each for phrase, each in values.items() if phrase in self.drivers}
-        return {phrase: beyond_range(each, *self.drivers[phrase]) for phrase, each in known.items()}
+        recorded = {phrase: samples for phrase, samples in values.items() if phrase in self.drivers}
+        return {phrase: beyond_range(samples, *self.drivers[phrase]) for phrase, samples in recorded.items()}
 
 
 @final
@@ -110,8 +110,8 @@ class Uncertainty:
         """That of poses in the frame of the arm's own base, in which this frame's place does not matter."""
         sites = [site[0] != "base" for site in self.sites]
         numbers = sites + [True] * (len(self.covariance) - len(sites))
-        kept = tuple(site for site in self.sites if site[0] != "base")
-        return replace(self, sites=kept, covariance=self.covariance[np.ix_(numbers, numbers)])
+        remaining_sites = tuple(site for site in self.sites if site[0] != "base")
+        return replace(self, sites=remaining_sites, covariance=self.covariance[np.ix_(numbers, numbers)])
 
 
 def freed(effect: Effect) -> Effect:
@@ -164,5 +164,5 @@ def widened(
         if phrase not in contained:
             further = further + (part / DRIVEN) ** 2
     outside = np.any([np.zeros(len(distance), bool), *(part > MARGIN for part in beyond.values())], axis=0)
-    left, unseen = (np.asarray(part, float)[rows, None] ** 2 for part in (known.left, known.unseen))
-    return variance + left + further * (left + unseen), outside
+    residual_variance, unseen = (np.asarray(part, float)[rows, None] ** 2 for part in (known.left, known.unseen))
+    return variance + residual_variance + further * (residual_variance + unseen), outside

@@ -40,34 +40,40 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         fit: the model.
         options: thresholds.
     """
-    every = max(fit.training.size // options.most_samples, 1) if fit.noise.white else 1
-    if every > 1:
-        problem, fit = problem.thinned(every), fit.thinned(every)
+    stride = max(fit.training.size // options.most_samples, 1) if fit.noise.white else 1
+    if stride > 1:
+        problem = problem.thinned(stride)
+        fit = fit.thinned(stride)
     turning = {quantity.driver.turns for quantity in problem.quantities}
-    own = [one for one in problem.components if one.site in turning and np.count_nonzero(one.column.any(1)) > 1]
-    if not own:
+    candidates = [
+        component
+        for component in problem.components
+        if component.site in turning and np.count_nonzero(component.column.any(1)) > 1
+    ]
+    if not candidates:
         return None
     test = score_test(problem, fit, options)
     marginal = Marginal(test)
-    gains = {id(one): float(marginal.of_noise(one.column).gain) for one in problem.components}
-    best = max(own, key=lambda one: gains[id(one)])
-    gain = gains[id(best)]
-    beside = max((gains[id(one)] for one in own if one.site != best.site), default=0.0)
+    gains = {id(component): float(marginal.of_noise(component.column).gain) for component in problem.components}
+    likeliest = max(candidates, key=lambda component: gains[id(component)])
+    gain = gains[id(likeliest)]
+    beside = max((gains[id(component)] for component in candidates if component.site != likeliest.site), default=0.0)
     if gain < options.margin + np.log(len(gains)) or gain < beside + options.close:
         return None
     if gain < max(gains.values()) - options.close:
         return None
-    left = test.left_of_rows
-    column = test.whitened(best.column)
+    residuals = test.left_of_rows
+    column = test.whitened(likeliest.column)
     direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
-    along = np.sum(direction * left, 0)
-    across = left - direction * along
-    for other in problem.components:  # what is left beside the site must be noise
-        moved = test.whitened(other.column)
+    along = np.sum(direction * residuals, 0)
+    across = residuals - direction * along
+    for component in problem.components:  # what is left beside the site must be noise
+        moved = test.whitened(component.column)
         moved = moved - direction * np.sum(direction * moved, 0)
-        squares, freedom = np.sum(moved * across, 0) ** 2, float(test.fit.freedom) - problem.samples
+        squares = np.sum(moved * across, 0) ** 2
+        freedom = float(test.fit.freedom) - problem.samples
         further = best_amplitude(np.sum(moved**2, 0), squares, float(np.sum(across**2)), max(freedom, 1.0))
         if float(further.gain) > options.margin + np.log(len(gains)):
             return None
-    share = float(np.sum(along**2) / max(float(np.sum(left**2)), 1e-300))
-    return Concentration(best.site, share, 1 / problem.rows, every * gain)
+    share = float(np.sum(along**2) / max(float(np.sum(residuals**2)), 1e-300))
+    return Concentration(likeliest.site, share, 1 / problem.rows, stride * gain)

@@ -88,10 +88,12 @@ class Marginal:
     @cached_property
     def _by_group(self) -> tuple[Array, Array]:
         """The sum of squares left in each group of rows, and its degrees of freedom, with the declared noise."""
-        problem, fit = self.test.problem, self.test.fit
+        problem = self.test.problem
+        fit = self.test.fit
         measured = problem.rows * problem.samples
         # in sum that times the residual, which of a group alone may be negative
-        by_row, of_priors = np.sum(self.test.left_of_rows**2, 1), np.sum(self.test.left_of_span[measured:] ** 2)
+        by_row = np.sum(self.test.left_of_rows**2, 1)
+        of_priors = np.sum(self.test.left_of_span[measured:] ** 2)
         counts = np.bincount(problem.groups)
         # after the measurements come the readings of priors, which all groups share
         squares = np.maximum(np.bincount(problem.groups, by_row) + of_priors, 1e-300)
@@ -99,8 +101,8 @@ class Marginal:
         freedom = np.maximum(freedom, 1.0)
         if problem.floored:
             squares = np.maximum(squares, freedom / self.test.scale**2)
-        known = _DECLARED * problem.declared
-        return squares + known / self.test.scale**2, freedom + known
+        declared = _DECLARED * problem.declared
+        return squares + declared / self.test.scale**2, freedom + declared
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""
@@ -114,47 +116,52 @@ class Marginal:
     @cached_property
     def _together(self) -> int:
         """The most groups of noise in which one component is seen: processes are weighed in their common scale."""
-        return max((len(self._coupled(np.any(one.column, 1))) for one in self.test.problem.components), default=1)
+        return max(
+            (len(self._coupled(np.any(component.column, 1))) for component in self.test.problem.components), default=1
+        )
 
     def sums(self, column: Array) -> Sums:
         """Of a site's column `(row, sample)`."""
-        test, rows = self.test, np.flatnonzero(np.any(column, 1))
+        test = self.test
+        rows = np.flatnonzero(np.any(column, 1))
         weight, inside, pull = test.over_rows(column)
         unit = 1 / test.scale[0]
         pull = pull - (test.basis @ test.residual) @ inside
-        left, freedom = self._of_groups(np.any(column, 1))
-        found = Sums(weight * unit**2, pull * unit, inside * unit, left, freedom)
+        residual_sum, freedom = self._of_groups(np.any(column, 1))
+        sums = Sums(weight * unit**2, pull * unit, inside * unit, residual_sum, freedom)
         if test.fit.noise.white or len(rows) != 1:
-            return found
-        here = test.left_of_rows[rows[0]]
+            return sums
+        residuals = test.left_of_rows[rows[0]]
         # the transpose of a filter that does not change with time filters backwards
-        pull = test.whitened(here[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
+        pull = test.whitened(residuals[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
         row = lambda functions: unit * test.whitened((functions * column[rows[0]])[..., None, :], rows)[..., 0, :]  # noqa: E731
-        return found._replace(pull=pull, inside=test.of_rows(rows)[0], row=(row, here))
+        return sums._replace(pull=pull, inside=test.of_rows(rows)[0], row=(row, residuals))
 
     def equations(self, sums: Sums, functions: Array) -> tuple[Array, Array]:
         """Pull `(…, number)` and information `(…, number, number)` of functions `(…, number, sample)` at a site."""
-        weight, pull = sums.weight, sums.pull
+        weight = sums.weight
+        pull = sums.pull
         if sums.row is not None:
             (whitened, pull), weight = sums.row, np.ones_like(weight)
             functions = whitened(functions)
         flat = functions.reshape(-1, functions.shape[-1])
         inside = (flat @ sums.inside.T).reshape(*functions.shape[:-1], -1)
-        own = (functions * weight) @ functions.swapaxes(-1, -2)
-        return functions @ pull, own - inside @ inside.swapaxes(-1, -2)
+        gram = (functions * weight) @ functions.swapaxes(-1, -2)
+        return functions @ pull, gram - inside @ inside.swapaxes(-1, -2)
 
     def dense(self, columns: Array) -> tuple[Array, Array, float, float]:
         """Pull, information, sum of squares and freedom of columns `(number, row, sample)`, in any noise."""
-        test, rows = self.test, np.flatnonzero(np.any(columns, (0, 2)))
+        test = self.test
+        rows = np.flatnonzero(np.any(columns, (0, 2)))
         if not rows.size:
             return np.zeros(len(columns)), np.zeros((len(columns),) * 2), 1.0, 1.0
         white = test.whitened(columns[:, rows], rows).reshape(len(columns), -1) / test.scale[0]
         basis, _ = test.of_rows(rows)
-        left = test.left_of_rows[rows].ravel()
+        residuals = test.left_of_rows[rows].ravel()
         inside = white @ basis.T
         acting = np.zeros(test.problem.rows, bool)
         acting[rows] = True
-        return white @ left, white @ white.T - inside @ inside.T, *self._of_groups(acting)
+        return white @ residuals, white @ white.T - inside @ inside.T, *self._of_groups(acting)
 
     def of_noise(self, column: Array) -> Evidence:
         """The evidence that a component moves by a number of its own in each sample: the site is known, its cause not.
@@ -179,75 +186,89 @@ class Marginal:
             groups: of each term its columns `(number, row, sample)`.
             together: whether the noise of all rows on which any of them acts is one scale, as parts of one term need.
         """
-        columns, problem = np.concatenate(groups), self.test.problem
+        columns = np.concatenate(groups)
+        problem = self.test.problem
         acting = np.any(columns, 2)
         if together:
             acting = np.broadcast_to(acting.any(0), acting.shape)
         white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
-        basis, left = self.test.basis[:, : white.shape[1]], self.test.left_of_rows
+        basis = self.test.basis[:, : white.shape[1]]
+        residuals = self.test.left_of_rows
         inside = white @ basis.T
         lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
         squares, freedom = self._by_group
-        found, ends = [_NOTHING] * len(groups), np.cumsum([0, *map(len, groups)])
-        alike: dict[tuple[int, ...], list[tuple[int, tuple[Array, ...]]]] = {}
-        for k, own in enumerate(map(slice, ends[:-1], ends[1:])):
-            of = self._coupled(np.asarray(acting[own].any(0)))
+        evidence_by_term = [_NOTHING] * len(groups)
+        ends = np.cumsum([0, *map(len, groups)])
+        by_shape: dict[tuple[int, ...], list[tuple[int, tuple[Array, ...]]]] = {}
+        for k, term_columns in enumerate(map(slice, ends[:-1], ends[1:])):
+            of = self._coupled(np.asarray(acting[term_columns].any(0)))
             if not of.size:
                 continue
-            size = lengths[own]
+            size = lengths[term_columns]
             if together or len(of) <= self._together:
-                known = squares[of].sum()[None], freedom[of].sum()[None]
-                pull = (white[own] @ left.ravel() / size)[None]
-                information = ((white[own] @ white[own].T - inside[own] @ inside[own].T) / np.outer(size, size))[None]
+                noise = squares[of].sum()[None], freedom[of].sum()[None]
+                pull = (white[term_columns] @ residuals.ravel() / size)[None]
+                information = (
+                    (white[term_columns] @ white[term_columns].T - inside[term_columns] @ inside[term_columns].T)
+                    / np.outer(size, size)
+                )[None]
             else:
                 rows = [problem.groups == group for group in of]
-                outside = ((white[own] - inside[own] @ basis) / size[:, None]).reshape(len(size), problem.rows, -1)
-                parts = [outside[:, one].reshape(len(size), -1) for one in rows]
-                pull = np.stack([part @ left[one].ravel() for part, one in zip(parts, rows, strict=True)])
-                information, known = np.stack([part @ part.T for part in parts]), (squares[of], freedom[of])
-            alike.setdefault(pull.shape, []).append((k, (pull, information, *known)))
-        for members in alike.values():
+                outside = ((white[term_columns] - inside[term_columns] @ basis) / size[:, None]).reshape(
+                    len(size), problem.rows, -1
+                )
+                parts = [outside[:, group_rows].reshape(len(size), -1) for group_rows in rows]
+                pull = np.stack(
+                    [part @ residuals[group_rows].ravel() for part, group_rows in zip(parts, rows, strict=True)]
+                )
+                information = np.stack([part @ part.T for part in parts])
+                noise = (squares[of], freedom[of])
+            by_shape.setdefault(pull.shape, []).append((k, (pull, information, *noise)))
+        for members in by_shape.values():
             parts = zip(*(of for _, of in members), strict=True)
-            pull, information, rest, counted = (np.stack(part) for part in parts)
-            each = _of_numbers(pull, information, rest, counted, self.test.options.confounded)
-            for one, (k, _) in enumerate(members):
-                found[k] = Evidence(*(part[one] for part in each))
-        return found
+            pull, information, residual_sums, counted = (np.stack(part) for part in parts)
+            evidence = _of_numbers(pull, information, residual_sums, counted, self.test.options.confounded)
+            for place, (k, _) in enumerate(members):
+                evidence_by_term[k] = Evidence(*(part[place] for part in evidence))
+        return evidence_by_term
 
 
-def _of_numbers(pull: Array, information: Array, left: Array, freedom: Array, confounded: float) -> Evidence:
+def _of_numbers(pull: Array, information: Array, residual_sums: Array, freedom: Array, confounded: float) -> Evidence:
     """As `of_names`, of terms of as many numbers, whose columns have unit length.
 
     Args:
         pull: `(term, group, number)`, of each group of noise.
         information: `(term, group, number, number)`.
-        left: `(term, group)` S.
+        residual_sums: `(term, group)` S.
         freedom: `(term, group)` ν.
         confounded: as of `of_process`.
     """
-    terms, count = len(pull), pull.shape[-1]
-    at, chosen = np.arange(terms), np.zeros((terms, 0), int)
-    rest = np.tile(np.arange(count), (terms, 1))
-    best = likelihood = Evidence(*(np.zeros(terms) for _ in Evidence._fields))
+    terms = len(pull)
+    count = pull.shape[-1]
+    at = np.arange(terms)
+    chosen = np.zeros((terms, 0), int)
+    remaining = np.tile(np.arange(count), (terms, 1))
+    best_evidence = likelihood = Evidence(*(np.zeros(terms) for _ in Evidence._fields))
     for size in range(1, count + 1):
-        tried = np.concatenate([np.repeat(chosen[:, None], rest.shape[1], 1), rest[..., None]], 2)
-        each = _of_all(
-            np.moveaxis(pull[at[:, None, None], :, tried], -1, -2),
-            np.moveaxis(information[at[:, None, None, None], :, tried[..., None], tried[..., None, :]], -1, -3),
-            left[:, None],
+        subsets = np.concatenate([np.repeat(chosen[:, None], remaining.shape[1], 1), remaining[..., None]], 2)
+        evidence = _of_all(
+            np.moveaxis(pull[at[:, None, None], :, subsets], -1, -2),
+            np.moveaxis(information[at[:, None, None, None], :, subsets[..., None], subsets[..., None, :]], -1, -3),
+            residual_sums[:, None],
             freedom[:, None],
             confounded,
         )
-        likeliest = np.argmax(each.gain + each.volume, 1)
-        likelihood, chosen = Evidence(*(part[at, likeliest] for part in each)), tried[at, likeliest]
-        rest = rest[np.arange(rest.shape[1]) != likeliest[:, None]].reshape(terms, -1)
+        likeliest = np.argmax(evidence.gain + evidence.volume, 1)
+        likelihood = Evidence(*(part[at, likeliest] for part in evidence))
+        chosen = subsets[at, likeliest]
+        remaining = remaining[np.arange(remaining.shape[1]) != likeliest[:, None]].reshape(terms, -1)
         gain = likelihood.gain - np.log(count * comb(count, size))
-        better = gain > best.gain
-        parts = zip((gain, likelihood.variance, likelihood.volume), best, strict=True)
-        best = Evidence(*(np.where(better, one, before) for one, before in parts))
+        better = gain > best_evidence.gain
+        parts = zip((gain, likelihood.variance, likelihood.volume), best_evidence, strict=True)
+        best_evidence = Evidence(*(np.where(better, candidate, before) for candidate, before in parts))
     # a fit takes also what directions give it that are too nearly confounded for evidence
-    fitted = _of_all(pull, information, left, freedom, _ROUNDING) if count > 1 else likelihood
-    return best._replace(volume=np.maximum(fitted.gain + fitted.volume - best.gain, 0.0))
+    fitted = _of_all(pull, information, residual_sums, freedom, _ROUNDING) if count > 1 else likelihood
+    return best_evidence._replace(volume=np.maximum(fitted.gain + fitted.volume - best_evidence.gain, 0.0))
 
 
 _ROUNDING = 1e-9
@@ -257,24 +278,25 @@ _REWEIGHTED = 5
 """Solutions for the coefficients, each at the scales of the one before: these differ by less than 1 % then."""
 
 
-def _of_all(pull: Array, information: Array, left: Array, freedom: Array, confounded: float) -> Evidence:
+def _of_all(pull: Array, information: Array, residual_sums: Array, freedom: Array, confounded: float) -> Evidence:
     """The evidence of numbers `(…,)`, all of which are not zero, where each group of rows has a scale of its own.
 
     Arguments as of `_of_numbers`, with `(…, group)` for `(term, group)`.
     """
-    groups = left.shape[-1]
-    kept, q, size = _of_least_squares(pull, information, freedom / left, confounded)
+    groups = residual_sums.shape[-1]
+    determined, q, size = _of_least_squares(pull, information, freedom / residual_sums, confounded)
     for _ in range(_REWEIGHTED - 1 if groups > 1 else 0):
-        rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
-        kept, q, size = _of_least_squares(pull, information, freedom / rest, confounded)
-    rest = np.clip(left - 2 * q + size, 1e-12 * left, None)
-    likelihood, numbers = -0.5 * np.sum(freedom * np.log(rest / left), -1), kept.sum(-1)
-    there = np.maximum(numbers, 1)
+        remaining_sums = np.clip(residual_sums - 2 * q + size, 1e-12 * residual_sums, None)
+        determined, q, size = _of_least_squares(pull, information, freedom / remaining_sums, confounded)
+    remaining_sums = np.clip(residual_sums - 2 * q + size, 1e-12 * residual_sums, None)
+    likelihood = -0.5 * np.sum(freedom * np.log(remaining_sums / residual_sums), -1)
+    numbers = determined.sum(-1)
+    count = np.maximum(numbers, 1)
     if groups == 1:
-        squares = np.where(kept, q / there[..., None], 0.0)
-        one = best_amplitude(kept.astype(float), squares, left[..., None], freedom[..., None])
-        return one._replace(volume=np.maximum(likelihood - one.gain, 0.0))
-    variance = np.where(numbers, np.maximum(np.sum(freedom / rest * size, -1) / there, 1.0), 0.0)
+        squares = np.where(determined, q / count[..., None], 0.0)
+        evidence = best_amplitude(determined.astype(float), squares, residual_sums[..., None], freedom[..., None])
+        return evidence._replace(volume=np.maximum(likelihood - evidence.gain, 0.0))
+    variance = np.where(numbers, np.maximum(np.sum(freedom / remaining_sums * size, -1) / count, 1.0), 0.0)
     volume = numbers / 2 * (1 + np.log(np.maximum(variance, 1.0)))
     return Evidence(likelihood - volume, variance, volume)
 
@@ -290,10 +312,10 @@ def _of_least_squares(
     """
     weight = (weight / weight.max(-1, keepdims=True))[..., None]
     eigenvalues, V = np.linalg.eigh(np.sum(weight[..., None] * information, -3))
-    kept = eigenvalues > confounded
+    determined = eigenvalues > confounded
     inside = np.einsum("...ij,...i->...j", V, np.sum(weight * pull, -2))
-    x = np.einsum("...ij,...j->...i", V, np.where(kept, inside / np.where(kept, eigenvalues, 1.0), 0.0))
-    return kept, np.sum(pull * x[..., None, :], -1), np.einsum("...i,...gij,...j->...g", x, information, x)
+    x = np.einsum("...ij,...j->...i", V, np.where(determined, inside / np.where(determined, eigenvalues, 1.0), 0.0))
+    return determined, np.sum(pull * x[..., None, :], -1), np.einsum("...i,...gij,...j->...g", x, information, x)
 
 
 def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, freedom: Array | float) -> Evidence:
@@ -305,18 +327,22 @@ def best_amplitude(eigenvalues: Array, squares: Array, left: Array | float, free
         left: S, `(…, 1, 1)` or one for all.
         freedom: ν, likewise.
     """
-    left, freedom = (np.asarray(each)[..., 0] if np.ndim(each) else each for each in (left, freedom))
+    left, freedom = (
+        np.asarray(statistic)[..., 0] if np.ndim(statistic) else statistic for statistic in (left, freedom)
+    )
     top = np.maximum(eigenvalues.max(-1, keepdims=True), 1e-300)
-    seen = eigenvalues > 1e-12 * top
-    explained = np.sum(np.where(seen, squares, 0.0) / np.where(seen, eigenvalues, 1.0), -1, keepdims=True)
-    most = np.maximum(_MOST, 10 * freedom * explained / np.maximum(left - explained, 1e-12 * left))
-    s = _LEAST * (most / _LEAST) ** np.linspace(0, 1, _TRIED) / top
+    is_determined = eigenvalues > 1e-12 * top
+    explained = np.sum(
+        np.where(is_determined, squares, 0.0) / np.where(is_determined, eigenvalues, 1.0), -1, keepdims=True
+    )
+    largest_variance = np.maximum(_MOST, 10 * freedom * explained / np.maximum(left - explained, 1e-12 * left))
+    s = _LEAST * (largest_variance / _LEAST) ** np.linspace(0, 1, _TRIED) / top
     grown = s[..., None] * eigenvalues[..., None, :]
     q = np.sum(s[..., None] * squares[..., None, :] / (1 + grown), -1)
     volume = 0.5 * np.sum(np.log1p(grown), -1)
     gains = -0.5 * freedom * np.log(np.maximum(1 - q / left, 1e-12)) - volume
-    best = np.argmax(gains, -1)[..., None]
-    return Evidence(*(np.take_along_axis(each, best, -1)[..., 0] for each in (gains, s, volume)))
+    likeliest = np.argmax(gains, -1)[..., None]
+    return Evidence(*(np.take_along_axis(array, likeliest, -1)[..., 0] for array in (gains, s, volume)))
 
 
 def of_process(
@@ -369,8 +395,10 @@ def log_orders(
         highest: order that is searched; that of the options where not given.
         turns: spread of the angles over that of an even full turn, at least 1.
     """
-    order, highest = np.asarray(order, float), highest or options.highest_order
-    share, at = options.prior.whole_order if whole else 0.0, np.maximum(order, options.lowest_order)
+    order = np.asarray(order, float)
+    highest = highest or options.highest_order
+    share = options.prior.whole_order if whole else 0.0
+    at = np.maximum(order, options.lowest_order)
     between = np.log(options.resolved_orders * turns * at * np.log(highest) / (1 - share))
     if not share:
         return between

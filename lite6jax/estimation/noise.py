@@ -51,7 +51,8 @@ class Autocorrelation:
         if not self.share or not rows.size:
             return rows
         theta, sigma = self._innovation
-        first, out = np.asarray(starts), np.empty_like(rows)
+        first = np.asarray(starts)
+        out = np.empty_like(rows)
         # so that the second sample of a run is predicted from the first by their correlation
         ahead = ((self.share - 1) * self.coefficient / theta if theta else 1.0) - 1
         for begin, end in pairwise([*starts, rows.shape[-1]]):
@@ -76,10 +77,10 @@ class Autocorrelation:
     def _innovation(self) -> tuple[float, float]:
         """θ of x_t − coefficient·x_{t−1} = e_t + θ e_{t−1}, and the standard deviation of e where x has 1."""
         white = 1 - self.share
-        same = self.share * (1 - self.coefficient**2) + white * (1 + self.coefficient**2)
+        variance = self.share * (1 - self.coefficient**2) + white * (1 + self.coefficient**2)
         neighbour = -white * self.coefficient
-        theta = 2 * neighbour / (same + np.sqrt(max(same**2 - 4 * neighbour**2, 0.0)))
-        return float(theta), float(np.sqrt(same / (1 + theta**2)))
+        theta = 2 * neighbour / (variance + np.sqrt(max(variance**2 - 4 * neighbour**2, 0.0)))
+        return float(theta), float(np.sqrt(variance / (1 + theta**2)))
 
 
 UNCORRELATED = Autocorrelation(0.0, 0.0)
@@ -111,11 +112,11 @@ class NoiseModel:
             return rows
         out = np.empty_like(rows)
         for group, model in enumerate(self.models):
-            there = self.groups == group
-            own = rows[..., there, :]
-            acting = own.any((-2, -1))  # most terms act on few groups
-            own[acting] = model.whitened(own[acting], self.starts)
-            out[..., there, :] = own
+            in_group = self.groups == group
+            group_rows = rows[..., in_group, :]
+            acting = group_rows.any((-2, -1))  # most terms act on few groups
+            group_rows[acting] = model.whitened(group_rows[acting], self.starts)
+            out[..., in_group, :] = group_rows
         return out
 
     def log_volume(self, training: NDArray[np.bool_]) -> float:
@@ -155,12 +156,16 @@ def noise_model(
     """
     models = []
     for group in range(int(groups.max(initial=0)) + 1):
-        there = groups == group
-        few = slice(None, options.most_for_noise)
-        own = columns[:, there, few]
-        acting = own.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
+        in_group = groups == group
+        samples = slice(None, options.most_for_noise)
+        group_columns = columns[:, in_group, samples]
+        acting = group_columns.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
         before = UNCORRELATED if start is None else start.models[group]
-        models.append(_autocorrelation(rows[there, few], own[acting], prior[acting], run[few], options, before))
+        models.append(
+            _autocorrelation(
+                rows[in_group, samples], group_columns[acting], prior[acting], run[samples], options, before
+            )
+        )
     return NoiseModel(tuple(models), groups, run_starts(run))
 
 
@@ -176,36 +181,41 @@ def _autocorrelation(
         model = Autocorrelation(*pair)
         X = model.whitened(columns, starts).reshape(len(columns), rows.size)
         y = model.whitened(rows, starts).ravel()
-        measured, target, scale = X @ X.T, X @ y, float(y @ y) / rows.size
+        measured = X @ X.T
+        target = X @ y
+        scale = float(y @ y) / rows.size
         filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
-        found = -np.inf
+        log_likelihood = -np.inf
         for _ in range(_SCALINGS):
             # a prior is in absolute units: beside noise of another variance it weighs otherwise
             G = measured + scale * np.diag(prior**2)
             T, volume = half_inverse(G, options.rounding)
-            left = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
+            residual_sum = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
             freedom = rows.size - T.shape[1]
-            found = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * left / scale + filtered
+            log_likelihood = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * residual_sum / scale + filtered
             # tr measured G⁻¹: the numbers that are determined, less what of them the prior is
             determined = T.shape[1] - scale * float(prior**2 @ np.sum(T**2, 1))
-            scale = left / max(rows.size - determined, 1.0)
-        return found
+            scale = residual_sum / max(rows.size - determined, 1.0)
+        return log_likelihood
 
-    tried = coefficients(min(rows.shape[1], _FORGOTTEN * options.longest_memory))
-    best, climbed = (before.coefficient, before.share), None
-    if not before.share or before.coefficient not in tried:
-        best = max(product(tried[1::3], _SHARES[1::3]), key=likelihood)
-    while best != climbed:
-        climbed = coefficient, share = best
-        near = [(one, share) for one in _near(tried, coefficient)]
-        near += [(coefficient, one) for one in _near(_SHARES, share)]
-        best = max(near, key=likelihood)
-    return Autocorrelation(*best) if likelihood(best) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
+    coefficient_grid = coefficients(min(rows.shape[1], _FORGOTTEN * options.longest_memory))
+    best_pair = (before.coefficient, before.share)
+    climbed = None
+    if not before.share or before.coefficient not in coefficient_grid:
+        best_pair = max(product(coefficient_grid[1::3], _SHARES[1::3]), key=likelihood)
+    while best_pair != climbed:
+        climbed = coefficient, share = best_pair
+        near = [(neighbour, share) for neighbour in _near(coefficient_grid, coefficient)]
+        near += [(coefficient, neighbour) for neighbour in _near(_SHARES, share)]
+        best_pair = max(near, key=likelihood)
+    return (
+        Autocorrelation(*best_pair) if likelihood(best_pair) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
+    )
 
 
 def coefficients(samples: float) -> Sequence[float]:
     """Of autoregressions, those that forget within so many samples, and two at least."""
-    return _COEFFICIENTS[: max(sum((1 - one) * samples >= _FORGOTTEN for one in _COEFFICIENTS), 2)]
+    return _COEFFICIENTS[: max(sum((1 - coefficient) * samples >= _FORGOTTEN for coefficient in _COEFFICIENTS), 2)]
 
 
 def run_starts(run: Integers) -> tuple[int, ...]:

@@ -57,8 +57,13 @@ class Prior:
     def entries(self) -> dict[str, dict[str, float | str]]:
         """Of each kind of explanation its probability, what it costs in nats, what it says, and why it is so."""
         return {
-            one.name: {"probability": one.value, "cost": self.cost(one.name), "meaning": one.meaning, "why": one.why}
-            for one in documented(self)
+            entry.name: {
+                "probability": entry.value,
+                "cost": self.cost(entry.name),
+                "meaning": entry.meaning,
+                "why": entry.why,
+            }
+            for entry in documented(self)
         }
 
     def cost(self, name: str) -> float:

@@ -57,9 +57,9 @@ def half_inverse(H: Array, rounding: float) -> tuple[Array, float]:
         T = solve_triangular(factor, np.eye(len(C)), lower=True).T
         return T / root[:, None], 2 * float(np.sum(np.log(np.diagonal(factor))) + np.sum(np.log(root)))
     eigenvalues, V = np.linalg.eigh(C)
-    kept = eigenvalues > rounding * eigenvalues.max(initial=0.0)
-    volume = float(np.sum(np.log(eigenvalues[kept])) + 2 * np.sum(np.log(root)))
-    return V[:, kept] / (np.sqrt(eigenvalues[kept]) * root[:, None]), volume
+    determined = eigenvalues > rounding * eigenvalues.max(initial=0.0)
+    volume = float(np.sum(np.log(eigenvalues[determined])) + 2 * np.sum(np.log(root)))
+    return V[:, determined] / (np.sqrt(eigenvalues[determined]) * root[:, None]), volume
 
 
 def part_of_span(basis: Array, coordinates: Array, kept: NDArray[np.bool_], rounding: float) -> tuple[Array, Array]:
@@ -80,10 +80,10 @@ def part_of_span(basis: Array, coordinates: Array, kept: NDArray[np.bool_], roun
     if len(coordinates) != len(basis) or not len(stay):
         turn = orthonormal(stay, rounding)
         return turn @ basis, stay @ turn.T
-    own = np.linalg.solve(coordinates, np.eye(len(coordinates))[:, ~kept])
-    reflectors, tau, *_ = _geqrf(own)
-    turned, of_rows = (_ormqr("R", "N", reflectors, tau, each, _BLOCK * len(each))[0] for each in (basis.T, stay))
-    return turned[:, own.shape[1] :].T, of_rows[:, own.shape[1] :]
+    directions = np.linalg.solve(coordinates, np.eye(len(coordinates))[:, ~kept])
+    reflectors, tau, *_ = _geqrf(directions)
+    turned, of_rows = (_ormqr("R", "N", reflectors, tau, matrix, _BLOCK * len(matrix))[0] for matrix in (basis.T, stay))
+    return turned[:, directions.shape[1] :].T, of_rows[:, directions.shape[1] :]
 
 
 def rank(columns: Array, rounding: float) -> int:
@@ -107,8 +107,8 @@ def scaled_solve(H: Array, b: Array, rounding: float = ROUNDING) -> Array:
     if factor is not None:
         return cho_solve((factor, True), b / root) / root
     eigenvalues, V = np.linalg.eigh(C)
-    kept = eigenvalues > rounding * eigenvalues[-1]
-    return V[:, kept] @ ((V[:, kept].T @ (b / root)) / eigenvalues[kept]) / root
+    determined = eigenvalues > rounding * eigenvalues[-1]
+    return V[:, determined] @ ((V[:, determined].T @ (b / root)) / eigenvalues[determined]) / root
 
 
 def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
@@ -117,7 +117,8 @@ def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
     It is zero for numbers without information, whose rows of H are zero.
     """
     root = _scales(H)
-    C, scale = H / np.outer(root, root), np.outer(root, root)
+    C = H / np.outer(root, root)
+    scale = np.outer(root, root)
     factor = _cholesky(C, _CLEARLY * rounding)
     if factor is not None:
         return cho_solve((factor, True), np.eye(len(C))) / scale

@@ -130,7 +130,8 @@ class ScoreTest:
         """
         if all(kept):
             return self
-        f, residual = self.fit, self.residual
+        f = self.fit
+        residual = self.residual
         # what a term explains under a prior is there already
         out = [not stays and not _has_prior(term) for term, stays in zip(f.terms.terms, kept, strict=True)]
         if any(out):
@@ -140,7 +141,8 @@ class ScoreTest:
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
         part = f.part(kept)
         if self._alike(part):
-            stay, place = np.append(kept, True)[self.owners], np.append(np.cumsum(kept) - 1, -1)
+            stay = np.append(kept, True)[self.owners]
+            place = np.append(np.cumsum(kept) - 1, -1)
             span, coordinates = part_of_span(self.span, self.coordinates, stay, self.options.rounding)
             spanned = Spanned(span, coordinates, place[self.owners[stay]], self.acting[stay])
         else:
@@ -165,8 +167,10 @@ class ScoreTest:
 
         Those of processes always are.
         """
-        (before, whole), (nuisance, own) = self._named, _named_columns(self.problem, part)
-        return np.array_equal(before, nuisance) and all(np.array_equal(whole[term], own[term]) for term in own)
+        (before, whole_columns), (nuisance, part_columns) = self._named, _named_columns(self.problem, part)
+        return np.array_equal(before, nuisance) and all(
+            np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns
+        )
 
     @cached_property
     def _named(self) -> "tuple[Array, dict[Term, Array]]":
@@ -174,11 +178,11 @@ class ScoreTest:
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
-        found = list[Score]()
+        scores = list[Score]()
         for part in bounded_parts(terms, self.problem.rows * self.problem.samples):
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
-            found += self.score_columns(np.split(columns, np.cumsum([term.size for term in part])[:-1]))
-        return found
+            scores += self.score_columns(np.split(columns, np.cumsum([term.size for term in part])[:-1]))
+        return scores
 
     def score_columns(self, groups: Sequence[Array]) -> list[Score]:
         """A score for each group of columns `(number, row, sample)`."""
@@ -191,14 +195,14 @@ class ScoreTest:
 
     def confounded(self, terms: Sequence[Term]) -> list[bool]:
         """Whether each term is in the span of nuisance and model, under their priors."""
-        found = list[bool]()
+        is_confounded = list[bool]()
         for part in bounded_parts(terms, self.problem.rows * self.problem.samples):
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
-            for own in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
-                flat = self._flat(own)
+            for block in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
+                flat = self._flat(block)
                 information, _ = _of_unit_columns(flat @ flat.T, flat @ self.span.T)
-                found.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
-        return found
+                is_confounded.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
+        return is_confounded
 
     def gains(self, column: Array, functions: Array) -> Array:
         """The gains in log-likelihood `(group,)` of many groups of functions at one site, without their tests.
@@ -209,18 +213,21 @@ class ScoreTest:
         """
         if self.fit.noise.white:
             weight, basis, residual = self.over_rows(column)
-            gram, inside = (functions * weight) @ functions.swapaxes(1, 2), functions @ basis.T
+            gram = (functions * weight) @ functions.swapaxes(1, 2)
+            inside = functions @ basis.T
             score = functions @ residual
         else:  # whitening mixes the samples of a column, which then is no product of site and function
             rows = np.flatnonzero(column.any(1))
             white = _white(self.fit, functions[:, :, None] * column[rows], self.scale, rows)
             flat = white.reshape(*functions.shape[:2], -1)
             basis, residual = self.of_rows(rows)
-            gram, inside, score = flat @ flat.swapaxes(1, 2), flat @ basis.T, flat @ residual
+            gram = flat @ flat.swapaxes(1, 2)
+            inside = flat @ basis.T
+            score = flat @ residual
         information, norms = _of_unit_columns(gram, inside)
         eigenvalues, V = np.linalg.eigh(information)
-        least = self.options.confounded
-        inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
+        threshold = self.options.confounded
+        inverse = np.where(eigenvalues > threshold, 1 / np.maximum(eigenvalues, threshold), 0.0)
         along = np.einsum("gji,gj->gi", V, (score - inside @ self._inside) / norms)
         return 0.5 * np.sum(inverse * along**2, 1)
 
@@ -400,7 +407,7 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
     mean = [np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) for g in range(len(fit.scale))]
     # of residuals that are exactly zero it is the fit's scale
-    rms = np.sqrt(np.array([float(one) * n / freedom or 1.0 for one in mean]))
+    rms = np.sqrt(np.array([float(mean_square) * n / freedom or 1.0 for mean_square in mean]))
     scale = rms * fit.scale
     scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
@@ -420,10 +427,10 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
 
 def _named_columns(problem: Problem, fit: Fit) -> tuple[Array, dict[Term, Array]]:
     """The columns `(number, row, sample)` of a model: of its nuisance, and of each term that is no process."""
-    named, values = fit.terms.part(fit.values, [not term.nonparametric for term in fit.terms.terms])
-    columns = problem.columns(named.terms, values, (fit.terms, fit.values))
-    each = {term: columns[part] for term, part in zip(named.terms, named.slices, strict=True)}
-    return problem.nuisance_columns(fit.terms, fit.values), each
+    named_terms, values = fit.terms.part(fit.values, [not term.nonparametric for term in fit.terms.terms])
+    columns = problem.columns(named_terms.terms, values, (fit.terms, fit.values))
+    columns_by_term = {term: columns[part] for term, part in zip(named_terms.terms, named_terms.slices, strict=True)}
+    return problem.nuisance_columns(fit.terms, fit.values), columns_by_term
 
 
 def _stated(problem: Problem) -> NDArray[np.integer]:
@@ -445,15 +452,15 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
     acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
     stated = _stated(problem)
-    known = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
-    prior = np.zeros((len(columns), len(known)))
-    prior[known, np.arange(len(known))] = np.sqrt(precision[known]) * fit.scale[0]
-    seen = np.any(columns, 1)
+    with_prior = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
+    prior = np.zeros((len(columns), len(with_prior)))
+    prior[with_prior, np.arange(len(with_prior))] = np.sqrt(precision[with_prior]) * fit.scale[0]
+    is_nonzero = np.any(columns, 1)
     rows = np.concatenate([columns, prior], 1)
     del columns  # with hundreds of terms these are half a gigabyte each
-    rows = unit_rows(rows if seen.all() else rows[seen])
+    rows = unit_rows(rows if is_nonzero.all() else rows[is_nonzero])
     span = orthonormal(rows, options.rounding)
-    return Spanned(span, rows @ span.T, owners[seen], acting[seen])
+    return Spanned(span, rows @ span.T, owners[is_nonzero], acting[is_nonzero])
 
 
 def _determined(
@@ -475,20 +482,24 @@ def _determined(
     """
     precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
     first = len(problem.precision)
-    kept, of_prior, owners = [columns[:first]], [precision[:first]], [np.full(first, -1)]
+    blocks = [columns[:first]]
+    of_prior = [precision[:first]]
+    owners = [np.full(first, -1)]
     for k, (term, at) in enumerate(zip(terms.terms, terms.slices, strict=True)):
-        part, own = columns[first:][at], precision[first:][at]
+        part = columns[first:][at]
+        part_precision = precision[first:][at]
         if not _has_prior(term):
-            own = np.zeros_like(own)
+            part_precision = np.zeros_like(part_precision)
         elif term.size > _MANY:
             flat = part.reshape(len(part), -1)
             eigenvalues, V = np.linalg.eigh(flat @ flat.T)
-            V = V[:, eigenvalues > _UNDETERMINED * noise**2 * own]
-            part, own = np.tensordot(V.T, part, 1), own[: V.shape[1]]
-        kept.append(part)
-        of_prior.append(own)
+            V = V[:, eigenvalues > _UNDETERMINED * noise**2 * part_precision]
+            part = np.tensordot(V.T, part, 1)
+            part_precision = part_precision[: V.shape[1]]
+        blocks.append(part)
+        of_prior.append(part_precision)
         owners.append(np.full(len(part), k))
-    return np.concatenate(kept), np.concatenate(of_prior), np.concatenate(owners)
+    return np.concatenate(blocks), np.concatenate(of_prior), np.concatenate(owners)
 
 
 def _acting(problem: Problem, columns: Array) -> NDArray[np.bool_]:
@@ -509,10 +520,10 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     columns = linear_columns(problem.linearised_at(fit.nuisance), fit.terms, fit.values)
     columns /= fit.scale[fit.residuals.groups, None]
     columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
-    found = noise_model(
+    model = noise_model(
         rows[:, training], columns, np.sqrt(precision), problem.groups, run[training], options, fit.noise
     )
-    return found if found.white else replace(found, starts=run_starts(run))
+    return model if model.white else replace(model, starts=run_starts(run))
 
 
 def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | None = None) -> Array:
@@ -520,7 +531,8 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
 
     Of all rows where `rows` does not name those that the columns have.
     """
-    groups, noise = fit.residuals.groups, fit.noise
+    groups = fit.residuals.groups
+    noise = fit.noise
     if rows is not None:
         groups, noise = groups[rows], replace(noise, groups=groups[rows])
     return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
@@ -528,7 +540,8 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
 
 def bounded_parts(terms: Sequence[Term], length: int) -> list[list[Term]]:
     """Terms in parts, so that the columns of each part, of this length, do not take too much memory."""
-    parts, numbers = list[list[Term]](), _NUMBERS
+    parts = list[list[Term]]()
+    numbers = _NUMBERS
     for term in terms:
         numbers += term.size * length
         if numbers > _NUMBERS:
@@ -542,10 +555,10 @@ def _winsorised(rows: Array, fit: Fit, limit: float) -> Array:
     """Residuals `(row, sample)` over the scale, samples with an rms beyond `limit` scaled down to it."""
     out = np.empty_like(rows)
     for group, scale in enumerate(fit.scale):
-        there = fit.residuals.groups == group
-        part = rows[there] / scale
+        in_group = fit.residuals.groups == group
+        part = rows[in_group] / scale
         length = np.sqrt(np.sum(part**2, 0) / len(part))
-        out[there] = part * np.minimum(1.0, limit / np.maximum(length, 1e-300))
+        out[in_group] = part * np.minimum(1.0, limit / np.maximum(length, 1e-300))
     return out
 
 
@@ -568,8 +581,8 @@ def _blocks(samples: int, time: float, options: EngineOptions) -> NDArray[np.int
 
     Of few samples, blocks are shorter, down to one sample: a test by four blocks finds nothing.
     """
-    least = int(np.clip(samples // options.enough_blocks, 1, options.least_in_block))
+    shortest = int(np.clip(samples // options.enough_blocks, 1, options.least_in_block))
     correlated = int(np.ceil(options.block_times * time)) if time > 1 else 1
-    length = max(least, correlated)
+    length = max(shortest, correlated)
     count = int(np.clip(samples // length, 4, options.most_blocks))
     return (np.arange(count) * samples) // count

@@ -147,7 +147,7 @@ class Factored:
 
     def with_rows(self, rows: Array) -> Array:
         """Products `(…, number)` of the columns with rows `(…, row, sample)`."""
-        return np.concatenate([np.sum(rows * one, -2) @ self.functions.T for one in self.site], -1)
+        return np.concatenate([np.sum(rows * site_column, -2) @ self.functions.T for site_column in self.site], -1)
 
     def with_others(self, other: "Factored") -> Array:
         """Products `(number, number)` of the columns with those at another site."""
@@ -161,7 +161,7 @@ class Factored:
 
 def gram(parts: Sequence[Array | Factored]) -> Array:
     """Products `(number, number)` of all columns; each part is `(number, row, sample)` or factored."""
-    half = [[_products(one, other) for other in parts[: k + 1]] for k, one in enumerate(parts)]
+    half = [[_products(row_part, column_part) for column_part in parts[: k + 1]] for k, row_part in enumerate(parts)]
     blocks = [[half[i][j] if j <= i else half[j][i].T for j in range(len(parts))] for i in range(len(parts))]
     return np.block(blocks)
 
@@ -169,14 +169,15 @@ def gram(parts: Sequence[Array | Factored]) -> Array:
 def pulled(parts: Sequence[Array | Factored], rows: Array) -> Array:
     """Products `(number,)` of all columns with rows `(row, sample)`."""
     return np.concatenate(
-        [one.with_rows(rows) if isinstance(one, Factored) else np.tensordot(one, rows, 2) for one in parts]
+        [part.with_rows(rows) if isinstance(part, Factored) else np.tensordot(part, rows, 2) for part in parts]
     )
 
 
-def _products(one: Array | Factored, other: Array | Factored) -> Array:
-    if isinstance(one, Factored):
-        return one.with_others(other) if isinstance(other, Factored) else one.with_rows(other).T
-    if isinstance(other, Factored):
-        return other.with_rows(one)
-    flat, others = one.reshape(len(one), -1), other.reshape(len(other), -1)
-    return flat @ (flat if one is other else others).T
+def _products(first: Array | Factored, second: Array | Factored) -> Array:
+    if isinstance(first, Factored):
+        return first.with_others(second) if isinstance(second, Factored) else first.with_rows(second).T
+    if isinstance(second, Factored):
+        return second.with_rows(first)
+    flat = first.reshape(len(first), -1)
+    second_flat = second.reshape(len(second), -1)
+    return flat @ (flat if first is second else second_flat).T

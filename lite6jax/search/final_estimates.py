@@ -24,7 +24,8 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     """
     options = replace(options, relinearisations=0)  # the problem is linearised at the estimate
     fitted = state.fit
-    between, of_inputs = _between_models(problem, fitted, options), _beside_inputs(problem, fitted, options)
+    between = _between_models(problem, fitted, options)
+    of_inputs = _beside_inputs(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
     stds = [0.0] * len(free)
     uncertain = _with_exact_derivatives(problem, fitted, options)
@@ -47,29 +48,33 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
 
 
 def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
-    other = with_alternative(problem, fitted, options)
-    if other is None:
+    alternative = with_alternative(problem, fitted, options)
+    if alternative is None:
         return np.zeros_like(fitted.covariance)
-    difference = other.values - fitted.values
-    probability = 1 / (1 + np.exp(np.clip(fitted.gain_over(other), -700, 700)))
+    difference = alternative.values - fitted.values
+    probability = 1 / (1 + np.exp(np.clip(fitted.gain_over(alternative), -700, 700)))
     return probability * np.outer(difference, difference)
 
 
 def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
     """What the covariance of the numbers gains as inputs may be wrong: by how much each would shift them, squared."""
-    gained, inputs = np.zeros_like(fitted.covariance), problem.inputs(fitted.terms)
+    gained = np.zeros_like(fitted.covariance)
+    inputs = problem.inputs(fitted.terms)
     if not inputs:
         return gained
     test = score_test(problem, fitted, options)
     for term, confounded in zip(inputs, test.confounded(inputs), strict=True):
         if confounded:
             continue
-        other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
-        difference = other.values[own] - fitted.values
-        gain = other.gain_over(fitted) / test.time - 0.5 * term.size * np.log(fitted.freedom)
+        extended = added(problem, fitted, term, np.zeros(term.size), options)
+        shared = slice(fitted.terms.size)
+        difference = extended.values[shared] - fitted.values
+        gain = extended.gain_over(fitted) / test.time - 0.5 * term.size * np.log(fitted.freedom)
         before = options.prior.wrong_input
         probability = before / (before + (1 - before) * np.exp(-np.clip(gain, -700, 700)))
-        gained += probability * (other.covariance[own, own] - fitted.covariance + np.outer(difference, difference))
+        gained += probability * (
+            extended.covariance[shared, shared] - fitted.covariance + np.outer(difference, difference)
+        )
     return gained
 
 
@@ -82,19 +87,21 @@ def added(problem: Problem, fitted: Fit, term: Term, values: np.ndarray, options
 
 def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:
     """The same terms fitted under the other model of the inputs; None where they do not depend on it."""
-    other = problem.alternative(fitted.terms)
-    if other is None:
+    alternative = problem.alternative(fitted.terms)
+    if alternative is None:
         return None
-    return fit(other, fitted.terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
+    return fit(alternative, fitted.terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
 
 
 def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOptions) -> Fit:
     """The fit with exact derivatives, and with the chosen numbers of some terms free."""
-    terms, values = [], []
+    terms = []
+    values = []
     for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
-    start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
+    start = join(values)
+    exact = _with_exact_derivatives(problem, fitted, options)
     return fit(problem, Terms(tuple(terms)), options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
 
 
@@ -108,7 +115,8 @@ def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOption
 
 def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> bool:
     """Whether a chosen number was whole, and its estimate is within `whole_within` standard deviations of that."""
-    chosen, last = fitted.terms.terms[k].chosen, released.terms.slices[k].stop - 1
+    chosen = fitted.terms.terms[k].chosen
+    last = released.terms.slices[k].stop - 1
     if chosen is None or chosen % 1:
         return False
     return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
@@ -122,14 +130,17 @@ def _is_beyond(problem: Problem, released: Fit, k: int) -> bool:
 
 def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
     """The fit with the numbers that were free held at their estimates, and the standard deviation of each of these."""
-    terms, kept, stds = [], np.ones(released.terms.size, bool), []
+    terms = []
+    remaining = np.ones(released.terms.size, bool)
+    stds = []
     for before, term, part, is_free in zip(
         fitted.terms.terms, released.terms.terms, released.terms.slices, free, strict=True
     ):
         last = part.stop - 1
         if is_free:
-            term, kept[last] = before.held(float(released.values[last])), False
+            term = before.held(float(released.values[last]))
+            remaining[last] = False
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
-    covariance = released.covariance[np.ix_(kept, kept)]
-    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance), stds
+    covariance = released.covariance[np.ix_(remaining, remaining)]
+    return replace(released, terms=Terms(tuple(terms)), values=released.values[remaining], covariance=covariance), stds

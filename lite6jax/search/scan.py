@@ -161,23 +161,27 @@ class Scan:
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
         """Tries all processes, or those `among` which it is to choose."""
-        self.problem, self.options, self.among = problem, options, among
+        self.problem = problem
+        self.options = options
+        self.among = among
         self.prior = options.prior
         self.considered = set[_Considered]()
-        drivers = [one for one in problem.quantities if not one.driver.is_order]
-        orders = [one for one in problem.quantities if one.driver.is_order]
+        drivers = [quantity for quantity in problem.quantities if not quantity.driver.is_order]
+        orders = [quantity for quantity in problem.quantities if quantity.driver.is_order]
         self.quantities = [*drivers, *orders]
         self.drivers = len(drivers)
-        self.phrases = [one.driver.phrase for one in self.quantities]
+        self.phrases = [quantity.driver.phrase for quantity in self.quantities]
         self.names = [*problem.candidates, *problem.shaped]
         self._features: dict[tuple[Any, ...], Array] = {}
         self._products: dict[tuple[Any, ...], Array] = {}
         self._kept = 0
         self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
-        self.discrete = [_is_discrete(one) for one in self.quantities]
+        self.discrete = [_is_discrete(quantity) for quantity in self.quantities]
         sites = {component.site for component in problem.components}
-        self.own = {site: [k for k, one in enumerate(drivers) if _is_own(one, site)] for site in sites}
-        self.wandering = [component for one in orders for component in problem.components if component.site in one.own]
+        self.own = {site: [k for k, quantity in enumerate(drivers) if _is_own(quantity, site)] for site in sites}
+        self.wandering = [
+            component for quantity in orders for component in problem.components if component.site in quantity.own
+        ]
 
     # -------------------------------------------------------------- costs
 
@@ -208,7 +212,7 @@ class Scan:
     @cached_property
     def time(self) -> int | None:
         """Which quantity the time is; None where there is none."""
-        return next((k for k, one in enumerate(self.quantities) if one.driver.is_time), None)
+        return next((k for k, quantity in enumerate(self.quantities) if quantity.driver.is_time), None)
 
     @cached_property
     def later(self) -> tuple[NDArray[np.integer], NDArray[np.integer], Array]:
@@ -220,9 +224,9 @@ class Scan:
         return order[::-1], len(times) - first, times[order[first]]
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
-        own = self.own[site]
+        site_quantities = self.own[site]
         share = self.prior.own_driver
-        return -np.log((share / len(own) if k in own else 0.0) + (1 - share) / self.drivers)
+        return -np.log((share / len(site_quantities) if k in site_quantities else 0.0) + (1 - share) / self.drivers)
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
@@ -230,7 +234,7 @@ class Scan:
 
     def may_wander(self, component: Component) -> bool:
         """Whether a component is a read-out that may wander by itself."""
-        return any(one is component for one in self.wandering)
+        return any(read_out is component for read_out in self.wandering)
 
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
         """Whether a kernel is one of these quantities."""
@@ -256,36 +260,37 @@ class Scan:
                 self._features[key] = self.problem.seen(self._factor(*key))
                 return self._features[key]
             if key not in self._products:
-                found = self._product(which, kernel)
-                self._kept += found.size
+                functions = self._product(which, kernel)
+                self._kept += functions.size
                 if self._kept > _KEPT:  # there are thousands of pairs
                     self._products.clear()
-                    self._kept = found.size
-                self._products[key] = found
-                return found
+                    self._kept = functions.size
+                self._products[key] = functions
+                return functions
             return self._products[key]
         return self._features[key]
 
-    def _product(self, which: tuple[int, ...], kernel: str) -> Array:
-        one, other = (
-            self._factor((k,), name, in_product=True) for k, name in zip(which, kernels.factors_of(kernel), strict=True)
+    def _product(self, quantity_indices: tuple[int, ...], kernel: str) -> Array:
+        first, second = (
+            self._factor((k,), name, in_product=True)
+            for k, name in zip(quantity_indices, kernels.factors_of(kernel), strict=True)
         )
-        return self.problem.seen((one[:, None] * other).reshape(-1, one.shape[-1]))
+        return self.problem.seen((first[:, None] * second).reshape(-1, first.shape[-1]))
 
     def _factor(
-        self, which: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = (), in_product: bool = False
+        self, quantity_indices: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = (), in_product: bool = False
     ) -> Array:
         """The functions of a kernel of one quantity at every sample, before any filter."""
-        key = which, kernel, rolloff, in_product
+        key = quantity_indices, kernel, rolloff, in_product
         if key not in self._features:
-            (k,) = which
+            (k,) = quantity_indices
             if kernel in kernels.SCALED:
                 self._features[key] = kernels.root(kernel, in_product).T @ self._every_spline(k)
             else:
                 values: Any = self.quantities[k].values[None]
                 run: Any = self.problem.every_run
-                found = kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff)
-                self._features[key] = np.asarray(found)
+                functions = kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff)
+                self._features[key] = np.asarray(functions)
         return self._features[key]
 
     def _every_spline(self, k: int) -> Array:
@@ -298,21 +303,23 @@ class Scan:
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
         """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
-        many = [k for k in range(self.drivers) if not self.discrete[k]]
+        continuous = [k for k in range(self.drivers) if not self.discrete[k]]
         none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
-        return many, np.stack([self.problem.seen(self._every_spline(k)) for k in many]) if many else none
+        return continuous, np.stack(
+            [self.problem.seen(self._every_spline(k)) for k in continuous]
+        ) if continuous else none
 
     @cached_property
     def _few(self) -> tuple[Array, NDArray[np.integer], Array]:
         """A few functions `(function, sample)` of each quantity of unit size, where each begins, and their weights."""
         parts = []
-        for k, one in enumerate(self.quantities[: self.drivers]):
+        for k, quantity in enumerate(self.quantities[: self.drivers]):
             kernel = "line" if self.discrete[k] else "smooth"
-            own = self.features((k,), kernel)[1:4]
-            if _is_angle(one):
-                own = np.concatenate([own, self.features((k,), "wave")[[2, 3, 5, 6]]])
-            own = own - own.mean(1, keepdims=True)
-            parts.append(own / (np.sqrt(np.mean(own**2, 1, keepdims=True)) + 1e-12))
+            functions = self.features((k,), kernel)[1:4]
+            if _is_angle(quantity):
+                functions = np.concatenate([functions, self.features((k,), "wave")[[2, 3, 5, 6]]])
+            functions = functions - functions.mean(1, keepdims=True)
+            parts.append(functions / (np.sqrt(np.mean(functions**2, 1, keepdims=True)) + 1e-12))
         start = np.cumsum([0, *map(len, parts[:-1])])
         weights = np.concatenate([0.6 ** np.minimum(np.arange(len(part)), 3) for part in parts])
         return np.concatenate(parts), start, weights
@@ -320,7 +327,7 @@ class Scan:
     @cached_property
     def processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
         """Those that are tried, where it is not all of them."""
-        components = {(one.site, one.name): one for one in self.problem.components}
+        components = {(component.site, component.name): component for component in self.problem.components}
         place = {phrase: k for k, phrase in enumerate(self.phrases)}
         return [
             (components[site, name], tuple(place[phrase] for phrase in phrases), kernel, rolloff)
@@ -330,7 +337,7 @@ class Scan:
 
     def has_numbers(self, term: Term) -> bool:
         """Whether a name is one of several that differ in a number that is tried."""
-        return sum(one.label == term.label for one in self.names) > 1
+        return sum(name.label == term.label for name in self.names) > 1
 
 
 @final
@@ -339,43 +346,50 @@ class Weighed:
 
     def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
         """Beside the model of a test, of sites that act on some `(row,)`; on any where these are not given."""
-        self._scan, self._test, self._marginal = scan, test, Marginal(test)
-        every = scan.problem.components
-        self.components = [one for one in every if rows is None or np.any(one.column[rows])]
+        self._scan = scan
+        self._test = test
+        self._marginal = Marginal(test)
+        components = scan.problem.components
+        self.components = [component for component in components if rows is None or np.any(component.column[rows])]
         self._problem = test.problem
-        self._options, self._rows = scan.options, slice(None) if rows is None else rows
+        self._options = scan.options
+        self._rows = slice(None) if rows is None else rows
         self._known: dict[int, Sums] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
-        scan, white = self._scan, self._test.fit.noise.white
+        scan = self._scan
+        white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        found = [*self.named(), *self.waves()]
-        found += self.of_read_outs()
+        candidates = [*self.named(), *self.waves()]
+        candidates += self.of_read_outs()
         if scan.among is None:
-            found += self.spectra()
-            singles = self.singles(max([least, *(one.net - self._options.close for one in found)]))
-            found += [*singles, *self.pairs(singles, 0.0 if white else least)]
+            candidates += self.spectra()
+            singles = self.singles(max([least, *(candidate.net - self._options.close for candidate in candidates)]))
+            candidates += [*singles, *self.pairs(singles, 0.0 if white else least)]
         else:
-            there = (one for one in scan.processes if one[0] in self.components and one[2] != "wander")
-            few = (self.of_kernel(*one, exact=one[2] == "spectrum") for one in there)
-            found += (one for one in few if one.gain > 0)
-        found.sort(key=lambda one: -one.net)
-        likely = [one for one in found if one.process][:_CONSIDERED]
-        scan.considered |= {(*one.key, *one.process[2:]) for one in likely}
+            processes = (
+                process for process in scan.processes if process[0] in self.components and process[2] != "wander"
+            )
+            weighed = (self.of_kernel(*process, exact=process[2] == "spectrum") for process in processes)
+            candidates += (candidate for candidate in weighed if candidate.gain > 0)
+        candidates.sort(key=lambda candidate: -candidate.net)
+        likely = [candidate for candidate in candidates if candidate.process][:_CONSIDERED]
+        scan.considered |= {(*candidate.key, *candidate.process[2:]) for candidate in likely}
         if white:
-            return _in_order(found)
-        exact, best = list[Ranked](), 0.0
-        for one in found[:_EXACT]:
-            if one.net < max(least, best / _UNDERRATED):
+            return _in_order(candidates)
+        exact = list[Ranked]()
+        best_odds = 0.0
+        for candidate in candidates[:_EXACT]:
+            if candidate.net < max(least, best_odds / _UNDERRATED):
                 break
-            exact.append(self.exact(one))
-            best = max(best, exact[-1].net)
-        return _in_order([one for one in exact if one.gain > 0])
+            exact.append(self.exact(candidate))
+            best_odds = max(best_odds, exact[-1].net)
+        return _in_order([candidate for candidate in exact if candidate.gain > 0])
 
     def usual(self) -> list[Ranked]:
         """The names that nearly every problem has, the likeliest first."""
-        return sorted(self.named(usual=True), key=lambda one: -one.net)
+        return sorted(self.named(usual=True), key=lambda candidate: -candidate.net)
 
     def names_and_waves(self) -> list[Ranked]:
         """Names and waves alone, the likeliest first."""
@@ -392,35 +406,38 @@ class Weighed:
     def named(self, usual: bool = False) -> list[Ranked]:
         """Names that are not there yet, all or the usual ones; of those with a number that is tried the likeliest."""
         test = self._test
-        there = {one for term in test.fit.terms.terms for one in (term, *term.includes)}
-        terms = [term for term in self._scan.names if term not in there and not term.periodic]
+        present = {included for term in test.fit.terms.terms for included in (term, *term.includes)}
+        terms = [term for term in self._scan.names if term not in present and not term.periodic]
         terms = [term for term in terms if term.usual] if usual else terms
-        found = self.of_terms(terms)
-        likely = sorted((one for one in found if one.make().chosen is not None), key=lambda one: -one.net)[
-            :_REFINED_NUMBERS
-        ]
-        for one in likely:
-            found = [other for other in found if other.cause != one.cause] + self._refined(one)
-        return found
+        candidates = self.of_terms(terms)
+        likely = sorted(
+            (candidate for candidate in candidates if candidate.make().chosen is not None),
+            key=lambda candidate: -candidate.net,
+        )[:_REFINED_NUMBERS]
+        for name in likely:
+            candidates = [candidate for candidate in candidates if candidate.cause != name.cause] + self._refined(name)
+        return candidates
 
     def like(self, term: Term) -> Ranked | None:
         """A name with the likeliest of the numbers that are tried for it; None where it says nothing."""
-        same = [one for one in self._scan.names if one.label == term.label and not term.periodic]
-        found = self.of_terms([term, *same])
-        if found and found[0].make().chosen and same:
-            found = self._refined(found[0])
-        return found[0] if found else None
+        variants = [variant for variant in self._scan.names if variant.label == term.label and not term.periodic]
+        candidates = self.of_terms([term, *variants])
+        if candidates and candidates[0].make().chosen and variants:
+            candidates = self._refined(candidates[0])
+        return candidates[0] if candidates else None
 
     def together(self, term: Term) -> list[Pair]:
         """A name that has a number which is tried, each time with another name of its site, the likeliest pair first.
 
         Either alone may take another number: a spring and a play add up to a wider play.
         """
-        same = [one for one in self._scan.names if one.label == term.label]
-        same = [*same, *self._near(term)]
-        others = [one for one in self._scan.names if one.site == term.site and one.label != term.label]
-        others = [one for one in others if one.chosen is None and not one.periodic]
-        return self._pairs(same, others, product(range(len(same)), range(len(others))))
+        variants = [variant for variant in self._scan.names if variant.label == term.label]
+        variants = [*variants, *self._near(term)]
+        partners = [
+            partner for partner in self._scan.names if partner.site == term.site and partner.label != term.label
+        ]
+        partners = [partner for partner in partners if partner.chosen is None and not partner.periodic]
+        return self._pairs(variants, partners, product(range(len(variants)), range(len(partners))))
 
     def pairs_at(self, site: str) -> list[Pair]:
         """Two names of a site that are not there yet, the likeliest pair first; waves of the lowest orders among them.
@@ -428,25 +445,26 @@ class Weighed:
         Two may nearly cancel, as gravity and what balances it, so that either alone says little; or lie so near that a
         third explains more than either, as a wave between two orders does.
         """
-        present = {one for term in self._test.fit.terms.terms for one in (term, *term.includes)}
-        names = [one for one in self._scan.names if one.site == site and (one.chosen is None or one.periodic)]
-        names = [one for one in names if one not in present and one.linear]
+        present = {included for term in self._test.fit.terms.terms for included in (term, *term.includes)}
+        names = [name for name in self._scan.names if name.site == site and (name.chosen is None or name.periodic)]
+        names = [name for name in names if name not in present and name.linear]
         return self._pairs(names, names, combinations(range(len(names)), 2))
 
     def _pairs(self, first: Sequence[Term], second: Sequence[Term], at: Iterable[tuple[int, int]]) -> list[Pair]:
         """Pairs of one of the first names with one of the second, by their places, the likeliest first."""
         model = self._test.fit.terms, self._test.fit.values
-        columns = [[self._problem.columns([one], beside=model) for one in names] for names in (first, second)]
+        columns = [[self._problem.columns([name], beside=model) for name in names] for names in (first, second)]
         pairs = list(at)
         if not pairs:
             return []
         evidence = self._marginal.of_names([np.concatenate([columns[0][a], columns[1][b]]) for a, b in pairs])
         weighed = []
-        for (a, b), one in zip(pairs, evidence, strict=True):
+        for (a, b), joint_evidence in zip(pairs, evidence, strict=True):
             names = [
-                _of_term(one, self._scan.cost_of_name(name), name, self._label(name)) for name in (first[a], second[b])
+                _of_term(joint_evidence, self._scan.cost_of_name(name), name, self._label(name))
+                for name in (first[a], second[b])
             ]
-            weighed.append(Pair((names[0], names[1]), float(one.gain) - names[0].cost - names[1].cost))
+            weighed.append(Pair((names[0], names[1]), float(joint_evidence.gain) - names[0].cost - names[1].cost))
         return sorted(weighed, key=lambda pair: -pair.net)
 
     def _label(self, name: Term) -> str:
@@ -454,20 +472,22 @@ class Weighed:
         wave = wave_of(self._problem, name)
         return name.label if wave is None else f"{name.label} {wave[1]:.3g}"
 
-    def _refined(self, one: Ranked) -> list[Ranked]:
+    def _refined(self, ranked: Ranked) -> list[Ranked]:
         """A name with a number that is tried, at the likeliest near this, as fine as the data tell it."""
-        found, steps = [one], _RATIOS
+        candidates = [ranked]
+        steps = _RATIOS
         for rounds in range(_FINEST):
-            before, term = found[0].net, found[0].make()
-            found = self.of_terms([term, *self._near(term, steps)]) or found
-            if rounds and found[0].net < before + _GAINED:
+            before = candidates[0].net
+            term = candidates[0].make()
+            candidates = self.of_terms([term, *self._near(term, steps)]) or candidates
+            if rounds and candidates[0].net < before + _GAINED:
                 break
             steps = steps ** (2 / (len(steps) - 1))
-        return found
+        return candidates
 
     def _near(self, term: Term, ratios: Array = _RATIOS) -> list[Term]:
         """A name with the numbers near its own, within those of the list."""
-        listed = [one.chosen for one in self._scan.names if one.label == term.label and one.chosen]
+        listed = [name.chosen for name in self._scan.names if name.label == term.label and name.chosen]
         if not term.chosen or not listed:
             return []
         near = np.clip(term.chosen * ratios, min(listed), max(listed))
@@ -475,18 +495,21 @@ class Weighed:
 
     def of_terms(self, terms: Sequence[Term]) -> list[Ranked]:
         """Names, of those with one label the likeliest."""
-        best: dict[str, Ranked] = {}
-        for some in bounded_parts(terms, self._problem.rows * self._problem.samples):
-            columns = self._problem.columns(some, beside=(self._test.fit.terms, self._test.fit.values))
-            each = np.split(columns, np.cumsum([term.size for term in some])[:-1])
-            each = [own if term.linear else self._at_estimate(term, own) for term, own in zip(some, each, strict=True)]
-            acting = [k for k, own in enumerate(each) if np.any(own[:, self._rows])]
-            weighed = self._marginal.of_names([each[k] for k in acting]) if acting else []
-            for term, evidence in zip((some[k] for k in acting), weighed, strict=True):
-                one = _of_term(evidence, self._scan.cost_of_name(term), term)
-                if one.gain > 0 and (term.label not in best or one.net > best[term.label].net):
-                    best[term.label] = one
-        return list(best.values())
+        likeliest: dict[str, Ranked] = {}
+        for part in bounded_parts(terms, self._problem.rows * self._problem.samples):
+            columns = self._problem.columns(part, beside=(self._test.fit.terms, self._test.fit.values))
+            blocks = np.split(columns, np.cumsum([term.size for term in part])[:-1])
+            blocks = [
+                block if term.linear else self._at_estimate(term, block)
+                for term, block in zip(part, blocks, strict=True)
+            ]
+            acting = [k for k, block in enumerate(blocks) if np.any(block[:, self._rows])]
+            weighed = self._marginal.of_names([blocks[k] for k in acting]) if acting else []
+            for term, evidence in zip((part[k] for k in acting), weighed, strict=True):
+                candidate = _of_term(evidence, self._scan.cost_of_name(term), term)
+                if candidate.gain > 0 and (term.label not in likeliest or candidate.net > likeliest[term.label].net):
+                    likeliest[term.label] = candidate
+        return list(likeliest.values())
 
     def _at_estimate(self, term: Term, columns: Array) -> Array:
         """The columns of a term that is not linear where it fits best: at zero they may miss most of it."""
@@ -497,7 +520,7 @@ class Weighed:
 
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
-        found = []
+        candidates = []
         families = max(len(self._problem.periodic), 1)
         for line in lines(self._test):
             column = line.family.column
@@ -505,12 +528,12 @@ class Weighed:
                 continue
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
-            named = line.term in self._scan.names  # the lowest orders are candidates of their own
+            is_listed = line.term in self._scan.names  # the lowest orders are candidates of their own
             cost = self._scan.prior.cost("wave") + np.log(families) + line.searched
-            if named:
+            if is_listed:
                 cost = self._scan.cost_of_name(line.term)
-            found.append(_of_term(evidence, float(cost), line.term, f"{line.term.label} {line.order:.3g}"))
-        return [one for one in found if one.gain > 0]
+            candidates.append(_of_term(evidence, float(cost), line.term, f"{line.term.label} {line.order:.3g}"))
+        return [candidate for candidate in candidates if candidate.gain > 0]
 
     def singles(self, least: float) -> list[Ranked]:
         """Processes of one quantity that may exceed `least`, each as its likeliest kernel.
@@ -519,40 +542,52 @@ class Weighed:
         closer. A play depends on the past as well and may explain more: that of a site's own quantities is always
         weighed, another one where the splines of its quantity are among the first.
         """
-        many, splines = self._scan.splines
-        found: list[Ranked] = []
-        at, pulls, informations, limits = [], [], [], []
+        continuous, splines = self._scan.splines
+        candidates: list[Ranked] = []
+        at = []
+        pulls = []
+        informations = []
+        limits = []
         for component in self.components:
-            pull, information, left, freedom = self._equations(component, splines)
-            most = bound(pull, information, left, freedom, self._options.confounded)
-            costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in many])
-            for i in np.flatnonzero(most > costs):
-                if self._scan.may_act(component.site, many[i]):
-                    at.append((component, many[i], left, freedom))
-                    limits.append(most[i] - costs[i])
+            pull, information, residual_sum, freedom = self._equations(component, splines)
+            upper_bounds = bound(pull, information, residual_sum, freedom, self._options.confounded)
+            costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in continuous])
+            for i in np.flatnonzero(upper_bounds > costs):
+                if self._scan.may_act(component.site, continuous[i]):
+                    at.append((component, continuous[i], residual_sum, freedom))
+                    limits.append(upper_bounds[i] - costs[i])
                     pulls.append(pull[i])
                     informations.append(information[i])
-        few = [k for k in range(self._scan.drivers) if k not in many]
-        found += self._of_all(
-            (one, (k,), "line") for one in self.components for k in few if self._scan.may_act(one.site, k)
+        discrete = [k for k in range(self._scan.drivers) if k not in continuous]
+        candidates += self._of_all(
+            (component, (k,), "line")
+            for component in self.components
+            for k in discrete
+            if self._scan.may_act(component.site, k)
         )
-        found += self._of_all(self._own_plays())
-        least = max([least, *(one.net - self._options.close for one in found)])
+        candidates += self._of_all(self._own_plays())
+        least = max([least, *(candidate.net - self._options.close for candidate in candidates)])
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
-            some, order = order[:_WEIGHED], order[_WEIGHED:]
-            pull, information = np.stack([pulls[i] for i in some]), np.stack([informations[i] for i in some])
-            left, freedom = (np.array([at[i][n] for i in some])[:, None, None] for n in (2, 3))
-            every = [self._of_splines(name, pull, information, left, freedom) for name in kernels.SCALED]
-            best = np.argmax([one.gain for one in every], 0)
-            for n, (i, k) in enumerate(zip(some, best, strict=True)):
-                likeliest = Evidence(*(part[n] for part in every[k]))
-                found.append(self._process(likeliest, at[i][0], (at[i][1],), list(kernels.SCALED)[k]))
-            others = [(at[i][0], (at[i][1],), "wave") for i in some]
-            others += [(at[i][0], (at[i][1],), "play") for i in some if at[i][1] not in self._scan.own[at[i][0].site]]
-            found += self._of_all(one for one in others if self._scan.suits(one[2], one[1]))
-            least = max(least, max(one.net for one in found) - self._options.close)
-        return _best_of_each(found)
+            batch = order[:_WEIGHED]
+            order = order[_WEIGHED:]
+            pull = np.stack([pulls[i] for i in batch])
+            information = np.stack([informations[i] for i in batch])
+            residual_sum, freedom = (np.array([at[i][n] for i in batch])[:, None, None] for n in (2, 3))
+            evidence_by_kernel = [
+                self._of_splines(name, pull, information, residual_sum, freedom) for name in kernels.SCALED
+            ]
+            best_kernels = np.argmax([evidence.gain for evidence in evidence_by_kernel], 0)
+            for n, (i, k) in enumerate(zip(batch, best_kernels, strict=True)):
+                likeliest = Evidence(*(part[n] for part in evidence_by_kernel[k]))
+                candidates.append(self._process(likeliest, at[i][0], (at[i][1],), list(kernels.SCALED)[k]))
+            processes = [(at[i][0], (at[i][1],), "wave") for i in batch]
+            processes += [
+                (at[i][0], (at[i][1],), "play") for i in batch if at[i][1] not in self._scan.own[at[i][0].site]
+            ]
+            candidates += self._of_all(process for process in processes if self._scan.suits(process[2], process[1]))
+            least = max(least, max(candidate.net for candidate in candidates) - self._options.close)
+        return _best_of_each(candidates)
 
     def _own_plays(self) -> Iterator[tuple[Component, tuple[int, ...], str]]:
         """The plays of each site's own quantities."""
@@ -562,20 +597,20 @@ class Weighed:
                     yield component, (k,), "play"
 
     def _of_splines(
-        self, kernel: str, pull: Array, information: Array, left: Array | float, freedom: Array | float
+        self, kernel: str, pull: Array, information: Array, residual_sum: Array | float, freedom: Array | float
     ) -> Evidence:
         """The evidence of a scaled kernel, arguments as of `of_process`, of all splines."""
         R = kernels.root(kernel)
-        return of_process(pull @ R, R.T @ information @ R, left, freedom, self._options.confounded)
+        return of_process(pull @ R, R.T @ information @ R, residual_sum, freedom, self._options.confounded)
 
     def of_read_outs(self) -> list[Ranked]:
         """What the read-outs that may wander do by themselves: wander with the likeliest memory, or jump once."""
-        found = []
+        candidates = []
         for component in self.components:
             if self._scan.may_wander(component):
-                found += self._of_rolloffs(component, self._scan.drivers, "wander", exact=True)
-                found += self._steps(component)
-        return _best_of_each(found)
+                candidates += self._of_rolloffs(component, self._scan.drivers, "wander", exact=True)
+                candidates += self._steps(component)
+        return _best_of_each(candidates)
 
     def _steps(self, component: Component) -> list[Ranked]:
         """The likeliest jump in time of a read-out; none where no time is known.
@@ -605,67 +640,74 @@ class Weighed:
 
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
-        found = []
+        candidates = []
         for component in self.components:
-            for k, one in enumerate(self._scan.quantities[: self._scan.drivers]):
-                if one.driver.turns == component.site:
-                    found += self._of_rolloffs(component, k, "spectrum", exact=True)
-        return _best_of_each(found)
+            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
+                if quantity.driver.turns == component.site:
+                    candidates += self._of_rolloffs(component, k, "spectrum", exact=True)
+        return _best_of_each(candidates)
 
     def _of_rolloffs(self, component: Component, k: int, kernel: str, exact: bool = False) -> list[Ranked]:
         """Every roll-off that is tried of a kernel: they differ in the size of their functions alone."""
         functions = self._scan.features((k,), kernel)[None]
-        (pull,), (information,), left, freedom = self._equations(component, functions, exact)
-        found = []
+        (pull,), (information,), residual_sum, freedom = self._equations(component, functions, exact)
+        candidates = []
         for rolloff in _ROLLOFFS[kernel]:
             size = kernels.deviations(kernel, self._scan.quantities[k].bounds, rolloff)
             acting = slice(len(size))
             scaled = information[acting, acting] * np.outer(size, size)
-            one = of_process(pull[acting] * size, scaled, left, freedom, self._options.confounded)
-            found.append(self._process(one, component, (k,), kernel, rolloff))
-        return found
+            evidence = of_process(pull[acting] * size, scaled, residual_sum, freedom, self._options.confounded)
+            candidates.append(self._process(evidence, component, (k,), kernel, rolloff))
+        return candidates
 
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel, where one exceeds `least`."""
         plain = [self._plain(k) for k in range(self._scan.drivers)]
         short = [(component, (a, b), f"{plain[a]}*{plain[b]}") for component, a, b in self._shortlist(singles)]
-        first = sorted((one for one in self._of_all(short) if one.net > least or not least), key=lambda one: -one.net)
-        every = (one.process[:2] for one in first[:_REFINED])
-        asked = [(*pair, kernel) for pair in every for kernel in PAIRS if self._scan.suits(kernel, pair[1])]
-        return _best_of_each(self._of_all(asked))
+        first = sorted(
+            (candidate for candidate in self._of_all(short) if candidate.net > least or not least),
+            key=lambda candidate: -candidate.net,
+        )
+        likely_pairs = (candidate.process[:2] for candidate in first[:_REFINED])
+        processes = [(*pair, kernel) for pair in likely_pairs for kernel in PAIRS if self._scan.suits(kernel, pair[1])]
+        return _best_of_each(self._of_all(processes))
 
-    def _of_all(self, asked: Iterable[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
+    def _of_all(self, processes: Iterable[tuple[Component, tuple[int, ...], str]]) -> list[Ranked]:
         """Processes by component, quantities and kernel; those of one kernel are weighed together."""
-        alike: dict[str, dict[int, tuple[Component, list[tuple[int, ...]]]]] = {}
-        for component, which, kernel in asked:
-            alike.setdefault(kernel, {}).setdefault(id(component), (component, []))[1].append(which)
-        found = list[Ranked]()
-        for kernel, members in alike.items():
-            waiting, count = list[_Equations](), 0
+        by_kernel: dict[str, dict[int, tuple[Component, list[tuple[int, ...]]]]] = {}
+        for component, quantity_indices, kernel in processes:
+            by_kernel.setdefault(kernel, {}).setdefault(id(component), (component, []))[1].append(quantity_indices)
+        candidates = list[Ranked]()
+        for kernel, members in by_kernel.items():
+            waiting = list[_Equations]()
+            count = 0
             for component, sets in members.values():
-                most = max(_AT_ONCE // max(self._scan.features(sets[0], kernel).size, 1), 1)
-                for k in range(0, len(sets), most):
-                    some = sets[k : k + most]
-                    functions = np.stack([self._scan.features(which, kernel) for which in some])
-                    waiting.append(_Equations(component, some, *self._equations(component, functions)))
-                    count += len(some)
+                batch_size = max(_AT_ONCE // max(self._scan.features(sets[0], kernel).size, 1), 1)
+                for k in range(0, len(sets), batch_size):
+                    batch = sets[k : k + batch_size]
+                    functions = np.stack([self._scan.features(quantity_indices, kernel) for quantity_indices in batch])
+                    waiting.append(_Equations(component, batch, *self._equations(component, functions)))
+                    count += len(batch)
                     if count >= _WEIGHED:
-                        found += self._together(waiting, kernel)
-                        waiting, count = [], 0
-            found += self._together(waiting, kernel)
-        return found
+                        candidates += self._together(waiting, kernel)
+                        waiting = []
+                        count = 0
+            candidates += self._together(waiting, kernel)
+        return candidates
 
     def _together(self, waiting: Sequence[_Equations], kernel: str) -> list[Ranked]:
         """Processes of one kernel, whose equations are known."""
         if not waiting:
             return []
-        counts = [len(one.sets) for one in waiting]
-        left = np.repeat([one.left for one in waiting], counts)[:, None, None]
-        freedom = np.repeat([one.freedom for one in waiting], counts)[:, None, None]
-        pull = np.concatenate([one.pull for one in waiting])
-        information = np.concatenate([one.information for one in waiting])
-        evidence = of_process(pull, information, left, freedom, self._options.confounded)
-        places = ((one.component, which) for one in waiting for which in one.sets)
+        counts = [len(equations.sets) for equations in waiting]
+        residual_sum = np.repeat([equations.left for equations in waiting], counts)[:, None, None]
+        freedom = np.repeat([equations.freedom for equations in waiting], counts)[:, None, None]
+        pull = np.concatenate([equations.pull for equations in waiting])
+        information = np.concatenate([equations.information for equations in waiting])
+        evidence = of_process(pull, information, residual_sum, freedom, self._options.confounded)
+        places = (
+            (equations.component, quantity_indices) for equations in waiting for quantity_indices in equations.sets
+        )
         return [
             self._process(Evidence(*numbers), *place, kernel)
             for place, numbers in zip(places, zip(*evidence, strict=True), strict=True)
@@ -682,34 +724,36 @@ class Weighed:
         names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         if len(which) > 1:
             return [self.of_kernel(component, which, name, exact=exact) for name in names]
-        found, k = list[Ranked](), next(iter(which))
+        candidates = list[Ranked]()
+        k = next(iter(which))
         if k == self._scan.drivers:
             return self._of_rolloffs(component, k, "wander", exact=True)
-        many, splines = self._scan.splines
-        if k in many:
-            (pull,), (information,), *noise = self._equations(component, splines[[many.index(k)]], exact)
-            found = [
+        continuous, splines = self._scan.splines
+        if k in continuous:
+            (pull,), (information,), *noise = self._equations(component, splines[[continuous.index(k)]], exact)
+            candidates = [
                 self._process(self._of_splines(name, pull, information, *noise), component, which, name)
                 for name in kernels.SCALED
             ]
             names = [name for name in names if name not in kernels.SCALED]
-        found += [self.of_kernel(component, which, name, exact=exact) for name in names]
+        candidates += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if k == self._scan.time and self._scan.may_wander(component):
-            found += self._steps(component)
+            candidates += self._steps(component)
         if self._scan.quantities[k].driver.turns == component.site:
-            found += self._of_rolloffs(component, k, "spectrum", exact)
-        return found
+            candidates += self._of_rolloffs(component, k, "spectrum", exact)
+        return candidates
 
     def alike(self, component: Component, which: tuple[int, ...]) -> Ranked | None:
         """The likeliest kernel of given quantities at a component; None where they say nothing there."""
-        return max(self.kernels_of(component, which, exact=True), key=lambda one: one.net, default=None)
+        return max(self.kernels_of(component, which, exact=True), key=lambda candidate: candidate.net, default=None)
 
     def _shortlist(self, singles: Sequence[Ranked]) -> list[tuple[Component, int, int]]:
         """Pairs with the largest scores of products of a few functions, and those of which one alone does much."""
         functions, start, weights = self._scan._few
         i, j = np.triu_indices(self._scan.drivers, 1)
-        squared, scored = functions**2, []
-        components = {(one.site, one.name): one for one in self.components}
+        squared = functions**2
+        scored = []
+        components = {(component.site, component.name): component for component in self.components}
         for component in self.components:
             sums = self._sums(component)
             score = (functions * sums.pull) @ functions.T
@@ -720,13 +764,13 @@ class Weighed:
                 if self._scan.may_act(component.site, int(i[at]), int(j[at])):
                     scored.append((float(of_pairs[at]), component, int(i[at]), int(j[at])))
         scored.sort(key=lambda item: -item[0])
-        found = {(component.site, component.name, a, b) for _, component, a, b in scored[:_SHORTLIST]}
+        shortlist = {(component.site, component.name, a, b) for _, component, a, b in scored[:_SHORTLIST]}
         place = {phrase: k for k, phrase in enumerate(self._scan.phrases)}
-        for one in sorted(singles, key=lambda one: -one.net)[:_BESIDE]:
-            a = place[one.cause[0]]
-            others = (b for b in range(self._scan.drivers) if b != a and self._scan.may_act(one.site, a, b))
-            found |= {(one.site, one.place, min(a, b), max(a, b)) for b in others}
-        return [(components[site, name], a, b) for site, name, a, b in sorted(found)]
+        for single in sorted(singles, key=lambda single: -single.net)[:_BESIDE]:
+            a = place[single.cause[0]]
+            partners = (b for b in range(self._scan.drivers) if b != a and self._scan.may_act(single.site, a, b))
+            shortlist |= {(single.site, single.place, min(a, b), max(a, b)) for b in partners}
+        return [(components[site, name], a, b) for site, name, a, b in sorted(shortlist)]
 
     def _sums(self, component: Component) -> Sums:
         if id(component) not in self._known:
@@ -737,8 +781,8 @@ class Weighed:
         """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
         if not ranked.process or ranked.process[2] in ("spectrum", "wander") or self._is_exact(ranked.process[0]):
             return ranked
-        component, which, kernel, rolloff = ranked.process
-        return self.of_kernel(component, which, kernel, rolloff, exact=True)
+        component, quantity_indices, kernel, rolloff = ranked.process
+        return self.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)
 
     def _is_exact(self, component: Component) -> bool:
         """Whether sums over rows suffice: in white noise, or of a component of one row."""
@@ -749,8 +793,12 @@ class Weighed:
     ) -> tuple[Array, Array, float, float]:
         """Pull and information of groups of functions `(group, function, sample)`, sum of squares and freedom."""
         if exact and not self._is_exact(component):
-            each = [self._marginal.dense(one[:, None] * component.column) for one in functions]
-            return np.stack([one[0] for one in each]), np.stack([one[1] for one in each]), *each[0][2:]
+            dense = [self._marginal.dense(group[:, None] * component.column) for group in functions]
+            return (
+                np.stack([equations[0] for equations in dense]),
+                np.stack([equations[1] for equations in dense]),
+                *dense[0][2:],
+            )
         sums = self._sums(component)
         return *self._marginal.equations(sums, functions), sums.left, sums.freedom
 
@@ -771,47 +819,49 @@ class Weighed:
         self,
         evidence: Evidence,
         component: Component,
-        which: tuple[int, ...],
+        quantity_indices: tuple[int, ...],
         kernel: str,
         rolloff: tuple[float, ...] = (),
     ) -> Ranked:
         def make() -> Term:
-            own = [self._scan.quantities[k] for k in which]
+            quantities = [self._scan.quantities[k] for k in quantity_indices]
             spread = float(f"{np.sqrt(evidence.variance):.4g}")
-            return self._problem.process(component, own, kernel, spread, rolloff)
+            return self._problem.process(component, quantities, kernel, spread, rolloff)
 
         site = component.site
-        cost = self._scan.cost_of_step if kernel == "step" else self._scan.cost_of_process(site, which)
-        cause, process = tuple(self._scan.phrases[k] for k in which), (component, which, kernel, rolloff)
+        cost = self._scan.cost_of_step if kernel == "step" else self._scan.cost_of_process(site, quantity_indices)
+        cause = tuple(self._scan.phrases[k] for k in quantity_indices)
+        process = (component, quantity_indices, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
 
 
 def _of_term(evidence: Evidence, cost: float, term: Term, label: str = "") -> Ranked:
     """A term with a formula, by its label or another one."""
-    gain, volume = float(evidence.gain), float(evidence.volume)
+    gain = float(evidence.gain)
+    volume = float(evidence.volume)
     return Ranked(gain, cost, volume, term.site, (label or term.label,), "", lambda: term)
 
 
-def _in_order(found: Sequence[Ranked]) -> list[Ranked]:
+def _in_order(candidates: Sequence[Ranked]) -> list[Ranked]:
     """The likeliest first; of names that are nearly as likely as a first name, that of the highest priority.
 
     Of the same priority it is that of the fewest numbers.
     """
-    ordered = sorted(found, key=lambda one: -one.net)
+    ordered = sorted(candidates, key=lambda candidate: -candidate.net)
     if not ordered or ordered[0].process:
         return ordered
-    near = [one for one in ordered if not one.process and one.net > ordered[0].net - NEARLY]
-    first = min(near, key=lambda one: (one.make().specificity, one.make().size, -one.net))
-    return [first, *(one for one in ordered if one is not first)]
+    near = [candidate for candidate in ordered if not candidate.process and candidate.net > ordered[0].net - NEARLY]
+    first = min(near, key=lambda candidate: (candidate.make().specificity, candidate.make().size, -candidate.net))
+    return [first, *(candidate for candidate in ordered if candidate is not first)]
 
 
-def _best_of_each(found: Sequence[Ranked]) -> list[Ranked]:
+def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
     """Of processes that differ in their kernel alone, the likeliest; none that are not likely at all."""
-    best: dict[Any, Ranked] = {}
-    for one in found:
-        if one.gain > 0 and (one.key not in best or one.gain > best[one.key].gain):
-            best[one.key] = one
-    return list(best.values())
+    likeliest: dict[Any, Ranked] = {}
+    for candidate in candidates:
+        if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
+            likeliest[candidate.key] = candidate
+    return list(likeliest.values())
 
 
 def _is_own(quantity: Quantity, site: str) -> bool:

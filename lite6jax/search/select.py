@@ -442,21 +442,21 @@ class Selector:
 
     def _exchanged(self, state: State) -> State | None:
         """The state with another term, or names, in the place of one, where that is likelier; None where none is."""
-        for k in np.argsort([one.gain for one in state.tested]).tolist():
-            one = state.tested[k]
-            if one.term in self._preset:
+        for k in np.argsort([selected.gain for selected in state.tested]).tolist():
+            selected = state.tested[k]
+            if selected.term in self._preset:
                 continue
-            if not one.term.nonparametric and (paired := self._paired(state, k)) is not None:
+            if not selected.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
-            best = next(iter(self._in_place(state, k)), None)
-            if best is None or self._is(best, one.term):
+            likeliest = next(iter(self._in_place(state, k)), None)
+            if likeliest is None or self._is(likeliest, selected.term):
                 continue
-            needed = self._needed(one.term, bool(best.process))
-            if best.net < one.net + needed:
+            needed = self._needed(selected.term, bool(likeliest.process))
+            if likeliest.net < selected.net + needed:
                 continue
-            trial = self._settled(self._estimated(self._with(self._left_out(state, k), best)))
-            if trial.evidence > state.evidence + needed:
-                return trial
+            candidate = self._settled(self._estimated(self._with(self._left_out(state, k), likeliest)))
+            if candidate.evidence > state.evidence + needed:
+                return candidate
         return None
 
     def _needed(self, old: Term, nonparametric: bool) -> float:
@@ -467,46 +467,47 @@ class Selector:
 
     def _paired(self, state: State, k: int) -> State | None:
         """The state with another name beside one whose number is tried, where both together are likelier; else None."""
-        one = state.tested[k]
-        if not self._has_number(one.term):
+        selected = state.tested[k]
+        if not self._has_number(selected.term):
             return None
-        there = {term.label for term in state.fit.terms.terms}
-        best = self._likeliest_pair(self.beside(state, k), one.term, one.net, there)
-        if best is None:
+        present = {term.label for term in state.fit.terms.terms}
+        pair = self._likeliest_pair(self.beside(state, k), selected.term, selected.net, present)
+        if pair is None:
             return None
-        trial = self._settled(self._estimated(self._with(self._left_out(state, k), *best.names)))
-        return trial if trial.evidence > state.evidence + self.options.better else None
+        candidate = self._settled(self._estimated(self._with(self._left_out(state, k), *pair.names)))
+        return candidate if candidate.evidence > state.evidence + self.options.better else None
 
     def _has_number(self, term: Term) -> bool:
         """Whether a number of a name is tried."""
         return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
 
-    def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, known: set[str]) -> Pair | None:
-        """A name with another one beside it that is not `known`, where the two gain a margin over its own odds."""
-        best = next(
-            (pair for pair in Weighed(self.scan, test).together(term) if pair.names[1].cause[0] not in known), None
+    def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, excluded: set[str]) -> Pair | None:
+        """A name with another one beside it that is not `excluded`, where the two gain a margin over its own odds."""
+        likeliest = next(
+            (pair for pair in Weighed(self.scan, test).together(term) if pair.names[1].cause[0] not in excluded), None
         )
-        return None if best is None or best.net < net + self.options.margin else best
+        return None if likeliest is None or likeliest.net < net + self.options.margin else likeliest
 
-    def _likeliest_pair_at(self, test: ScoreTest, site: str, known: set[str]) -> Pair | None:
-        """The likeliest two names of a site, neither of them `known`."""
+    def _likeliest_pair_at(self, test: ScoreTest, site: str, excluded: set[str]) -> Pair | None:
+        """The likeliest two names of a site, neither of them `excluded`."""
         pairs = Weighed(self.scan, test).pairs_at(site)
-        return next((pair for pair in pairs if not any(one.cause[0] in known for one in pair.names)), None)
+        return next((pair for pair in pairs if not any(name.cause[0] in excluded for name in pair.names)), None)
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
 
         Of those that are as likely to first order, the fewest are fitted first.
         """
-        process, bare = state.tested[k], None
+        process = state.tested[k]
+        bare = None
         for names, gain in self._names_for(state, k):
             needed = self._needed(process.term, bool(names[-1].process))
             if gain + self.options.close < process.net + needed:
                 continue
             bare = bare or self._left_out(state, k)
-            trial = self._noise_chosen_again(self._dropped(self._added(bare, names)))
-            if trial.evidence > state.evidence + needed:
-                return trial
+            candidate = self._noise_chosen_again(self._dropped(self._added(bare, names)))
+            if candidate.evidence > state.evidence + needed:
+                return candidate
         return None
 
     def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
@@ -515,44 +516,53 @@ class Selector:
         After each, the same beside a process of one of the two quantities that the process has, and beside a read-out
         that wanders.
         """
-        process, test, names, gain = state.tested[k].term, self.beside(state, k), list[Ranked](), 0.0
-        rows, model = self._rows(process, state), (state.fit.terms, state.fit.values)
-        known = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
-        component, which = self._process_of(process)
+        process = state.tested[k].term
+        test = self.beside(state, k)
+        names = list[Ranked]()
+        gain = 0.0
+        rows = self._rows(process, state)
+        model = (state.fit.terms, state.fit.values)
+        excluded = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
+        component, quantity_indices = self._process_of(process)
         while len(names) < self.options.names_for_process:
-            best = self._likeliest_name(test, state, rows, known)
-            if best is None:
+            likeliest = self._likeliest_name(test, state, rows, excluded)
+            if likeliest is None:
                 return
             pair = None
-            if self._has_number(term := best.make()):
-                pair = self._likeliest_pair(test, term, best.net, known)
-            more, net = ((best,), best.net) if pair is None else pair
-            both = self._likeliest_pair_at(test, process.site, known)
-            if both is not None and both.net > net + self.options.margin:
-                more, net = both
-            known |= {one.cause[0] for one in more}
-            names, gain = [*names, *more], gain + net
-            test = test.extend(test.problem.columns([one.make() for one in more], beside=model))
+            if self._has_number(term := likeliest.make()):
+                pair = self._likeliest_pair(test, term, likeliest.net, excluded)
+            more, net = ((likeliest,), likeliest.net) if pair is None else pair
+            site_pair = self._likeliest_pair_at(test, process.site, excluded)
+            if site_pair is not None and site_pair.net > net + self.options.margin:
+                more, net = site_pair
+            excluded |= {name.cause[0] for name in more}
+            names = [*names, *more]
+            gain = gain + net
+            test = test.extend(test.problem.columns([name.make() for name in more], beside=model))
             yield names, gain
             wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
-            for less in self._processes(test, component, [*_either(which), *wandering]):
+            for less in self._processes(test, component, [*_either(quantity_indices), *wandering]):
                 if less.net >= self.options.margin:
                     yield [*names, less], gain + less.net
 
-    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, known: set[str]) -> Ranked | None:
-        """The likeliest name that is not `known` and acts on some rows, of those worth their cost, usual ones first."""
+    def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, excluded: set[str]) -> Ranked | None:
+        """The likeliest name not `excluded` that acts on some rows, of those worth their cost, usual ones first."""
         names = [
-            one
-            for one in Weighed(self.scan, test).names_and_waves()
-            if one.cause[0] not in known and one.net >= self.options.margin
+            name
+            for name in Weighed(self.scan, test).names_and_waves()
+            if name.cause[0] not in excluded and name.net >= self.options.margin
         ]
-        names = [one for one in names if (self._rows(one.make(), state) & rows).any()]
-        return next((one for one in names if one.make().usual), names[0] if names else None)
+        names = [name for name in names if (self._rows(name.make(), state) & rows).any()]
+        return next((name for name in names if name.make().usual), names[0] if names else None)
 
     def _processes(self, test: ScoreTest, component: Component, sets: Sequence[tuple[int, ...]]) -> list[Ranked]:
         """The likeliest kernel of each of some sets of quantities, as far as these say anything."""
         weighed = Weighed(self.scan, test)
-        return [best for which in sets if (best := weighed.alike(component, which)) is not None]
+        return [
+            likeliest
+            for quantity_indices in sets
+            if (likeliest := weighed.alike(component, quantity_indices)) is not None
+        ]
 
     def _in_place(self, state: State, k: int) -> list[Ranked]:
         """The alternatives of the k-th term, that itself among them, the likeliest first."""
@@ -560,53 +570,68 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            least = state.tested[k].net - self.options.close
-            found = self._not_refused(Weighed(self.scan, test, rows).ranked(least), test, state)
-            continued = [self._continued(one, test.fit.terms.terms) for one in found]
-            ordered = continued if continued == found else sorted(continued, key=lambda one: -one.net)
+            lowest_odds = state.tested[k].net - self.options.close
+            candidates = self._not_refused(Weighed(self.scan, test, rows).ranked(lowest_odds), test, state)
+            continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
+            ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
 
     def alternatives(self, state: State, every: int = 1) -> list[tuple[Alternative, ...]]:
         """The alternatives of each term; gains are multiplied by the samples for which each sample stands."""
-        found = list[tuple[Alternative, ...]]()
-        for k, one in enumerate(state.tested):
-            if one.term in self._preset:
-                found.append(())
+        alternatives_by_term = list[tuple[Alternative, ...]]()
+        for k, selected in enumerate(state.tested):
+            if selected.term in self._preset:
+                alternatives_by_term.append(())
                 continue
-            test, others, seen = self.beside(state, k), list[Alternative](), set[object]()
+            test = self.beside(state, k)
+            alternatives = list[Alternative]()
+            listed_keys = set[object]()
             gaps = [
-                (every * (one.gain - other.gain) - (one.cost - other.cost), other) for other in self._in_place(state, k)
+                (every * (selected.gain - candidate.gain) - (selected.cost - candidate.cost), candidate)
+                for candidate in self._in_place(state, k)
             ]
             near = sorted((pair for pair in gaps if pair[0] < self.options.close), key=lambda pair: pair[0])
             # a process of a name's own driver at its site is that name, unless it is as likely
-            names = [one.term, *(other.make() for _, other in near if not other.process)]
-            own = {(name.site, driver.phrase) for name in names if not name.nonparametric for driver in name.drivers}
-            for gap, other in near:
-                said = other.site, other.cause
-                if len(others) == self.options.listed:
+            names = [selected.term, *(candidate.make() for _, candidate in near if not candidate.process)]
+            named_drivers = {
+                (name.site, driver.phrase) for name in names if not name.nonparametric for driver in name.drivers
+            }
+            for gap, candidate in near:
+                key = candidate.site, candidate.cause
+                if len(alternatives) == self.options.listed:
                     break
-                if other.process and gap >= NEARLY and any((other.site, phrase) in own for phrase in other.cause):
+                if (
+                    candidate.process
+                    and gap >= NEARLY
+                    and any((candidate.site, phrase) in named_drivers for phrase in candidate.cause)
+                ):
                     continue
-                if not self._contains(other, one.term) and said not in seen and self._is_possible(test, other):
-                    seen.add(said)
-                    others.append(Alternative(other.make(), max(gap, 0.0)))
-            others += self._rivals(test, one, every, {other.term.label for other in others})
-            if (wave := wave_of(self.problem, one.term)) is not None:
+                if (
+                    not self._contains(candidate, selected.term)
+                    and key not in listed_keys
+                    and self._is_possible(test, candidate)
+                ):
+                    listed_keys.add(key)
+                    alternatives.append(Alternative(candidate.make(), max(gap, 0.0)))
+            alternatives += self._rivals(
+                test, selected, every, {alternative.term.label for alternative in alternatives}
+            )
+            if (wave := wave_of(self.problem, selected.term)) is not None:
                 waves = as_likely(test, *wave, self.options.close / every)
-                others += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
-                others.sort(key=lambda each: each.gap)
-            found.append(tuple(others))
-        return found
+                alternatives += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
+                alternatives.sort(key=lambda alternative: alternative.gap)
+            alternatives_by_term.append(tuple(alternatives))
+        return alternatives_by_term
 
-    def _rivals(self, test: ScoreTest, one: SelectedTerm, every: int, known: set[str]) -> list[Alternative]:
-        """The rivals of a term that are tried and not `known`, however much less these explain in its place."""
-        found = list[Alternative]()
-        for rival in (term for term in one.term.rivals if term in self.scan.names and term.label not in known):
+    def _rivals(self, test: ScoreTest, selected: SelectedTerm, stride: int, excluded: set[str]) -> list[Alternative]:
+        """The rivals of a term that are tried and not `excluded`, however much less these explain in its place."""
+        rivals = list[Alternative]()
+        for rival in (term for term in selected.term.rivals if term in self.scan.names and term.label not in excluded):
             weighed = Weighed(self.scan, test).as_is(rival)
-            gain, cost = (0.0, one.cost) if weighed is None else (weighed.gain, weighed.cost)
-            found.append(Alternative(rival, max(every * (one.gain - gain) - (one.cost - cost), 0.0)))
-        return found
+            gain, cost = (0.0, selected.cost) if weighed is None else (weighed.gain, weighed.cost)
+            rivals.append(Alternative(rival, max(stride * (selected.gain - gain) - (selected.cost - cost), 0.0)))
+        return rivals
 
     def _is_possible(self, test: ScoreTest, ranked: Ranked) -> bool:
         """False of a name of one number whose estimate is far beyond its bounds; else true."""
@@ -632,8 +657,9 @@ class Selector:
             return bool(ranked.process) and ranked.cause == _phrases(term)
         if ranked.process:
             return False
-        own, tried = ranked.make(), term.chosen is not None and not term.periodic
-        return own == term or (tried and own.label == term.label)
+        name = ranked.make()
+        is_number_chosen = term.chosen is not None and not term.periodic
+        return name == term or (is_number_chosen and name.label == term.label)
 
     # -------------------------------------------------------------- noise
 
@@ -668,6 +694,6 @@ def is_wander(term: Term) -> bool:
     return _kernel_of(term) == "wander"
 
 
-def _either(which: tuple[int, ...]) -> list[tuple[int, ...]]:
+def _either(quantity_indices: tuple[int, ...]) -> list[tuple[int, ...]]:
     """Each of two quantities alone."""
-    return [(k,) for k in which] if len(which) > 1 else []
+    return [(k,) for k in quantity_indices] if len(quantity_indices) > 1 else []

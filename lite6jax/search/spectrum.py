@@ -47,7 +47,10 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
 
     The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
-    q, site, training, options = family.angle, family.column, test.fit.training, test.options
+    q = family.angle
+    site = family.column
+    training = test.fit.training
+    options = test.options
     score = np.sum(site * test.left_of_rows, 0)[training]
     weight = np.sum(site**2, 0)[training]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
@@ -59,25 +62,28 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     at = np.arange(int(np.ceil(options.lowest_order / step)), int(highest / step))
     e = _transform(place, score, length)[at]
     w = _transform(place, weight, length)
-    total, twice = float(weight.sum()), w[2 * at]
+    total = float(weight.sum())
+    twice = w[2 * at]
     ss, cc, sc = 0.5 * (total - twice.real), 0.5 * (total + twice.real), 0.5 * twice.imag
     return at * step, _pair_gain(e.imag, e.real, ss, cc, sc)
 
 
 def lines(test: ScoreTest) -> list[Line]:
     """The best order of each family, refined, the best family first."""
-    found, options = [], test.options
+    best_lines = []
+    options = test.options
     for family in test.problem.periodic:
         orders, gains = spectrum(test, family)
         if not gains.any():
             continue
         low = orders[orders <= options.exact_below][::2]
         peaks = orders[_peaks(test, family, orders, gains)[: options.kept_lines]]
-        best = _best(test, family, np.unique(np.concatenate([low, peaks])))
-        order = _refined(test, family, best, orders[1] - orders[0])
-        gain, searched = _gain(test, family, order), float(log_orders_of(family, order, options))
-        found.append(Line(family, order, gain, searched))
-    return sorted(found, key=lambda line: -line.gain)
+        best_order = _best(test, family, np.unique(np.concatenate([low, peaks])))
+        order = _refined(test, family, best_order, orders[1] - orders[0])
+        gain = _gain(test, family, order)
+        searched = float(log_orders_of(family, order, options))
+        best_lines.append(Line(family, order, gain, searched))
+    return sorted(best_lines, key=lambda line: -line.gain)
 
 
 def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: float) -> list[tuple[float, float]]:
@@ -97,19 +103,28 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
     if not gains.any():
         return []
     resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
-    own, step, most = _gain(test, family, order), orders[1] - orders[0], test.options.other_orders
-    found: list[tuple[float, float]] = []
+    gain = _gain(test, family, order)
+    step = orders[1] - orders[0]
+    limit = test.options.other_orders
+    alternatives: list[tuple[float, float]] = []
     # what the spectrum says is rounded: the lowest of equals to within one come first, and of twice as many the best
     peaks = _peaks(test, family, orders, gains)
-    ranked = sorted(peaks, key=lambda k: (round(max(own - float(gains[k]), 0.0)), float(orders[k])))
+    ranked = sorted(peaks, key=lambda k: (round(max(gain - float(gains[k]), 0.0)), float(orders[k])))
     for peak in orders[ranked]:
-        if len(found) == 2 * most or np.abs(np.array([order, *(other for _, other in found)]) - peak).min() < resolved:
+        if (
+            len(alternatives) == 2 * limit
+            or np.abs(np.array([order, *(alternative for _, alternative in alternatives)]) - peak).min() < resolved
+        ):
             continue
-        other = _refined(test, family, float(peak), step)
+        alternative = _refined(test, family, float(peak), step)
         # what only rounding separates is the same
-        found.append((round(max(own - _gain(test, family, other), 0.0), 6), other))
-    near = [(other, gap) for gap, other in sorted(found) if gap < within and abs(other - order) >= resolved]
-    return near[:most]
+        alternatives.append((round(max(gain - _gain(test, family, alternative), 0.0), 6), alternative))
+    near = [
+        (alternative, gap)
+        for gap, alternative in sorted(alternatives)
+        if gap < within and abs(alternative - order) >= resolved
+    ]
+    return near[:limit]
 
 
 def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array) -> NDArray[np.integer]:

@@ -85,19 +85,20 @@ class State:
     @property
     def evidence(self) -> float:
         """Log evidence in its own noise, less what the choice of its terms costs."""
-        names = sum(one.volume for one in self.tested if not one.term.nonparametric)
-        return self.fit.own_likelihood - self.fit.volume - names - sum(one.cost for one in self.tested)
+        names = sum(test.volume for test in self.tested if not test.term.nonparametric)
+        return self.fit.own_likelihood - self.fit.volume - names - sum(test.cost for test in self.tested)
 
 
 def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], options: EngineOptions) -> State:
     """The state with other terms, fitted from the numbers that it has of them, in its noise."""
-    f, terms = state.fit, Terms(tuple(one.term for one in tested))
+    f = state.fit
+    terms = Terms(tuple(test.term for test in tested))
     if not tested:  # from the nuisance alone: from that beside a term, another, lower maximum may be reached
         nuisance = state.baseline.nuisance_about(problem)
         bare = fit(problem, terms, options, None, nuisance, f.training, f.noise)
         return replace(state, fit=bare, tested=())
-    known = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
-    start = join([known.get(term, np.zeros(term.size)) for term in terms.terms])
+    values_by_term = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    start = join([values_by_term.get(term, np.zeros(term.size)) for term in terms.terms])
     return replace(
         state, fit=fit(problem, terms, options, start, f.nuisance, f.training, f.noise), tested=tuple(tested)
     )
@@ -113,7 +114,8 @@ def fitted_again(problem: Problem, reference: Problem, state: State, training: M
         training: `(sample,)` bool, the samples.
         options: thresholds.
     """
-    baseline, of = fit(reference, Terms(), options, training=training), state.fit
+    baseline = fit(reference, Terms(), options, training=training)
+    of = state.fit
     again = fit(problem, of.terms, options, of.values, baseline.nuisance_about(problem), training, of.noise)
     return replace(state, baseline=baseline, fit=again)
 
@@ -121,6 +123,7 @@ def fitted_again(problem: Problem, reference: Problem, state: State, training: M
 def beyond_limits(problem: Problem, fitted: Fit, k: int) -> float:
     """By how many standard deviations a number of the k-th term is outside its bounds at most; negative within them."""
     part = fitted.terms.slices[k]
-    values, std = fitted.values[part], np.maximum(np.sqrt(np.diagonal(fitted.covariance)[part]), 1e-300)
+    values = fitted.values[part]
+    std = np.maximum(np.sqrt(np.diagonal(fitted.covariance)[part]), 1e-300)
     lower, upper = np.transpose(problem.limits(fitted.terms.terms[k]))
     return float(np.max(np.maximum(lower - values, values - upper) / std))
