@@ -71,7 +71,9 @@ class Convert:
         into = self.into.partition("#")[0] if self.into else None
         command.check_outputs([self.target], [self.source, self.arm, into, self.effects], self.force)
         source = files.name_chain(self.source, self.base, self.tip)
-        nominal, arm, left_out = sources.load_nominal(self.arm), None, ()
+        nominal = sources.load_nominal(self.arm)
+        arm = None
+        left_out = ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         servos = None
@@ -99,7 +101,8 @@ class Convert:
         """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
         if not (isinstance(content, dict) and content.get("schema") == document.SCHEMA):
             return None, (), nominal
-        effects, alone = command.load_own_effects(self.effects), self.into is None
+        effects = command.load_own_effects(self.effects)
+        alone = self.into is None
         nominal = nominal or sources.load_nominal(command.find_nominal(content, Path(source)))
         arm, left_out = export.read_diagnosed_arm(source, nominal, effects, alone)
         if arm.inertia is None and alone and (self.to or files.form_of(self.target, False)) == "mjcf":
@@ -138,9 +141,11 @@ class Effects:
                 raise InputError("--prior: holds for both domains; leave --domain out")
             entries = priors.PRIOR.entries
             return command.present(self.json, lambda: _as_json(entries), listings.prior_report(entries))
-        found = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
+        listed_effects = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]
         return command.present(
-            self.json, lambda: _as_json([effect.to_dict() for effect in found]), listings.effects_report(found)
+            self.json,
+            lambda: _as_json([effect.to_dict() for effect in listed_effects]),
+            listings.effects_report(listed_effects),
         )
 
 
@@ -164,13 +169,13 @@ class Arms:
         """Prints."""
         if self.arm is not None:
             arm = files.read_arm(self.arm)
-            found = listings.arm_entry(arm)._asdict() | {"joint_list": listings.joint_entries(arm)}
+            document = listings.arm_entry(arm)._asdict() | {"joint_list": listings.joint_entries(arm)}
             report = listings.arm_report(arm)
         else:
             entries = [listings.arm_entry(description.load_bundled(name)) for name in description.bundled_arms()]
-            found = [entry._asdict() for entry in entries]
+            document = [entry._asdict() for entry in entries]
             report = listings.arms_report(entries, screen.console().width)
-        return command.present(self.json, lambda: _as_json(found), report)
+        return command.present(self.json, lambda: _as_json(document), report)
 
 
 def _as_json(content: object) -> str:

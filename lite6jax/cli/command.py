@@ -87,16 +87,16 @@ def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> d
     """`name=value` by name; values are text, or what YAML reads. Refuses what is no such pair, by the option."""
     import yaml
 
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for pair in given:
         name, mark, value = pair.partition("=") if as_yaml else pair.rpartition("=")
         if not mark or not name or not value or len(pair) > 1000:
             raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if as_yaml else 'COLUMN=MEANING'}")
         try:
-            found[name] = yaml.safe_load(value) if as_yaml else value
+            values[name] = yaml.safe_load(value) if as_yaml else value
         except yaml.YAMLError as error:
             raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
-    return found
+    return values
 
 
 def assumptions(options: Any) -> dict[str, bool]:
@@ -152,22 +152,24 @@ def list_inputs(
 
 def find_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
     """The recording that was diagnosed, where it is beside the diagnosis or here."""
-    named = [entry["file"] for entry in _recordings(document)]
-    places = [place for file in named for place in (diagnosis.with_name(file), Path(file))]
+    file_names = [entry["file"] for entry in _recordings(document)]
+    places = [place for file in file_names for place in (diagnosis.with_name(file), Path(file))]
     return next((place for place in places if place.is_file()), None)
 
 
 def require_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
     """The recording that was diagnosed; warns where the file is another one, and refuses where there is none."""
-    named = _recordings(document)
-    found = find_recording(document, diagnosis)
-    if found is None:
-        which = f"the recording {named[0]['file']} that it names is not beside it" if named else "it names no recording"
-        raise InputError(f"{diagnosis}: {which}; give one: {command_line('view', diagnosis, 'RECORDING')}")
-    if file_sha256(found) != named[0]["sha256"]:
-        said = f"{found}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)"
-        warnings.warn(said, InputWarning, stacklevel=2)
-    return found
+    entries = _recordings(document)
+    recording_path = find_recording(document, diagnosis)
+    if recording_path is None:
+        reason = (
+            f"the recording {entries[0]['file']} that it names is not beside it" if entries else "it names no recording"
+        )
+        raise InputError(f"{diagnosis}: {reason}; give one: {command_line('view', diagnosis, 'RECORDING')}")
+    if file_sha256(recording_path) != entries[0]["sha256"]:
+        message = f"{recording_path}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)"
+        warnings.warn(message, InputWarning, stacklevel=2)
+    return recording_path
 
 
 def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
@@ -278,10 +280,12 @@ def present(
     text, has one, or returns one.
     """
     if as_json:
-        found = result() if callable(result) else result
-        if not isinstance(found, str):
-            found = documents.text(found if isinstance(found, Mapping) else documents.document(found), written)
-        print(found)
+        document = result() if callable(result) else result
+        if not isinstance(document, str):
+            document = documents.text(
+                document if isinstance(document, Mapping) else documents.document(document), written
+            )
+        print(document)
         return code
     screen.show(report)
     screen.written(written)
@@ -292,9 +296,9 @@ def say(text: str, wrapped: bool = True, **facts: object) -> "Iterator[Text]":
     """What a command says of its work: the sentences of `templates/commands.yaml` by this name, a line each."""
     from rich.text import Text
 
-    for one in words.read_texts("commands.yaml")[text]:
-        if (said := words.fill(one, facts)) or not one:
-            yield Text(said) if wrapped else screen.unbroken(said)
+    for template in words.read_texts("commands.yaml")[text]:
+        if (line := words.fill(template, facts)) or not template:
+            yield Text(line) if wrapped else screen.unbroken(line)
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":

@@ -72,41 +72,42 @@ class Demo:
         )
         simulated.save(run, overwrite=self.force)
         screen.show(command.say("demo", poses=POSES, run=run))
-        asked = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
-        _, found = asked.search()
-        document = asked.document(found)
-        asked.write(found, document)
-        main = [one for one in sections.sections_of(document) if one.title in ("", _RANKING)]
+        diagnose_command = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
+        _, result = diagnose_command.search()
+        document = diagnose_command.document(result)
+        diagnose_command.write(result, document)
+        main = [section for section in sections.sections_of(document) if section.title in ("", _RANKING)]
         _print_command("diagnose", run, "--quick", out=diagnosis, report=page)
         screen.show(sections.show_sections(main))
         screen.show(command.say("demo_fit"))
         _print_command("fit", factory, out=table)
         print()
         Fit(factory, out=table, force=self.force).run()
-        screen.show(_compare(found))
+        screen.show(_compare(result))
         print(f"  {page}")
         return command.DONE
 
 
-def _print_command(*given: object, **files: Path) -> None:
+def _print_command(*arguments: object, **files: Path) -> None:
     """A command to copy, with a line for each option that names a file."""
     options = (f"--{name} {shlex.quote(str(path))}" for name, path in files.items())
-    print(" \\\n    ".join([f"$ {command_line(*given)}", *options]))
+    print(" \\\n    ".join([f"$ {command_line(*arguments)}", *options]))
 
 
-def _compare(found: Any) -> "Iterator[RenderableType]":
+def _compare(result: Any) -> "Iterator[RenderableType]":
     """The hidden faults beside the findings."""
-    findings = {finding.effect.label: finding.parameters for finding in found.findings}
+    findings = {finding.effect.label: finding.parameters for finding in result.findings}
     table = words.listing("", "hidden", "found", "")
     hidden = [serialization.parse_effect(text) for text in HIDDEN]
     for effect, values in hidden:
         for parameter, true in effect.reported(values).items():
-            truth, shown = words.quantity(parameter, true._asdict()), "not found"
+            truth = words.quantity(parameter, true._asdict())
+            shown = "not found"
             if effect.label in findings:
-                seen = words.quantity(parameter, findings[effect.label][parameter]._asdict())
-                shown = f"{seen.value} ± {seen.std}"
+                estimate = words.quantity(parameter, findings[effect.label][parameter]._asdict())
+                shown = f"{estimate.value} ± {estimate.std}"
             table.add_row(f"{effect.name.replace('_', ' ')} at {effect.site}", truth.value, shown, truth.unit)
     yield from ["", "3. What was hidden, and what was found", table]
-    if others := [label for label in findings if label not in {effect.label for effect, _ in hidden}]:
-        yield f"Found and not hidden: {', '.join(others)}."
+    if unexpected := [label for label in findings if label not in {effect.label for effect, _ in hidden}]:
+        yield f"Found and not hidden: {', '.join(unexpected)}."
     yield from ["", "The page with the figures, to be opened in a browser:"]

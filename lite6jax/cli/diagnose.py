@@ -127,9 +127,11 @@ class Diagnose:
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
-        asked = [f"--{name}" for name in ("poses", "torques", "tracking") if getattr(self, name)]
-        if len(asked) > 1:
-            raise InputError(f"{' and '.join(asked)}: give one of them, or none to diagnose both poses and torques")
+        domain_options = [f"--{name}" for name in ("poses", "torques", "tracking") if getattr(self, name)]
+        if len(domain_options) > 1:
+            raise InputError(
+                f"{' and '.join(domain_options)}: give one of them, or none to diagnose both poses and torques"
+            )
         if self.simulator is not None:
             for option in ("poses", "torques", "arm", "reference"):
                 if getattr(self, option):
@@ -144,12 +146,12 @@ class Diagnose:
         command.check_processes(self.processes, None)
         read = [self.source, *self.more, self.reference, self.arm, self.simulator, self.effects]
         command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
-        recording, found = self.search()
-        document = self.document(found)
-        written = self.write(found, document)
+        recording, result = self.search()
+        document = self.document(result)
+        written = self.write(result, document)
         files = ranking.Files(self.source, self.out, self.effects)
         report = sections.diagnosis_report(document, str(self.source), files, self.details)
-        bad = isinstance(found, diagnose.Diagnosis) and found.quality.verdict == "bad"
+        bad = isinstance(result, diagnose.Diagnosis) and result.quality.verdict == "bad"
         code = command.BAD_FIT if bad else command.DONE
         return _present(self.json, document, chain(report, screen.notes(recording.notes)), written, code)
 
@@ -176,7 +178,8 @@ class Diagnose:
 
         Of a recording that has both, poses and torques are diagnosed together, but of a fleet the poses.
         """
-        assumed, arm = command.assumptions(self), source.load_nominal(self.arm)
+        assumed = command.assumptions(self)
+        arm = source.load_nominal(self.arm)
         simulated = None
         about_chain: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
         if self.simulator is not None:
@@ -191,7 +194,7 @@ class Diagnose:
         effects = command.load_own_effects(self.effects)
         if recording.numbers_per_sample and not (self.torques or self.tracking or self.simulator):
             arm = arm or source.arm_of(recording)
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "domain": self._domain(recording),
             "reference": source.load_recording(self.reference, arm, **assumed) if self.reference else None,
             "geometry": self.geometry,
@@ -199,8 +202,8 @@ class Diagnose:
             "options": diagnosis_options.QUICK if self.quick else None,
         }
         if simulated is not None:
-            return recording, partial(diagnose.diagnose, recording, simulator=simulated, **given)
-        return recording, partial(diagnose.diagnose, recording, arm, **given)
+            return recording, partial(diagnose.diagnose, recording, simulator=simulated, **arguments)
+        return recording, partial(diagnose.diagnose, recording, arm, **arguments)
 
     def document(self, found: Any) -> dict[str, Any]:
         """The document of what was found, with the files that were read and with sentences."""
@@ -209,7 +212,7 @@ class Diagnose:
             file = Path(self.simulator.partition("#")[0])
             inputs.append({"role": "simulator", "file": file.name, "sha256": file_sha256(file)})
         for file in self.more:
-            inputs += [one for one in command.list_inputs(file) if one not in inputs]
+            inputs += [input_entry for input_entry in command.list_inputs(file) if input_entry not in inputs]
         return statements.with_statements(found.to_dict() | {"inputs": inputs})
 
     def write(self, found: "Found", document: Any) -> list[Path]:
@@ -217,15 +220,16 @@ class Diagnose:
         written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
         if not (self.report or self.figures):
             return written
-        drawn, most = {}, len(diagnosis_figures.figure_names([part.domain for part in found.parts]))
-        with screen.progress(2 * most + 1, "drawing") as advance:
-            for each, figure in diagnosis_figures.drawings(found, self.source.name, document):
-                drawn[each] = figure
+        drawn = {}
+        figure_count = len(diagnosis_figures.figure_names([part.domain for part in found.parts]))
+        with screen.progress(2 * figure_count + 1, "drawing") as advance:
+            for figure_name, figure in diagnosis_figures.drawings(found, self.source.name, document):
+                drawn[figure_name] = figure
                 advance(1)
             if self.figures:
-                named = {f"{self.source.stem}_{each}": figure for each, figure in drawn.items()}
-                written += figures.save(named, self.figures, self.force)
-            advance(most)
+                figures_by_file = {f"{self.source.stem}_{figure_name}": figure for figure_name, figure in drawn.items()}
+                written += figures.save(figures_by_file, self.figures, self.force)
+            advance(figure_count)
             if self.report:
                 sides = str(self.source)
                 if self.reference and any(part.against for part in found.parts):
@@ -239,10 +243,10 @@ class Diagnose:
 
     def _diagnose_folder(self) -> int:
         """Diagnoses every recording, writes documents and table, and with --fleet pools them into fleet.json."""
-        many = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
+        reason = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
         for option in ("reference", "simulator", "report", "figures"):
             if getattr(self, option) is not None:
-                raise InputError(f"--{option}: is of one recording, and {many}; leave it out")
+                raise InputError(f"--{option}: is of one recording, and {reason}; leave it out")
         if self.out is None:
             raise InputError(f"{self.source}: is a folder; add --out DIR for the documents of its recordings")
         if self.out.suffix.lower() == ".json":
@@ -270,9 +274,9 @@ class Diagnose:
                 self.json, lambda: documents.of_diagnoses(rows), listings.diagnoses_report(rows), [table]
             )
         rounds: list[int] = []
-        given = str(self.source), self.out, terms.PoolingOptions(), self.scheduler, self.processes
+        arguments = str(self.source), self.out, terms.PoolingOptions(), self.scheduler, self.processes
         with screen.repeated(lambda: f"pooling the recordings: {rounds[-1] if rounds else 0} effects so far"):
-            document = diagnoses.pool_folder(*given, rounds.append).to_dict()
+            document = diagnoses.pool_folder(*arguments, rounds.append).to_dict()
         write_atomically(pooled, diagnosis_file.document_text(document), overwrite=self.force)
         return _present(self.json, document, listings.population_report(document), [table, pooled])
 
@@ -281,13 +285,13 @@ class Diagnose:
 
         A recording of a fleet is one of poses, or with `torques`, or where it has no poses, of torques.
         """
-        found = self._prepare()[1]()
-        text = diagnosis_file.document_text(self.document(found))
+        result = self._prepare()[1]()
+        text = diagnosis_file.document_text(self.document(result))
         if not self.fleet:
             return text, None
-        if isinstance(found, diagnose.TrackingDiagnosis):
+        if isinstance(result, diagnose.TrackingDiagnosis):
             raise InputError(f"{self.source}: has commands and neither poses nor torques, which --fleet pools")
-        return text, reduction.reduced(found).to_bytes()
+        return text, reduction.reduced(result).to_bytes()
 
 
 def _present(as_json: bool, document: Any, report: Any, written: list[Path], code: int = command.DONE) -> int:
@@ -309,13 +313,13 @@ def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.T
     """
     rows = []
     for name in names:
-        with place.local_folder([name]) as here, contextlib.redirect_stdout(io.StringIO()):
-            found, said = attempt(here / name, replace(asked, source=here / name).diagnose)
-            said = place.show(said, here)
-        if found is None:
-            rows.append(diagnoses.make_refusal(name, said))
+        with place.local_folder([name]) as local_folder, contextlib.redirect_stdout(io.StringIO()):
+            outputs, message = attempt(local_folder / name, replace(asked, source=local_folder / name).diagnose)
+            message = place.show(message, local_folder)
+        if outputs is None:
+            rows.append(diagnoses.make_refusal(name, message))
         else:
-            rows.append(diagnoses.make_row(name, json.loads(found[0]), *found, said))
+            rows.append(diagnoses.make_row(name, json.loads(outputs[0]), *outputs, message))
     return workers.concatenate(rows)
 
 
@@ -350,7 +354,8 @@ class Report:
     def run(self) -> int:
         """Reads, writes, prints."""
         command.check_outputs([self.certificate], [self.diagnosis], self.force, [".pdf"])
-        document, written = diagnosis_file.parse_document(self.diagnosis), []
+        document = diagnosis_file.parse_document(self.diagnosis)
+        written = []
         of_fleet = listings.is_of_fleet(document)
         if self.certificate and of_fleet:
             raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
@@ -360,13 +365,14 @@ class Report:
             if of_fleet:
                 page = list(listings.population_report(document))
             else:
-                said, recording = statements.with_statements(document), command.find_recording(document, self.diagnosis)
+                stated_document = statements.with_statements(document)
+                recording = command.find_recording(document, self.diagnosis)
                 files = None if recording is None else ranking.Files(recording, self.diagnosis)
-                page = list(sections.diagnosis_report(said, str(self.diagnosis), files, self.details))
+                page = list(sections.diagnosis_report(stated_document, str(self.diagnosis), files, self.details))
                 if self.certificate:
                     itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
-                    said["inputs"] = [*said.get("inputs", ()), itself]
-                    written.append(pages.write_certificate(said, self.certificate, self.force))
+                    stated_document["inputs"] = [*stated_document.get("inputs", ()), itself]
+                    written.append(pages.write_certificate(stated_document, self.certificate, self.force))
         return _present(self.json, document, page, written)
 
 
@@ -401,7 +407,8 @@ class View:
             raise InputError(f"--port {self.port}: is not a port; give 1 to 65535")
         from rich.text import Text
 
-        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        document = diagnosis_file.parse_document(self.diagnosis)
+        effects = command.load_own_effects(self.effects)
         domain = "torques" if self.torques else None
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis), domain)
         file = self.recording or command.require_recording(document, self.diagnosis)
@@ -456,26 +463,28 @@ class Predict:
         command.check_outputs([self.out], [self.diagnosis, self.motion, self.effects], self.force, [".csv"])
         import pyarrow as pa
 
-        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        document = diagnosis_file.parse_document(self.diagnosis)
+        effects = command.load_own_effects(self.effects)
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
         of_commands = diagnosis_file.is_of_tracking(document)
         read = recording_files.read_commands if of_commands else recordings.read_motion
         recording = read(self.motion, model)
-        said: list[str] = []
-        registered, of_poses = None, isinstance(model, pose_predict.DiagnosedArm)
+        torque_notes: list[str] = []
+        registered = None
+        of_poses = isinstance(model, pose_predict.DiagnosedArm)
         if self.register:
             if not isinstance(model, pose_predict.DiagnosedArm):
                 domain = diagnosis_file.domain_of(document)
                 raise InputError(f"--register: a diagnosis of {domain} has no sensor frame")
             model, registered = registration.register_model(model, recording)
-        found = predict.predicted(model, recording)
-        columns = found.columns()
+        prediction = predict.predicted(model, recording)
+        columns = prediction.columns()
         if of_poses and diagnosis_file.find_torques(document) is not None:
-            columns, said = self._add_torques(document, columns, recording, effects)
+            columns, torque_notes = self._add_torques(document, columns, recording, effects)
         table = pa.table(columns)
         path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)
         if self.json:
-            return command.present(True, documents.prediction_document(found, registered), (), [path])
+            return command.present(True, documents.prediction_document(prediction, registered), (), [path])
         if model.reference is not None:
             screen.show([statements.model_statement(*model.reference)])
         if registered is not None:
@@ -483,14 +492,14 @@ class Predict:
         elif of_poses and (said_frame := compensations.frame_of_stations(document)):
             print(said_frame)
         screen.show(screen.notes(recording.notes))
-        if empty := int(found.empty.sum()):
+        if empty := int(prediction.empty.sum()):
             why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"
             print(f"{empty} rows are empty: there, {why} of the motion.")
-        if found.outside is None:
+        if prediction.outside is None:
             print(f"{self.diagnosis}: {compensations.NO_BARS}", file=sys.stderr)
         else:
-            print(compensations.outside_sentence(int(found.outside.sum()), len(found.outside), "row"))
-        for line in said:
+            print(compensations.outside_sentence(int(prediction.outside.sum()), len(prediction.outside), "row"))
+        for line in torque_notes:
             print(line)
         screen.written([path])
         return command.DONE
@@ -504,16 +513,21 @@ class Predict:
         """
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis), "torques")
         try:
-            found = predict.predicted(model, recording)
+            torque_prediction = predict.predicted(model, recording)
         except InputError as error:
             return poses, [f"Torques are not predicted: {name_options(str(error))}."]
-        columns = poses | found.columns()
-        if found.outside is None:
+        columns = poses | torque_prediction.columns()
+        if torque_prediction.outside is None:
             return columns, []
-        columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)
-        count, rows = int(found.outside.sum()), len(found.outside)
-        few = "Of the torques no row is outside what was recorded."
-        return columns, [f"Of the torques: {count} of {rows} rows are outside what was recorded." if count else few]
+        columns["outside"] = (
+            torque_prediction.outside | (poses["outside"] > 0 if "outside" in poses else False)
+        ).astype(int)
+        count = int(torque_prediction.outside.sum())
+        rows = len(torque_prediction.outside)
+        none_outside = "Of the torques no row is outside what was recorded."
+        return columns, [
+            f"Of the torques: {count} of {rows} rows are outside what was recorded." if count else none_outside
+        ]
 
 
 @dataclass(frozen=True)
@@ -559,7 +573,8 @@ class Compensate:
 
     def run(self) -> int:
         """Reads, solves, writes, prints."""
-        sidecar, declared = recordings.sidecar_path(self.out), exists(recordings.sidecar_path(self.targets))
+        sidecar = recordings.sidecar_path(self.out)
+        declared = exists(recordings.sidecar_path(self.targets))
         outputs, read = [self.out, *([sidecar] if declared else [])], [self.diagnosis, self.targets, self.effects]
         command.check_outputs(outputs, read, self.force, [".csv"])
         if not declared and exists(sidecar):
@@ -569,7 +584,8 @@ class Compensate:
             )
         import pyarrow as pa
 
-        document, effects = diagnosis_file.parse_document(self.diagnosis), command.load_own_effects(self.effects)
+        document = diagnosis_file.parse_document(self.diagnosis)
+        effects = command.load_own_effects(self.effects)
         if diagnosis_file.is_of_tracking(document):
             return self._correct(document, effects)
         model = diagnosis_file.read_model(self.diagnosis, effects, domain="poses")
@@ -580,8 +596,8 @@ class Compensate:
                 f"{model.dof} joints"
             )
         targets = compensate.read_pose_targets(self.targets, model, command.parse_pairs("--column", self.column))
-        found = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
-        table = compensations.compensation_columns(found)
+        compensation = compensate.compensate(model, targets, frame=self.frame, approach=approach or None)
+        table = compensations.compensation_columns(compensation)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
@@ -590,26 +606,30 @@ class Compensate:
             written = [
                 write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
             ]
-        if beyond := compensations.outside_warning(found, model):
+        if beyond := compensations.outside_warning(compensation, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
-        page = compensations.compensation_report(found, model, str(self.targets), self.frame)
-        code = command.DONE if found.reached.all() else command.NOT_REACHED
-        return command.present(self.json, found, chain(origin, page), written, code)
+        page = compensations.compensation_report(compensation, model, str(self.targets), self.frame)
+        code = command.DONE if compensation.reached.all() else command.NOT_REACHED
+        return command.present(self.json, compensation, chain(origin, page), written, code)
 
     def _correct(self, document: Any, effects: Sequence[Any]) -> int:
         """As `run`, of commands."""
         import pyarrow as pa
 
-        asked = {"--frame": self.frame != "sensor", "--approach": bool(self.approach), "--column": bool(self.column)}
-        for option, used in asked.items():
+        pose_options = {
+            "--frame": self.frame != "sensor",
+            "--approach": bool(self.approach),
+            "--column": bool(self.column),
+        }
+        for option, used in pose_options.items():
             if used:
                 raise InputError(f"{option}: is of poses, and {self.diagnosis} is of commands; leave it out")
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
         assert isinstance(model, tracking_predict.DiagnosedServos)
         motion = recording_files.read_commands(self.targets, model)
-        found = tracking_predict.commands_to_follow(model, motion)
-        columns = pa.table(found.columns())
+        corrected = tracking_predict.commands_to_follow(model, motion)
+        columns = pa.table(corrected.columns())
         path = write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
-        page = chain(compensations.corrected_report(found, str(self.targets)), screen.notes(motion.notes))
-        return command.present(self.json, found, page, [path])
+        page = chain(compensations.corrected_report(corrected, str(self.targets)), screen.notes(motion.notes))
+        return command.present(self.json, corrected, page, [path])

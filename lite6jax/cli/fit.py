@@ -51,13 +51,13 @@ class Check:
         for path in self.files:
             source = sources.read_source(path, nominal, **command.assumptions(self))
             if isinstance(source, recordings.Recording):
-                found = pose_check.check_recording(source, nominal)
+                checked = pose_check.check_recording(source, nominal)
             else:
-                found = pose_check.check_calibration(source)
+                checked = pose_check.check_calibration(source)
             if self.json:
-                print(documents.line({"file": str(path), **documents.document(found)}))
+                print(documents.line({"file": str(path), **documents.document(checked)}))
             else:
-                screen.show(faults.check_report(path, found))
+                screen.show(faults.check_report(path, checked))
         return command.DONE
 
 
@@ -130,10 +130,10 @@ class Fit:
         names = [f"{stem}_{kind}" for kind in ("error_by_joint", *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
         if isinstance(source, recordings.Recording):
-            found = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
-            report = [fits.recording_read(source, found)]
+            fitted = pose_fit.fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
+            report = [fits.recording_read(source, fitted)]
         else:
-            found = fit.fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
+            fitted = fit.fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
             report = [fits.calibration_read(source)]
             if verified:
                 try:
@@ -142,25 +142,25 @@ class Fit:
                         verification = sdk.verify(source, address, self.fk_samples, self.seed, advance)
                 except InputError as error:  # the fit is good all the same: it is shown and written first
                     refusal = error
-        report.append(fits.solution_report(found, found.recording))
+        report.append(fits.solution_report(fitted, fitted.recording))
         agrees = {}
         if verification:
             report.append(connected.verification_report(verification, title))
             agrees = {"controller_agrees": bool(verification.passed)}
 
         def draw():
-            yield figures.error_by_joint(found, title)
+            yield figures.error_by_joint(fitted, title)
             if verification:
                 yield figures.verification_figure(verification, title)
 
-        written += [solution.write_solution(found, self.out, self.force)] if self.out else []
+        written += [solution.write_solution(fitted, self.out, self.force)] if self.out else []
         written += command.save_figures(self.figures, names, draw, self.force)
-        command.present(self.json, lambda: documents.document(found) | agrees, chain(*report), written)
+        command.present(self.json, lambda: documents.document(fitted) | agrees, chain(*report), written)
         if refusal:
             raise refusal
-        if found.result.name != "CONVERGED" or (verification is not None and not verification.passed):
+        if fitted.result.name != "CONVERGED" or (verification is not None and not verification.passed):
             return command.NOT_REACHED
-        return command.BAD_FIT if found.quality.verdict == "bad" else command.DONE
+        return command.BAD_FIT if fitted.quality.verdict == "bad" else command.DONE
 
 
 @dataclass(frozen=True)
@@ -183,11 +183,14 @@ class Compare:
 
     def run(self) -> int:
         """Reads, compares, draws, prints."""
-        nominal, names = sources.load_nominal(self.arm), ("compare_parameters", "compare_distances")
+        nominal = sources.load_nominal(self.arm)
+        names = ("compare_parameters", "compare_distances")
         command.check_figures(self.figures, names, self.force)
-        found = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
-        written = command.save_figures(self.figures, names, lambda: found.plot().values(), self.force)
-        return command.present(self.json, found, fits.comparison_report(found, screen.console().width), written)
+        comparison = comparing.compare([factory.read_factory(path, nominal) for path in self.files])
+        written = command.save_figures(self.figures, names, lambda: comparison.plot().values(), self.force)
+        return command.present(
+            self.json, comparison, fits.comparison_report(comparison, screen.console().width), written
+        )
 
 
 @dataclass(frozen=True)

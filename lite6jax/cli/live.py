@@ -66,7 +66,8 @@ class Read:
         command.check_outputs([self.out], [self.arm], self.force)
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
-        arm, written = None if self.arm is None else files.read_arm(self.arm), []
+        arm = None if self.arm is None else files.read_arm(self.arm)
+        written = []
         read = station.read_calibration(connection.parse_address(self.ip), arm, self.timeout)
         if self.out:
             written.append(factory.write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
@@ -109,19 +110,21 @@ class Record:
         limits = arm.joint_limits
         poses = recordings.read_recording(self.poses, arm=arm, joint_limits=limits) if self.poses else None
         with _stop_on_interrupt() as stop:
-            given = station.read_station(address, arm, self.arm or "lite6")
+            arm_station = station.read_station(address, arm, self.arm or "lite6")
             options: dict[str, Any] = {"overwrite": self.force, "stop": stop}
             if poses is not None:
                 with screen.progress(poses.samples, "requesting") as advance:
-                    found = recorder.record_poses(address, self.out, given, poses, advance=advance, **options)
+                    recorded = recorder.record_poses(address, self.out, arm_station, poses, advance=advance, **options)
             else:
                 with connected.recording_progress() as show:
-                    found = recorder.record(address, self.out, given, seconds=self.seconds, show=show, **options)
-        screen.show(connected.recorded_report(found))
-        screen.written(found.written)
-        if found.refusal:
-            raise InputError(found.refusal)
-        return command.NOT_REACHED if found.short else command.DONE
+                    recorded = recorder.record(
+                        address, self.out, arm_station, seconds=self.seconds, show=show, **options
+                    )
+        screen.show(connected.recorded_report(recorded))
+        screen.written(recorded.written)
+        if recorded.refusal:
+            raise InputError(recorded.refusal)
+        return command.NOT_REACHED if recorded.short else command.DONE
 
 
 @contextmanager
@@ -137,8 +140,8 @@ def _stop_on_interrupt() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
 
     # handlers can be set in the main thread only
-    wanted = list_signals() if threading.current_thread() is threading.main_thread() else []
-    before = {number: signal.signal(number, handle) for number in wanted}
+    handled_signals = list_signals() if threading.current_thread() is threading.main_thread() else []
+    before = {number: signal.signal(number, handle) for number in handled_signals}
     try:
         yield stop
     finally:
@@ -296,9 +299,9 @@ class Emulate:
             yield from command.list_effects((effect, effect.reported(values)) for effect, values in of_torques)
         yield from command.say("emulation_faults", c=self, body=first.body)
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
-        named = first.body.arm.name if self.arm is None else self.arm
-        other = "" if named == "lite6" else f" --arm {named}"  # the default of the commands
-        yield screen.unbroken(f"Try: lite6jax read --ip {ip}{other}")
+        arm_name = first.body.arm.name if self.arm is None else self.arm
+        arm_option = "" if arm_name == "lite6" else f" --arm {arm_name}"  # the default of the commands
+        yield screen.unbroken(f"Try: lite6jax read --ip {ip}{arm_option}")
         yield screen.unbroken(f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")')
         if first.control_port != 502:
             yield screen.unbroken(

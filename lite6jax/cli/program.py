@@ -82,13 +82,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @contextmanager
 def _warn_in_lines() -> Iterator[None]:
     """Prints each warning of the input once, as one line on stderr."""
-    shown, said = warnings.showwarning, set()
+    shown, printed = warnings.showwarning, set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if not issubclass(category, InputWarning):
             shown(message, category, *place)
-        elif str(message) not in said:
-            said.add(str(message))
+        elif str(message) not in printed:
+            printed.add(str(message))
             print(f"warning: {_one_line(message)}", file=sys.stderr)
 
     with warnings.catch_warnings():
@@ -119,15 +119,15 @@ def _asks_help(arguments: Sequence[str]) -> bool:
 
 def _parse(arguments: Sequence[str]) -> Any:
     """The command that arguments ask for. A mistake in its options is answered with options of this command alone."""
-    given: dict[str, Any] = {"config": (FlagCreatePairsOff, OmitArgPrefixes)}
+    parser_options: dict[str, Any] = {"config": (FlagCreatePairsOff, OmitArgPrefixes)}
     name = arguments[0] if arguments else ""
     if name not in COMMANDS:
-        return tyro.cli(_list_commands(), prog="lite6jax", description=DESCRIPTION, args=arguments, **given)
+        return tyro.cli(_list_commands(), prog="lite6jax", description=DESCRIPTION, args=arguments, **parser_options)
     command = COMMANDS[name]
     if _asks_help(arguments):
         _describe_options(command)
     text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
-    return tyro.cli(command, prog=f"lite6jax {name}", description=text, args=arguments[1:], **given)
+    return tyro.cli(command, prog=f"lite6jax {name}", description=text, args=arguments[1:], **parser_options)
 
 
 def _list_commands() -> Any:
@@ -149,12 +149,12 @@ def _describe_options(command: Any) -> None:
     Nothing is said of the default of an option that is left out, or of a flag that is not set. Descriptions become one
     paragraph: tyro would keep the line breaks of the source.
     """
-    said = {name: " ".join(text.split()) for name, text in _FIELD.findall(inspect.getsource(command))}
+    descriptions = {name: " ".join(text.split()) for name, text in _FIELD.findall(inspect.getsource(command))}
     for name, annotation in command.__annotations__.items():
         if is_dataclass(annotation):
             _describe_options(annotation)
         else:
-            described = arg(help=said.get(name), help_behavior_hint=_describe_default)
+            described = arg(help=descriptions.get(name), help_behavior_hint=_describe_default)
             command.__annotations__[name] = Annotated[annotation, described]
 
 

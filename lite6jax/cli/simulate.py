@@ -204,18 +204,20 @@ class Simulate:
             return None
         usual = simulation.usual_servo(arm)
         numbers: dict[str, tuple[float, ...]] = {}
-        for option, given, otherwise in (
+        for option, option_numbers, otherwise in (
             ("stiffness", self.stiffness, usual.stiffness_Nm_per_rad),
             ("damping", self.damping, usual.damping_Nm_s_per_rad),
         ):
-            each = given * arm.dof if len(given) == 1 else given or otherwise
-            above = all(0 <= number < math.inf for number in each) and (option == "damping" or all(each))
-            if len(each) != arm.dof or not above:
+            joint_numbers = option_numbers * arm.dof if len(option_numbers) == 1 else option_numbers or otherwise
+            above = all(0 <= number < math.inf for number in joint_numbers) and (
+                option == "damping" or all(joint_numbers)
+            )
+            if len(joint_numbers) != arm.dof or not above:
                 raise InputError(
-                    f"--{option} {' '.join(f'{number:g}' for number in given)}: give one number above 0, or one for "
-                    f"each of the {arm.dof} joints"
+                    f"--{option} {' '.join(f'{number:g}' for number in option_numbers)}: give one number above 0, "
+                    f"or one for each of the {arm.dof} joints"
                 )
-            numbers[option] = tuple(each)
+            numbers[option] = tuple(joint_numbers)
         return sidecar_settings.ServoSettings(
             stiffness_Nm_per_rad=numbers["stiffness"], damping_Nm_s_per_rad=numbers["damping"]
         )
@@ -251,8 +253,8 @@ class Simulate:
 
         if self.factory is not None and self.tolerance:
             raise InputError("--factory and --tolerance: both give the arm's geometry; keep one")
-        given = self.factory is not None or self.tolerance
-        if self.factory_uncertainty is not None and not (given and self.geometry == "known"):
+        has_calibration = self.factory is not None or self.tolerance
+        if self.factory_uncertainty is not None and not (has_calibration and self.geometry == "known"):
             raise InputError("--factory-uncertainty: is one of a calibration; add --factory or --tolerance")
         declared = arm.kinematics
         if self.factory is not None:
@@ -271,7 +273,8 @@ class Simulate:
         return declared, simulation.perturb(declared, length / 1e3, math.radians(angle), self.seed)
 
     def _settings(self, calibration: Path) -> "recordings.RecordingSettings":
-        factory, uncertainty = calibration if self.tolerance else self.factory, None
+        factory = calibration if self.tolerance else self.factory
+        uncertainty = None
         if self.geometry == "unknown":
             factory = None
         if self.factory_uncertainty is not None:

@@ -84,8 +84,8 @@ class Setup:
         except InputError as error:
             if "six-parameter chain" not in str(error):
                 raise
-            said = ", ".join(self.effect)
-            raise InputError(f"{said}: needs the frames of links; add --chain six_parameter") from error
+            effect_list = ", ".join(self.effect)
+            raise InputError(f"{effect_list}: needs the frames of links; add --chain six_parameter") from error
 
     @property
     def reads(self) -> bool:
@@ -110,10 +110,10 @@ class Setup:
         )
 
     def _of_readings(self, arm: "arms.Arm") -> "information.Experiment":
-        if given := _given(self, "chain", "frame", "tool", "axis", "center", "orientation_noise"):
+        if unsuited_options := _given(self, "chain", "frame", "tool", "axis", "center", "orientation_noise"):
             raise InputError(
-                f"{given[0]}: of {self.sensor} the six numbers of each joint, the tool and the places are unknown;"
-                " leave it out"
+                f"{unsuited_options[0]}: of {self.sensor} the six numbers of each joint, the tool and the places "
+                "are unknown; leave it out"
             )
         noise = self.position_noise
         if noise is not None and not (math.isfinite(noise) and noise > 0):
@@ -176,14 +176,16 @@ class TorqueSetup:
 
 def _given(options: Any, *names: str) -> list[str]:
     """Which of some options are not at their defaults; of all where none is named."""
-    asked = (item for item in fields(options) if not names or item.name in names)
-    return [f"--{item.name.replace('_', '-')}" for item in asked if getattr(options, item.name) != item.default]
+    checked_fields = (item for item in fields(options) if not names or item.name in names)
+    return [
+        f"--{item.name.replace('_', '-')}" for item in checked_fields if getattr(options, item.name) != item.default
+    ]
 
 
 def _refuse_torques(options: TorqueSetup) -> None:
     """Refuses options of torques where poses are studied."""
-    if given := _given(options):
-        raise InputError(f"{given[0]}: is for torques; add --torque")
+    if torque_options := _given(options):
+        raise InputError(f"{torque_options[0]}: is for torques; add --torque")
 
 
 @final
@@ -250,7 +252,7 @@ class Identify:
             experiment = self.setup.experiment(self._read_arm(recording, nominal))
             if self.setup.reads and q is None:
                 q = touching.draw_readings(experiment, self.poses, self.seed).joint_position
-            found = identify.identify(experiment, q, poses=self.poses, seed=self.seed)
+            identification = identify.identify(experiment, q, poses=self.poses, seed=self.seed)
         else:
             if replace(self.setup, effect=()) != Setup():
                 raise InputError(
@@ -259,12 +261,14 @@ class Identify:
                 )
             sliding = recording.sliding
             effects = [serialization.parse_effect(text, neutral=True, sliding=sliding)[0] for text in self.setup.effect]
-            found = identify.identify_recording(
+            identification = identify.identify_recording(
                 recording, nominal, geometry=self.geometry, effects=effects, seed=self.seed
             )
-        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
-        report = study.identification_report(found, self.source, drawn=recording is None)
-        return command.present(self.json, found, report, written)
+        written = command.save_figures(
+            self.figures, names, lambda: identification.plot(self.source).values(), self.force
+        )
+        report = study.identification_report(identification, self.source, drawn=recording is None)
+        return command.present(self.json, identification, report, written)
 
     def _identify_torques(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> int:
         poses = self.setup != Setup() or self.poses != 100 or self.geometry != "declared"
@@ -273,7 +277,8 @@ class Identify:
                 f"{self.source}: torques are studied; leave out --poses, --geometry, --figures and the options of a"
                 " sensor"
             )
-        arm, notes = self._read_arm(recording, nominal), []
+        arm = self._read_arm(recording, nominal)
+        notes = []
         if recording is None:
             room = self.torque.room(arm)
             time, motion = torques.record_motion(room, motions.random_motions(room, self.seed, 1)[0])
@@ -282,15 +287,18 @@ class Identify:
         else:
             motion, assumed = motions.read_motion(recording)
             model = self.torque.model(arm, recording.settings)
-            phrase, notes = f"{recording.samples} samples of a recording", [*recording.notes, *assumed]
+            phrase = f"{recording.samples} samples of a recording"
+            notes = [*recording.notes, *assumed]
             if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:
-                each = dict.fromkeys(zip(model.noise.tolist(), words.torque_units(arm.sliding, arm.dof), strict=True))
-                said = " and ".join(f"{noise:g} {unit}" for noise, unit in each)
-                are = "are" if len(each) > 1 else "is"
-                notes.append(f"the sidecar declares no torque_noise_Nm: {said} {are} assumed")
-        found = torques.identify_torques(model, motion, notes=tuple(notes))
-        report = study.torque_identification_report(found, self.source, phrase)
-        return command.present(self.json, found.to_dict, report)
+                noise_and_units = dict.fromkeys(
+                    zip(model.noise.tolist(), words.torque_units(arm.sliding, arm.dof), strict=True)
+                )
+                noise_list = " and ".join(f"{noise:g} {unit}" for noise, unit in noise_and_units)
+                are = "are" if len(noise_and_units) > 1 else "is"
+                notes.append(f"the sidecar declares no torque_noise_Nm: {noise_list} {are} assumed")
+        identification = torques.identify_torques(model, motion, notes=tuple(notes))
+        report = study.torque_identification_report(identification, self.source, phrase)
+        return command.present(self.json, identification.to_dict, report)
 
     def _read_arm(self, recording: "recordings.Recording | None", nominal: "arms.Arm | None") -> "arms.Arm":
         """The arm itself, or that of a recording."""
@@ -335,9 +343,9 @@ class Sensitivity:
         command.check_figures(self.figures, names, self.force)
         arm = files.read_arm(self.source)
         tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
-        found = identify.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
-        written = command.save_figures(self.figures, names, lambda: found.plot(self.source).values(), self.force)
-        return command.present(self.json, found, study.sensitivity_report(found, self.source), written)
+        sensitivity = identify.sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
+        written = command.save_figures(self.figures, names, lambda: sensitivity.plot(self.source).values(), self.force)
+        return command.present(self.json, sensitivity, study.sensitivity_report(sensitivity, self.source), written)
 
 
 @final
@@ -401,22 +409,22 @@ class Design:
         name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
         command.check_figures(self.figures, [name], self.force)
         design = self._design_motion if of_motion else self._design_poses
-        found, recording, report = design(files.read_arm(self.source))
+        plan, recording, report = design(files.read_arm(self.source))
         written = [recordings.write_recording(recording, self.out, self.force), sidecar]
 
         def draw():
-            yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(found, self.source)
+            yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(plan, self.source)
 
         written += command.save_figures(self.figures, [name], draw, self.force)
-        return command.present(self.json, found, report, written)
+        return command.present(self.json, plan, report, written)
 
     def _check_options(self) -> None:
         if self.torque.torque:
-            given = _given(self, "poses", "accuracy", "criterion", "discriminate", "candidates", "recorded")
+            pose_options = _given(self, "poses", "accuracy", "criterion", "discriminate", "candidates", "recorded")
             if replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
-                given.append("the options of a sensor")
-            if given:
-                raise InputError(f"--torque: designs a motion; leave {given[0]} out")
+                pose_options.append("the options of a sensor")
+            if pose_options:
+                raise InputError(f"--torque: designs a motion; leave {pose_options[0]} out")
             return
         _refuse_torques(self.torque)
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
@@ -440,27 +448,28 @@ class Design:
         options: dict[str, Any] = {"recorded": recorded, "seed": self.seed}
         if self.discriminate is None:
             options |= {"criterion": self.criterion, "accuracy": accuracy}
-            found = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
+            plan = poses.plan_poses(experiment, drawn.joint_position, self.poses, **options)
         else:
-            one, other = self.discriminate
-            hidden = serialization.parse_effect(one, sliding=arm.sliding)
-            rivals = hidden, serialization.parse_effect(other, neutral=True, sliding=arm.sliding)[0]
-            found = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
-        q = found.joint_position[poses.short_path(found.joint_position)]
+            hidden_text, rival_text = self.discriminate
+            hidden = serialization.parse_effect(hidden_text, sliding=arm.sliding)
+            rivals = hidden, serialization.parse_effect(rival_text, neutral=True, sliding=arm.sliding)[0]
+            plan = poses.plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
+        q = plan.joint_position[poses.short_path(plan.joint_position)]
         settings = recordings.RecordingSettings(arm=command.name_arm(self.source, self.out), motion="static")
-        report = study.design_report(found, drawn, disabled, self.source, accuracy)
+        report = study.design_report(plan, drawn, disabled, self.source, accuracy)
         readings = None
         if self.setup.reads:
             settings, readings = touching.planned_readings(experiment, q, settings)
             report = (*report, *study.places_report(experiment, q))
         planned = recordings.Recording.assembled(q, settings=settings, sliding=arm.sliding, readings=readings)
-        return found, planned, report
+        return plan, planned, report
 
     def _design_motion(self, arm: "arms.Arm") -> Designed:
         filters, disabled = self._filters(arm)
         room = self.torque.room(arm, filters, math.radians(self.limit_margin))
-        found = torques.plan_motion(self.torque.model(arm), room, seed=self.seed)
-        report, motion = study.torque_plan_report(found, disabled, self.source), found.motion
+        plan = torques.plan_motion(self.torque.model(arm), room, seed=self.seed)
+        report = study.torque_plan_report(plan, disabled, self.source)
+        motion = plan.motion
         settings = recordings.RecordingSettings(
             arm=command.name_arm(self.source, self.out),
             motion="trajectory",
@@ -468,13 +477,13 @@ class Design:
         )
         recording = recordings.Recording.assembled(
             motion.q.T,
-            time=found.time,
+            time=plan.time,
             joint_velocity=motion.dq.T,
             joint_acceleration=motion.ddq.T,
             settings=settings,
             sliding=arm.sliding,
         )
-        return found, recording, report
+        return plan, recording, report
 
     def _filters(self, arm: "arms.Arm") -> "tuple[list[candidates.Filter], tuple[tuple[str, str], ...]]":
         if self.floor is not None and not math.isfinite(self.floor):

@@ -131,23 +131,25 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         least-squares fit of the nuisance beside the other findings, with its prior, is subtracted: an effect that a
         sensor's frame imitates moves a measured pose by much and its residual by little.
         """
-        problem, fit, kept = self.problem, self.fit, ~self.outliers
-        weight = np.where(fit.training & kept, fit.residuals.row_weight, 0.0)
-        whole = problem.residual(fit.nuisance, fit.terms, fit.values)
+        problem = self.problem
+        fit = self.fit
+        inliers = ~self.outliers
+        weight = np.where(fit.training & inliers, fit.residuals.row_weight, 0.0)
+        full_residual = problem.residual(fit.nuisance, fit.terms, fit.values)
 
         def rms(vectors: Array) -> float:
             return float(np.sqrt(np.mean(np.sum(vectors**2, 0)))) if vectors.shape[1] else 0.0
 
         moves = []
         for k in range(len(fit.terms.terms)):
-            others = fit.terms.part(fit.values, [other != k for other in range(len(fit.terms.terms))])
-            moved = whole - problem.residual(fit.nuisance, *others)
-            nuisance = problem.nuisance_columns(*others)
+            reduced_model = fit.terms.part(fit.values, [index != k for index in range(len(fit.terms.terms))])
+            moved = full_residual - problem.residual(fit.nuisance, *reduced_model)
+            nuisance = problem.nuisance_columns(*reduced_model)
             if len(nuisance):
                 weighted = (nuisance * weight).reshape(len(nuisance), -1)
                 H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
                 moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
-            displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
+            displaced = unwhitened(moved, problem.measured.whitener)[:, inliers]
             turned = {"moves_rms_rad": rms(displaced[3:])} if problem.rows == 6 else {}
             moves.append({"moves_rms_m": rms(displaced[:3]), **turned})
         return tuple(moves)
@@ -155,14 +157,16 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
         """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
-        problem, fit, kept = self.problem, self.fit, ~self.outliers
+        problem = self.problem
+        fit = self.fit
+        inliers = ~self.outliers
         position = orientation = None
-        if problem.declared_noise[0] is not None and kept.any():
+        if problem.declared_noise[0] is not None and inliers.any():
             rows = min(problem.rows, 3)
-            position = float(np.sqrt(np.mean(self.after[kept] ** 2) / rows) / problem.declared_noise[0])
-        if problem.declared_noise[1] is not None and kept.any():
-            freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
-            orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, kept] ** 2) / freedom))
+            position = float(np.sqrt(np.mean(self.after[inliers] ** 2) / rows) / problem.declared_noise[0])
+        if problem.declared_noise[1] is not None and inliers.any():
+            freedom = max(1 - fit.parameters / max(problem.rows * inliers.sum(), 1), 0.1)
+            orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, inliers] ** 2) / freedom))
         return {"position": position, "orientation": orientation}
 
     @cached_property
@@ -173,13 +177,15 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @cached_property
     def quality(self) -> Quality:
         """Whether the model with the findings describes the poses, on rows that were not used."""
-        problem, fit, kept = self.problem, self.fit, self.problem.valid
+        problem, fit, valid = self.problem, self.fit, self.problem.valid
         predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
-        reach, noise, over_noise = problem.arm.reach, problem.declared_noise[0], self.most_over_noise
-        return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
+        reach = problem.arm.reach
+        noise = problem.declared_noise[0]
+        over_noise = self.most_over_noise
+        return quality_of_poses(self.after[valid], measured[valid], predicted[valid], reach, noise, over_noise)
 
     @cached_property
     def rows_needed(self) -> int:
@@ -187,25 +193,29 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
         The evidence of an effect grows with the number of rows.
         """
-        least = max(self.options.fewest_rows, self.problem.samples + 1)
+        minimum_rows = max(self.options.fewest_rows, self.problem.samples + 1)
         if self.selection.nearest is None:
-            return least
+            return minimum_rows
         term, p_value = self.selection.nearest
         cost = Scan(self.problem, self.options.engine).cost_of_name(term)
         now, needed = (cost - np.log(max(p, 1e-300)) for p in (p_value, self.options.engine.level))
-        return max(int(np.ceil(self.problem.samples * needed / now)), least)
+        return max(int(np.ceil(self.problem.samples * needed / now)), minimum_rows)
 
     @cached_property
     def model(self) -> DiagnosedArm:
         """The arm with the effects found, as `read_model` gives it from a file."""
         problem, fit = self.problem, self.fit
-        arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
+        arm = problem.displaced(fit.nuisance)
+        inertia = problem.inertia
+        errors = problem.mass_errors(fit.nuisance)
         if inertia is not None and errors is not None:
             inertia = with_mass_errors(inertia, errors.links, errors.payload)
         effects, values = self._modelled
         physics = Physics(effects)
-        stages = (self._statistics(each, ~self.outliers) for each in (self.errors.before, self.errors.after))
-        before, after = (each["heldout_position_rms_m"] for each in stages)
+        stages = (
+            self._statistics(stage_errors, ~self.outliers) for stage_errors in (self.errors.before, self.errors.after)
+        )
+        before, after = (statistics["heldout_position_rms_m"] for statistics in stages)
         model = DiagnosedArm(
             model=ArmModel(*(np.asarray(part) for part in arm)),  # type: ignore[arg-type]
             values=physics.join(values),
@@ -221,29 +231,30 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             reference=self._reference,
             sliding=problem.arm.sliding,
         )
-        known = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
-        return replace(model, uncertainty=known)
+        pose_uncertainty = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
+        return replace(model, uncertainty=pose_uncertainty)
 
     @cached_property
     def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:
         """The effects of the model: the findings, and what joints do once a turn within their tolerance."""
         effects, values = [f.effect for f in self.findings], [f.values for f in self.findings]
         for j, wave in enumerate(self.problem.once_per_turn(self.fit.nuisance)):
-            own = JointHarmonic(j + 1, 1.0)
-            if own in effects:
-                values[effects.index(own)] = values[effects.index(own)] + wave
+            harmonic = JointHarmonic(j + 1, 1.0)
+            if harmonic in effects:
+                values[effects.index(harmonic)] = values[effects.index(harmonic)] + wave
             elif wave.any():
-                effects.append(own)
+                effects.append(harmonic)
                 values.append(wave)
         return tuple(effects), values
 
     @property
     def _covariances(self) -> list[Array]:
         """Of the numbers of each effect of the model, the last of which are no findings."""
-        known, more = self.model.uncertainty, Terms(self.model.physics.effects[len(self.findings) :])
-        assert known is not None
-        start = len(known.covariance) - more.size
-        C = known.covariance[start:, start:]
+        uncertainty = self.model.uncertainty
+        more = Terms(self.model.physics.effects[len(self.findings) :])
+        assert uncertainty is not None
+        start = len(uncertainty.covariance) - more.size
+        C = uncertainty.covariance[start:, start:]
         return [*(finding.covariance for finding in self.findings), *(C[part, part] for part in more.slices)]
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
@@ -251,7 +262,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
         Of each driver the central 96 % count: few samples are beyond.
         """
-        finding, at = self.findings[k], self.problem.deflections
+        finding = self.findings[k]
+        at = self.problem.deflections
         assert isinstance(finding.effect, Unnamed)
         drivers = np.asarray(finding.effect.values_at(at.host_motion, at.loads))
         low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
@@ -284,12 +296,12 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         return {"position_m": position, **turned}, {"position_m": self.estimated_noise}
 
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        statistics: dict[str, Any] = {}
         groups = (("position", "m"), ("orientation", "rad"))[: 2 if self.problem.rows == 6 else 1]
         for (name, unit), sizes in zip(groups, errors, strict=False):
-            there = sizes[kept] if kept.any() else np.zeros(1)
-            found |= {f"heldout_{name}_{key}_{unit}": float(of(there)) for key, of in STATISTICS.items()}
-        return found
+            inlier_errors = sizes[kept] if kept.any() else np.zeros(1)
+            statistics |= {f"heldout_{name}_{key}_{unit}": float(of(inlier_errors)) for key, of in STATISTICS.items()}
+        return statistics
 
     def _distinction(self, k: int, effect: Effect) -> str:
         labels = (self.findings[k].effect.label, effect.label)
@@ -303,7 +315,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         problem = self.problem
         beside: dict[str, Any] = {} if self.torques_refused is None else {"torques_refused": self.torques_refused}
         if self.torques is not None:
-            beside = {"torques": self.torques.to_dict(), "shared": [each.to_dict() for each in self.shared]}
+            beside = {"torques": self.torques.to_dict(), "shared": [agreement.to_dict() for agreement in self.shared]}
         nuisance: dict[str, Any] = {
             "numbers": len(problem.frames),
             "parts": list(dict.fromkeys(at[0] for at in problem.frames)),
@@ -342,10 +354,10 @@ def diagnose_poses(
         InputError: no measured poses, too few of them, or as `fit` and `compare`.
     """
     if reference is not None:
-        seen = compare(recording, reference, arm, geometry)
-        given: dict[str, Any] = {"geometry": seen.geometry, "factory": seen.factory, "effects": effects}
-        found = diagnose_poses(seen.recording, arm, **given, options=options, progress=progress)
-        return replace(found, against=seen)
+        comparison = compare(recording, reference, arm, geometry)
+        arguments: dict[str, Any] = {"geometry": comparison.geometry, "factory": comparison.factory, "effects": effects}
+        diagnosis = diagnose_poses(comparison.recording, arm, **arguments, options=options, progress=progress)
+        return replace(diagnosis, against=comparison)
     options = (options or Options()).of(recording.settings)
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
@@ -355,15 +367,18 @@ def diagnose_poses(
         require_determined(begun.rigid_arm)
         case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
-            found = explain(case)
-            selection = found.selection
+            explanation = explain(case)
+            selection = explanation.selection
             entered("estimating")
-            selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
-        folds = held_out_folds(found.problem, options)
-        searched = replace(case, among=selection.considered), found.final_decisions
-        errors, of_all = errors_of_folds(errors_of_search, searched, folds), selection
-        kept = ~_outliers(of_all, options)
-        verified = verify(of_all, errors, folds, kept, options, lambda spread: refitted_errors(of_all, spread, options))
+            selection = replace(selection, state=final_estimates(explanation.problem, selection.state, options.engine))
+        folds = held_out_folds(explanation.problem, options)
+        searched = replace(case, among=selection.considered), explanation.final_decisions
+        errors = errors_of_folds(errors_of_search, searched, folds)
+        of_all = selection
+        inliers = ~_outliers(of_all, options)
+        verified = verify(
+            of_all, errors, folds, inliers, options, lambda spread: refitted_errors(of_all, spread, options)
+        )
         selection = verified.selection
         with part(len(verified.folds) + 1, len(verified.folds) + 1):
             entered("planning")
@@ -371,10 +386,10 @@ def diagnose_poses(
     problem = selection.problem
     assert isinstance(problem, PoseProblem)
     ruled_out: dict[str, DataFault] = {}
-    for fault in (*rows.ruled_out, *found.screened.ruled_out):
+    for fault in (*rows.ruled_out, *explanation.screened.ruled_out):
         if fault.code not in {corrected.code for corrected in rows.found}:  # for which the corrected rows are screened
             ruled_out.setdefault(fault.code, fault)
-    faults = (*rows.found, *found.screened.found)
+    faults = (*rows.found, *explanation.screened.found)
     if not problem.valid.all():  # joints were not recorded at the instant of the pose
         without_joints = row_numbers(problem.recording.row[~problem.valid])
         faults = (*faults, DataFault("no_joints", without_joints, {"clock_offset_s": problem.clock_offset}))
@@ -396,9 +411,9 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     """
     problem, residuals = selection.problem, selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
-    least = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
+    error_floor = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
-    return far & (np.sum(residuals.rows**2, 0) > (least / problem.noise[0]) ** 2) | ~problem.valid
+    return far & (np.sum(residuals.rows**2, 0) > (error_floor / problem.noise[0]) ** 2) | ~problem.valid
 
 
 # ------------------------------------------------------------------ what to record next
@@ -431,20 +446,23 @@ def _separating_poses(
         return ()
     rigid, (position, orientation) = recording_problem(problem.recording, problem.arm, geometry, factory), problem.noise
     sensor = Sensor("position" if orientation is None else "pose", position, orientation)
-    here = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
+    experiment = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
     drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
-    recorded, count, found = problem.recording.joint_position, options.separating_poses, []
+    recorded = problem.recording.joint_position
+    count = options.separating_poses
+    separating_poses = []
     for k, rival in pairs:
-        effect, values = state.tested[k].term, state.fit.values[state.fit.terms.slices[k]]
+        effect = state.tested[k].term
+        values = state.fit.values[state.fit.terms.slices[k]]
         assert isinstance(effect, Effect)
         pair = (effect, values), rival
         try:
-            chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded)
+            chosen = plan_discrimination(experiment, pair, drawn.joint_position, count, recorded=recorded)
         except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
             continue
         q = chosen.joint_position
-        found.append(SeparatingPoses((effect.label, rival.label), q[short_path(q)]))
-    return tuple(found)
+        separating_poses.append(SeparatingPoses((effect.label, rival.label), q[short_path(q)]))
+    return tuple(separating_poses)
 
 
 def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bool:
@@ -458,8 +476,8 @@ def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bo
     effect = np.tensordot(fit.values[part], columns, 1).reshape(1, -1)
     beside = problem.columns([rival], beside=(fit.terms, fit.values))
     span = np.concatenate([beside, problem.nuisance_columns(fit.terms, fit.values)]).reshape(-1, effect.size)
-    left = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
-    return bool(np.sum(left**2) > options.same_effect * np.sum(effect**2))
+    remainder = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
+    return bool(np.sum(remainder**2) > options.same_effect * np.sum(effect**2))
 
 
 # ------------------------------------------------------------------ of either domain, or of both
@@ -481,8 +499,8 @@ def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Doma
     if domain == "tracking" or (alone and recording.commanded_position is not None and domain is None):
         return ("tracking",)
     if alone and recording.commanded_position is not None:
-        asked = "--poses or domain='poses'" if domain == "poses" else "--torques or domain='torques'"
-        raise InputError(f"{recording.source}: has commands and no {domain}; leave {asked} out")
+        domain_option = "--poses or domain='poses'" if domain == "poses" else "--torques or domain='torques'"
+        raise InputError(f"{recording.source}: has commands and no {domain}; leave {domain_option} out")
     if not recording.numbers_per_sample and recording.has_torques:
         if domain == "poses":
             raise InputError(f"{recording.source}: has torques and no poses; leave --poses or domain='poses' out")
@@ -592,30 +610,39 @@ def diagnose(
             "for its commands with domain='tracking'"
         )
     kinematic, dynamic = by_domain(effects)
-    given: dict[str, Any] = {"options": options, "progress": progress}
+    arguments: dict[str, Any] = {"options": options, "progress": progress}
     if domains == ("tracking",):
         unused = {"geometry": geometry != "declared", "factory": factory is not None}
         unused |= {"reference": reference is not None, "effects": bool(effects)}
-        for name in (name for name, there in unused.items() if there):
+        for name in (name for name, is_given in unused.items() if is_given):
             raise InputError(f"{name}: is not of commands, by which {recording.source} is diagnosed; leave it out")
-        return diagnose_tracking(recording, arm, simulator=simulated, **given)
+        return diagnose_tracking(recording, arm, simulator=simulated, **arguments)
     if domains == ("torques",):
         if geometry != "declared" or factory is not None:
-            named = "geometry" if geometry != "declared" else "factory"
-            raise InputError(f"{named}: is of poses, and {recording.source} is diagnosed by its torques; leave it out")
-        other = None if reference is None else load_recording(reference, arm)
-        return diagnose_torques(recording, arm, reference=other, effects=dynamic, **given)
-    both = "torques" in domains
-    arm = arm or arm_of(recording) if both else arm
-    other = None if reference is None else load_recording(reference, arm)
-    of_poses = other if not both or other is None or not other.has_torques or other.numbers_per_sample else None
+            argument = "geometry" if geometry != "declared" else "factory"
+            raise InputError(
+                f"{argument}: is of poses, and {recording.source} is diagnosed by its torques; leave it out"
+            )
+        reference_recording = None if reference is None else load_recording(reference, arm)
+        return diagnose_torques(recording, arm, reference=reference_recording, effects=dynamic, **arguments)
+    with_torques = "torques" in domains
+    arm = arm or arm_of(recording) if with_torques else arm
+    reference_recording = None if reference is None else load_recording(reference, arm)
+    of_poses = (
+        reference_recording
+        if not with_torques
+        or reference_recording is None
+        or not reference_recording.has_torques
+        or reference_recording.numbers_per_sample
+        else None
+    )
     of_arm: dict[str, Any] = {"geometry": geometry, "factory": factory}
-    poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **given)
-    if not both:
+    poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **arguments)
+    if not with_torques:
         return poses
-    of_torques = other if other is not None and other.has_torques else None
+    of_torques = reference_recording if reference_recording is not None and reference_recording.has_torques else None
     try:
-        torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **given)
+        torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **arguments)
     except InputError as error:
         return replace(poses, torques_refused=str(error))
     return replace(poses, torques=torques, shared=compare_domains(poses, torques))

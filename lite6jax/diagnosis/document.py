@@ -127,7 +127,9 @@ class PoseModel(Model, kw_only=True):
 
     def __post_init__(self) -> None:
         """Checks what one number alone does not show; of torques an `Arm` does that."""
-        joints, prismatic, limits = len(self.kinematics), self.prismatic_joints, self.joint_limits
+        joints = len(self.kinematics)
+        prismatic = self.prismatic_joints
+        limits = self.joint_limits
         if prismatic != tuple(sorted(set(prismatic))) or any(joint > joints for joint in prismatic):
             raise ValueError("prismatic_joints are not joints of its chain in order")
         if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
@@ -137,8 +139,9 @@ class PoseModel(Model, kw_only=True):
             if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
                 raise ValueError(f"{name} is no rigid transform")
         # the last mass contains by how much the payload is lighter than declared
-        masses, known = [] if self.inertia is None else self.inertia.mass, self.uncertainty
-        lighter = known is not None and any(site[0] == "payload" for site in known.sites)
+        masses = [] if self.inertia is None else self.inertia.mass
+        uncertainty = self.uncertainty
+        lighter = uncertainty is not None and any(site[0] == "payload" for site in uncertainty.sites)
         for i, mass in enumerate(masses[:-1] if lighter else masses):
             if mass < 0:
                 raise ValueError(f"inertia.mass[{i}] is {mass:.6g}, which is negative")
@@ -245,9 +248,10 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     parts: Sequence[tuple[Effect, slice]]
     if isinstance(model, DiagnosedMotors):
-        arm, parts = model.arm, pairs(model.terms)
+        arm = model.arm
+        parts = pairs(model.terms)
         drives = {field: values.tolist() for field in DRIVE_FIELDS if (values := getattr(arm, field)) is not None}
-        own: dict[str, Any] = {
+        domain_fields: dict[str, Any] = {
             "arm": arm.name,
             "kinematics": arm.kinematics.tolist(),
             "T_joint_flange": arm.T_joint_flange.tolist(),
@@ -259,7 +263,7 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
         }
     elif isinstance(model, DiagnosedServos):
         parts = list(zip(model.terms.terms, model.terms.slices, strict=True))  # type: ignore[arg-type]
-        own = {
+        domain_fields = {
             "arm": model.arm.name,
             "kinematics": np.asarray(model.arm.kinematics).tolist(),
             "T_joint_flange": model.arm.T_joint_flange.tolist(),
@@ -278,7 +282,7 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
     else:
         limits, masses = model.joint_limits, model.inertia
         parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
-        own = {
+        domain_fields = {
             "arm": model.arm,
             "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
             "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
@@ -290,7 +294,7 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
             "accelerated": model.accelerated,
         }
     return {
-        **own,
+        **domain_fields,
         **({"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}),
         "reference_temperature_degC": model.reference_temperature,
         "effects": [
@@ -300,12 +304,12 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
     }
 
 
-def _uncertainty_entry(known: Uncertainty) -> dict[str, Any]:
-    C, recorded = known.covariance, known.recorded
+def _uncertainty_entry(uncertainty: Uncertainty) -> dict[str, Any]:
+    C, recorded = uncertainty.covariance, uncertainty.recorded
     ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
-    lists = {name: getattr(known, name) for name in ("left", "unseen", "noise", "typical")}
+    lists = {name: getattr(uncertainty, name) for name in ("left", "unseen", "noise", "typical")}
     return {
-        "sites": [list(site) for site in known.sites],
+        "sites": [list(site) for site in uncertainty.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
         **{name: None if part is None else np.asarray(part, float).tolist() for name, part in lists.items()},
         "recorded": {
@@ -342,17 +346,21 @@ def model_from_document(
 
 
 def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
-    model, against, torques = read.model, read.against, isinstance(read, TorqueDocument)
-    joints, sliding = len(model.kinematics), tuple(joint - 1 for joint in model.prismatic_joints)
+    model = read.model
+    against = read.against
+    torques = isinstance(read, TorqueDocument)
+    joints = len(model.kinematics)
+    sliding = tuple(joint - 1 for joint in model.prismatic_joints)
     kinds = kinds_of(effects, _CATALOGUES[type(read)])
-    kinematics, arm = np.asarray(model.kinematics, float), None
+    kinematics = np.asarray(model.kinematics, float)
+    arm = None
     if isinstance(model, TorqueModel):
-        own = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
-        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in own.items()}
+        torque_fields = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
+        fields: dict[str, Any] = {name: np.asarray(part, float) for name, part in torque_fields.items()}
         arm = Arm(model.arm, kinematics, sliding=sliding, **fields)
         if len(model.links) != joints:
             raise ValueError(f"it has {joints} joints, but links of the shape {np.shape(model.links)}")
-    found, numbers = _effects(model.effects, kinds, joints, sliding)
+    model_effects, numbers = _effects(model.effects, kinds, joints, sliding)
     if isinstance(model, TrackingModelEntry):
         return DiagnosedServos(
             arm=Arm(
@@ -368,7 +376,7 @@ def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
             payload=model.payload_kg,
             gravity=np.asarray(model.gravity, float),
             compensated=model.compensated,
-            terms=Terms(found),
+            terms=Terms(model_effects),
             values=join(numbers),
             step=model.step_s,
             interpolated=model.interpolated,
@@ -381,7 +389,7 @@ def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
         "values": join(numbers),
         "reference_temperature": model.reference_temperature_degC,
         "reference": None if against is None or against.basis == "effects" else ReferenceOrigin(*astuple(against)),
-        "uncertainty": _uncertainty(model.uncertainty, found, joints, torques),
+        "uncertainty": _uncertainty(model.uncertainty, model_effects, joints, torques),
     }
     if isinstance(model, TorqueModel):
         assert arm is not None
@@ -390,7 +398,7 @@ def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
             links=np.asarray(model.links, float),
             payload_center=np.asarray(model.payload_center, float),
             gravity=np.asarray(model.gravity, float),
-            terms=Terms(found),
+            terms=Terms(model_effects),
             **shared,
         )
     assert isinstance(read, PoseDocument)
@@ -407,7 +415,7 @@ def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
             np.asarray(model.T_sensor_base, float),  # type: ignore[arg-type]
             np.asarray(model.T_flange_tool, float),  # type: ignore[arg-type]
         ),
-        physics=Physics(found),
+        physics=Physics(model_effects),
         inertia=inertia,
         joint_limits=None if model.joint_limits is None else np.asarray(model.joint_limits, float),
         orientation=model.orientation,
@@ -430,9 +438,9 @@ def _require_known(read: AnyDocument, effects: Sequence[Effect], source: str) ->
     names = [name for entry in entries if isinstance(name := entry.get("effect"), str) and name not in kinds]
     if not names:
         return
-    given = "the file that was given has none of this name" if effects else "the catalogue has none of this name"
+    reason = "the file that was given has none of this name" if effects else "the catalogue has none of this name"
     raise InputError(
-        f"{source}: its model has the effect {names[0][:60]!r}, and {given}; give the file of effects with which it "
+        f"{source}: its model has the effect {names[0][:60]!r}, and {reason}; give the file of effects with which it "
         "was diagnosed, --effects FILE.py (in Python effects=load_effects(FILE))"
     )
 
@@ -473,37 +481,38 @@ def _effects(
 
 
 def _uncertainty(
-    known: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool
+    entry: UncertaintyEntry | None, effects: Sequence[Effect], joints: int, torques: bool
 ) -> Uncertainty | None:
     """The uncertainty of a model with effects; None of a document without it."""
-    if known is None:
+    if entry is None:
         return None
     sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
     sizes = {"inertia": (joints, 10)} if torques else sizes
-    if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in known.sites):
+    if any(name not in sizes or not (j < sizes[name][0] and k < sizes[name][1]) for name, j, k in entry.sites):
         raise ValueError("a site of its uncertainty is none of this arm")
-    lists = [known.left, known.unseen, known.noise, *([] if known.typical is None else [known.typical])]
+    lists = [entry.left, entry.unseen, entry.noise, *([] if entry.typical is None else [entry.typical])]
     if any(len(part) != (joints if torques else 2) for part in lists):
         raise ValueError("its uncertainty is not one of this arm")
-    size = len(known.sites) + sum(freed(effect).size for effect in effects)
-    if len(known.covariance) != size * (size + 1) // 2:
+    size = len(entry.sites) + sum(freed(effect).size for effect in effects)
+    if len(entry.covariance) != size * (size + 1) // 2:
         raise ValueError(f"its covariance is not one of {size} numbers")
     C = np.zeros((size, size))
-    C[np.tril_indices(size)] = known.covariance
+    C[np.tril_indices(size)] = entry.covariance
     if (np.diagonal(C) < -_ROUNDING * np.abs(C).max(initial=0.0)).any():
         raise ValueError("a variance of its uncertainty is negative")
     C += np.tril(C, -1).T
-    left, unseen, noise, *typical = map(np.array, lists)
-    return Uncertainty(tuple(known.sites), C, left, unseen, noise, _recorded(known.recorded, joints), *typical)
+    model_error, unseen, noise, *typical = map(np.array, lists)
+    return Uncertainty(tuple(entry.sites), C, model_error, unseen, noise, _recorded(entry.recorded, joints), *typical)
 
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
     ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in _RANGES)]
-    there, positions = [part for part in ranges if part is not None], np.asarray(entry.joint_position_rad, float)
-    if any(part.shape != (joints, 2) for part in there) or positions.shape != (len(positions) or 1, joints):
+    present_ranges = [part for part in ranges if part is not None]
+    positions = np.asarray(entry.joint_position_rad, float)
+    if any(part.shape != (joints, 2) for part in present_ranges) or positions.shape != (len(positions) or 1, joints):
         raise ValueError("its recorded range is not one of this arm")
-    ends = [*(tuple(pair) for part in there for pair in part), *entry.drivers.values()]
+    ends = [*(tuple(pair) for part in present_ranges for pair in part), *entry.drivers.values()]
     if any(lower > upper for lower, upper in ends):
         raise ValueError("a recorded range of its uncertainty ends before it begins")
     assert ranges[0] is not None
@@ -637,8 +646,8 @@ def _read(document: Any, domain: Domain, source: str) -> AnyDocument:
     torques = domain == "torques"
     part = find_torques(document) if torques else document
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
-        what, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
-        raise InputError(f"{source}: is no diagnosis {what}; give what `lite6jax diagnose --out` wrote{wrote}")
+        kind, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
+        raise InputError(f"{source}: is no diagnosis {kind}; give what `lite6jax diagnose --out` wrote{wrote}")
     if domain_of(part) != domain:
         raise InputError(f"{source}: is a diagnosis of {domain_of(part)}; give one of {domain}")
     with _refuse_damage(source):

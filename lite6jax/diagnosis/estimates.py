@@ -64,9 +64,9 @@ class Agreement:
         """Codes and numbers."""
         sides = {
             side: None
-            if said is None
-            else {"found": said.found, "parameters": {key: e._asdict() for key, e in said.parameters.items()}}
-            for side, said in self.estimates.items()
+            if estimate is None
+            else {"found": estimate.found, "parameters": {key: e._asdict() for key, e in estimate.parameters.items()}}
+            for side, estimate in self.estimates.items()
         }
         return {**self.of, **sides, "p_value": self.p_value, "agree": self.agree}
 
@@ -78,10 +78,10 @@ def compare_estimates(
 
     The p-value is family-wise over as many as are `compared`.
     """
-    one, other = estimates.values()
-    if one is None or other is None:
+    first, second = estimates.values()
+    if first is None or second is None:
         return Agreement(of, estimates, None)
-    off, together = one.values - sign * other.values, one.covariance + other.covariance
+    off, together = first.values - sign * second.values, first.covariance + second.covariance
     p_value = float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
     return Agreement(of, estimates, min(1.0, compared * p_value))
 
@@ -100,7 +100,7 @@ def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstim
     beside = fit_with_effect(result, effect)
     numbers = beside.terms.slices[-1]
     values, covariance = beside.values[numbers], beside.covariance[numbers, numbers]
-    typical = np.array([each.typical for each in effect.coordinates])
+    typical = np.array([coordinate.typical for coordinate in effect.coordinates])
     std = np.sqrt(np.diagonal(covariance))
     if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
         return None
@@ -108,22 +108,23 @@ def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstim
 
 
 def fit_with_effect(
-    result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
+    result: DomainDiagnosis[Any], effect: Effect, replaced: Callable[[Effect], bool] = lambda term: False
 ) -> Fit:
     """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""
     at = result.fit
-    kept = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
-    rest, values = at.terms.part(at.values, kept)
-    terms, start = Terms((*rest.terms, effect)), np.append(values, np.zeros(effect.size))
+    term_mask = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
+    remaining_terms, values = at.terms.part(at.values, term_mask)
+    terms = Terms((*remaining_terms.terms, effect))
+    start = np.append(values, np.zeros(effect.size))
     return fit(result.problem, terms, result.options.engine, start, at.nuisance, at.training, at.noise)
 
 
-def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> EffectEstimate:
+def _of(is_finding: bool, effect: Effect, values: Array, covariance: Array) -> EffectEstimate:
     parameters = effect.reported(values, covariance)
     if effect.searched:
         size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
         values, covariance = np.array([size.value]), np.array([[size.std**2]])
-    return EffectEstimate(found, values, covariance, parameters)
+    return EffectEstimate(is_finding, values, covariance, parameters)
 
 
 # ------------------------------------------------------------------ poses and torques of one recording
@@ -141,12 +142,12 @@ _PAIRS: tuple[tuple[str, Effect, TorqueEffect, float], ...] = (
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Agreement, ...]:
     """The quantities that a finding of either concerns, each as both see it."""
-    found = []
+    agreements = []
     for quantity, kinematic, dynamic, sign in _PAIRS:
         if poses.has(kinematic) or torques.has(dynamic):
-            both = {"poses": estimate_effect(poses, kinematic), "torques": estimate_effect(torques, dynamic)}
-            found.append(compare_estimates({"quantity": quantity}, both, sign))
-    return tuple(found)
+            estimates = {"poses": estimate_effect(poses, kinematic), "torques": estimate_effect(torques, dynamic)}
+            agreements.append(compare_estimates({"quantity": quantity}, estimates, sign))
+    return tuple(agreements)
 
 
 # ------------------------------------------------------------------ torques of two recordings
@@ -167,7 +168,11 @@ class EffectComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Codes and numbers."""
-        return {"file": self.file, "basis": "effects", "differences": [each.to_dict() for each in self.effects]}
+        return {
+            "file": self.file,
+            "basis": "effects",
+            "differences": [difference.to_dict() for difference in self.effects],
+        }
 
 
 def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]) -> EffectComparison:
@@ -180,10 +185,12 @@ def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosi
         of = {"effect": effect.name, "site": effect.site}
         if isinstance(effect, UnnamedTorque):
             of["driver"] = effect.driver
-            here, there = _curves(effect, found, other)
+            estimate, reference_estimate = _curves(effect, found, other)
         else:
-            here, there = estimate_effect(found, effect), estimate_effect(other, effect)
-        compared.append(compare_estimates(of, {"recording": here, "reference": there}, compared=len(shown)))
+            estimate, reference_estimate = estimate_effect(found, effect), estimate_effect(other, effect)
+        compared.append(
+            compare_estimates(of, {"recording": estimate, "reference": reference_estimate}, compared=len(shown))
+        )
     return EffectComparison(Path(other.recording.source).name, tuple(compared))
 
 
@@ -193,27 +200,33 @@ def _function(effect: Effect) -> tuple[object, ...]:
 
 
 def _curves(
-    effect: UnnamedTorque, found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosis[TorqueProblem]
+    effect: UnnamedTorque, result: DomainDiagnosis[TorqueProblem], reference: DomainDiagnosis[TorqueProblem]
 ) -> tuple[EffectEstimate | None, EffectEstimate | None]:
     """A function without a name as both results show it: its values on the rows whose drivers both have in range.
 
     A result that has another function of the same drivers is fitted with this one in its place.
     """
-    problem, own, its = found.problem, _driven(found, effect), _driven(other, effect)
+    problem = result.problem
+    drivers = _driven(result, effect)
+    reference_drivers = _driven(reference, effect)
     common = np.zeros(problem.samples, bool)
-    if own is not None and its is not None:
-        low, high = its.min(1, keepdims=True), its.max(1, keepdims=True)
-        common = np.all((own >= low) & (own <= high), 0)
+    if drivers is not None and reference_drivers is not None:
+        low = reference_drivers.min(1, keepdims=True)
+        high = reference_drivers.max(1, keepdims=True)
+        common = np.all((drivers >= low) & (drivers <= high), 0)
     functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T
     if not functions.any():
-        whole = np.eye(effect.size)
-        here, there = (_fitted_curve(each, effect, whole) if each.has(effect) else None for each in (found, other))
-        return here, there
+        identity = np.eye(effect.size)
+        curve, reference_curve = (
+            _fitted_curve(diagnosis, effect, identity) if diagnosis.has(effect) else None
+            for diagnosis in (result, reference)
+        )
+        return curve, reference_curve
     # the directions that these rows show, each a root mean square of the torque along it
     _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
-    seen = sizes > _VISIBLE * sizes[0]
-    along = sizes[seen, None] * V[seen]
-    return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
+    visible = sizes > _VISIBLE * sizes[0]
+    along = sizes[visible, None] * V[visible]
+    return _fitted_curve(result, effect, along), _fitted_curve(reference, effect, along)
 
 
 def _driven(result: DomainDiagnosis[TorqueProblem], effect: UnnamedTorque) -> Array | None:

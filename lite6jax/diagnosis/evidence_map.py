@@ -115,7 +115,8 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
     problem, baseline = stages(found)[0]
     engine = found.options.engine
     test = score_test(problem, baseline, engine)
-    weigh, scan = _Shares(test), Scan(problem, engine)
+    weigh = _Shares(test)
+    scan = Scan(problem, engine)
     numbered = [f"{kind}{k + 1}" for kind in ("joint", "link") for k in range(problem.motion.dof)]
     sites = [*numbered, "base", "tool", "sensor"]
     shares = np.full((len(sites), len(_COLUMNS)), np.nan)
@@ -129,21 +130,21 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         (score,) = test.score_columns([constant])
         if not score.confounded:
             put(site, "constant", weigh.adjusted(2 * score.gain, score.size))
-    few = [k for k, discrete in enumerate(scan.discrete) if discrete]
-    kinds = ((kernel, which, np.stack([scan.features((k,), kernel) for k in which]))
-             for kernel, which in (("line", few), ("smooth", scan.splines[0])) if which)  # fmt: skip
-    for (_, which, functions), component in product(kinds, problem.components):
-        for k, share in zip(which, weigh.of(component.column, functions), strict=True):
+    discrete_drivers = [k for k, discrete in enumerate(scan.discrete) if discrete]
+    kinds = ((kernel, indices, np.stack([scan.features((k,), kernel) for k in indices]))
+             for kernel, indices in (("line", discrete_drivers), ("smooth", scan.splines[0])) if indices)  # fmt: skip
+    for (_, indices, functions), component in product(kinds, problem.components):
+        for k, share in zip(indices, weigh.of(component.column, functions), strict=True):
             if scan.may_act(component.site, k):
                 put(component.site, _column(component.site, scan.quantities[k].driver), share)
-    for one in Weighed(scan, test).ranked():
-        if len(one.process) and len(one.process[1]) == 2:
-            component, which, kernel, rolloff = one.process
-            (share,) = weigh.of(component.column, scan.features(which, kernel, rolloff)[None])
-            put(one.site, "two drivers", share)
-    known = np.isfinite(shares)
-    rows = [i for i, site in enumerate(sites) if site.startswith("joint") or known[i].any()]
-    columns = [j for j in range(len(_COLUMNS)) if known[:, j].any()]
+    for candidate in Weighed(scan, test).ranked():
+        if len(candidate.process) and len(candidate.process[1]) == 2:
+            component, indices, kernel, rolloff = candidate.process
+            (share,) = weigh.of(component.column, scan.features(indices, kernel, rolloff)[None])
+            put(candidate.site, "two drivers", share)
+    finite = np.isfinite(shares)
+    rows = [i for i, site in enumerate(sites) if site.startswith("joint") or finite[i].any()]
+    columns = [j for j in range(len(_COLUMNS)) if finite[:, j].any()]
     at = np.ix_(rows, columns)
     return ExplainedShares(tuple(sites[i] for i in rows), tuple(_COLUMNS[j] for j in columns), shares[at])
 
@@ -156,12 +157,13 @@ class _Shares:
 
     def of(self, column: Array, functions: Array) -> Array:
         """`(group,)`, of processes `(group, function, sample)` at a site's column; NaN where they are confounded."""
-        sums, shares = self._marginal.sums(column), np.full(len(functions), np.nan)
+        sums = self._marginal.sums(column)
+        shares = np.full(len(functions), np.nan)
         pulls, informations = self._marginal.equations(sums, functions)
         s = of_process(pulls, informations, sums.left, sums.freedom, self._test.options.confounded).variance
-        whole = (functions**2 * sums.weight).sum((1, 2))
+        total_weight = (functions**2 * sums.weight).sum((1, 2))
         for k, (pull, information) in enumerate(zip(pulls, informations, strict=True)):
-            if np.trace(information) > self._test.options.confounded * whole[k]:
+            if np.trace(information) > self._test.options.confounded * total_weight[k]:
                 posterior = np.linalg.inv(information + np.eye(len(pull)) / s[k])
                 values = posterior @ pull
                 explained = values @ (2 * pull - information @ values)
@@ -170,8 +172,9 @@ class _Shares:
 
     def adjusted(self, explained: float, size: float) -> float:
         """The share that a sum of squares is, adjusted for its degrees of freedom (adjusted R²)."""
-        left, freedom = 1 - min(explained / self._total, 1.0), self._test.freedom
-        return float(max(1 - left * freedom / max(freedom - size, 1.0), 0.0))
+        unexplained = 1 - min(explained / self._total, 1.0)
+        freedom = self._test.freedom
+        return float(max(1 - unexplained * freedom / max(freedom - size, 1.0), 0.0))
 
 
 def _name(site: Site) -> str:
@@ -183,8 +186,8 @@ def _name(site: Site) -> str:
 def _column(site: str, driver: Driver) -> str:
     """The column of a driver: what it is; of a joint's position, whether it is that of the joint itself."""
     kind = _KINDS.get(driver.generalised, driver.generalised)
-    own = site in (f"joint{driver.place}", f"link{driver.place}")
-    return kind if kind != "position" or own else "other positions"
+    is_own_joint = site in (f"joint{driver.place}", f"link{driver.place}")
+    return kind if kind != "position" or is_own_joint else "other positions"
 
 
 def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
@@ -197,14 +200,14 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     spectra = []
     for k, family in enumerate(found.problem.periodic):
         site = family.site
-        each = [_spectrum(test, test.problem.periodic[k], exact_below) for test in tests]
-        among = log_orders(each[-1].orders, engine, whole=False, highest=family.highest)
+        stage_spectra = [_spectrum(test, test.problem.periodic[k], exact_below) for test in tests]
+        among = log_orders(stage_spectra[-1].orders, engine, whole=False, highest=family.highest)
         highest = chdtri(2, engine.level / (len(found.problem.periodic) * np.exp(among)))
         spectra.append(
             JointSpectra(
                 site=site,
-                before=each[0],
-                after=each[1] if len(each) > 1 else None,
+                before=stage_spectra[0],
+                after=stage_spectra[1] if len(stage_spectra) > 1 else None,
                 noise=highest / np.maximum(_left(tests[-1]), highest),
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
@@ -228,8 +231,8 @@ def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Sp
 
 def _left(test: ScoreTest) -> float:
     """The sum of squares of the residual that a model leaves."""
-    rest = test.residual - (test.basis @ test.residual) @ test.basis
-    return max(float(rest @ rest), np.finfo(float).tiny)
+    remainder = test.residual - (test.basis @ test.residual) @ test.basis
+    return max(float(remainder @ remainder), np.finfo(float).tiny)
 
 
 # ------------------------------------------------------------------ torques
@@ -275,12 +278,12 @@ def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
     problem, fit = found.problem, found.fit
     used = problem.valid
     velocity = np.asarray(problem.data.motion.joint_velocity)[:, problem.data.filter.kept][:, problem.chosen]
-    left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
+    residual = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
     shown = []
     for j in range(problem.rows):
         terms = enumerate(fit.terms.terms)
         frictions = [k for k, effect in terms if isinstance(effect, TorqueEffect) and effect.is_friction_of(j + 1)]
-        partial = left[j] + added_torque(found, frictions)[j]
+        partial = residual[j] + added_torque(found, frictions)[j]
         at = friction = np.zeros(0)
         if frictions:
             at = np.linspace(velocity[j].min(), velocity[j].max(), _POINTS)
@@ -290,9 +293,9 @@ def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
     return tuple(shown)
 
 
-def _friction_at(found: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity: Array) -> Array:
+def _friction_at(diagnosis: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity: Array) -> Array:
     """Friction `(point,)` Nm of joint j, from 0, at velocities, with everything else as it typically is."""
-    fit, dynamics = found.fit, found.problem.dynamics
+    fit, dynamics = diagnosis.fit, diagnosis.problem.dynamics
     typical = _still(dynamics, j, velocity)
     total = np.zeros_like(velocity)
     for k in chosen:
@@ -306,7 +309,8 @@ def _friction_at(found: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity
 def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
     """The dynamics in which only joint j, from 0, moves, its load and all temperatures at their medians."""
     shape = (len(dynamics.torque), len(velocity))
-    motion, typical = dynamics.motion, {}
+    motion = dynamics.motion
+    typical = {}
     for name in ("joint_temperature_rise", "temperature_rise"):
         if (rise := getattr(motion, name)) is not None:
             rise = np.median(np.asarray(rise), axis=-1, keepdims=True)

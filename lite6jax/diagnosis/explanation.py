@@ -185,19 +185,19 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     Raises:
         InputError: as `screen` and `pose_problem`.
     """
-    best = case.explanation(decisions or Decisions())
+    explanation = case.explanation(decisions or Decisions())
     if decisions is None:
         for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
-            best = weighed(best, case)
-    return _with_wandering(best)
+            explanation = weighed(explanation, case)
+    return _with_wandering(explanation)
 
 
-def _with_wandering(best: Explanation) -> Explanation:
+def _with_wandering(explanation: Explanation) -> Explanation:
     """With a fault that names the read-outs which the search found to wander by themselves."""
-    wandering = best.selection.wandering
+    wandering = explanation.selection.wandering
     if not wandering:
-        return best
-    problem = best.problem
+        return explanation
+    problem = explanation.problem
     time = problem.motion.time
     corners = np.array([effect.rolloff[0] for effect in problem.wandering])
     memories = 1 / (np.pi * corners)  # over the length of the recording
@@ -207,99 +207,99 @@ def _with_wandering(best: Explanation) -> Explanation:
         "std_rad": [effect.spread for effect in problem.wandering],
         "memory_samples": (memories * problem.samples).tolist(),
         "memory_s": None if length is None else (memories * length).tolist(),
-        "log_likelihood_gap": [one.gain for one in wandering],
+        "log_likelihood_gap": [selected_term.gain for selected_term in wandering],
     })  # fmt: skip
-    return replace(best, screened=replace(best.screened, found=(*best.screened.found, fault)))
+    return replace(explanation, screened=replace(explanation.screened, found=(*explanation.screened.found, fault)))
 
 
-def _jumps_weighed(best: Explanation, case: Case) -> Explanation:
+def _jumps_weighed(explanation: Explanation, case: Case) -> Explanation:
     """The likeliest of: all jumps corrected, the same estimated without physics, and fewer of them corrected."""
-    count = best.screened.count("frame_jump")
+    count = explanation.screened.count("frame_jump")
     if not count:
-        return best
+        return explanation
     # a twist estimated beside all physics has a large variance, and one estimated beside none is biased by physics
     bare = case.explanation(Decisions(Corrections(beside_physics=False)))
     fewer = [case.explanation(Decisions(Corrections(jumps=k))) for k in range(count)]
-    best, rival = max(best, bare, key=_evidence), max(fewer, key=_evidence)
-    rows = [fault.rows[0] for fault in best.screened.found if fault.code == "frame_jump"]
-    return _likelier(best, rival, "frame_jump", candidate_rows=rows)
+    explanation, rival = max(explanation, bare, key=_evidence), max(fewer, key=_evidence)
+    rows = [fault.rows[0] for fault in explanation.screened.found if fault.code == "frame_jump"]
+    return _likelier(explanation, rival, "frame_jump", candidate_rows=rows)
 
 
-def _settling_weighed(best: Explanation, case: Case) -> Explanation:
+def _settling_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With the joint positions as recorded, where physics explains the poses better than joints read before they stood.
 
     In few poses an effect that is not modelled can look like such remaining motion. To correct it makes an error that
     physics must undo, for example by a backlash of twice the size.
     """
-    if not best.screened.count("unsettled_readouts"):
-        return best
-    corrections = replace(best.decisions.corrections, settling=False)
-    rival = case.explanation(replace(best.decisions, corrections=corrections))
-    return _likelier(best, rival, "unsettled_readouts")
+    if not explanation.screened.count("unsettled_readouts"):
+        return explanation
+    corrections = replace(explanation.decisions.corrections, settling=False)
+    rival = case.explanation(replace(explanation.decisions, corrections=corrections))
+    return _likelier(explanation, rival, "unsettled_readouts")
 
 
-def _constant_weighed(best: Explanation, case: Case) -> Explanation:
+def _constant_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With or without a constant of the distances, whichever is likelier with the physics found beside it.
 
     A constant that the screening left open is tried where physics was found, which may be it.
     """
     readings = case.recording.touches
     if readings is None or readings.kind != "distance" or case.recording.settings.distance_offset == "unknown":
-        return best
-    screened = bool(best.screened.count("distance_offset"))
-    if not screened and not best.selection.state.tested:
-        return _with_constant(best, False)
-    corrections = replace(best.decisions.corrections, constant=not screened)
-    rival = case.explanation(replace(best.decisions, corrections=corrections))
+        return explanation
+    screened = bool(explanation.screened.count("distance_offset"))
+    if not screened and not explanation.selection.state.tested:
+        return _with_constant(explanation, False)
+    corrections = replace(explanation.decisions.corrections, constant=not screened)
+    rival = case.explanation(replace(explanation.decisions, corrections=corrections))
     if screened:
-        best = _likelier(best, rival, "distance_offset")
-    elif rival.evidence - best.evidence > case.options.prior.cost("distance_constant"):
-        best = _likelier(rival, best, "distance_offset")
-    return _with_constant(best, bool(best.screened.count("distance_offset")))
+        explanation = _likelier(explanation, rival, "distance_offset")
+    elif rival.evidence - explanation.evidence > case.options.prior.cost("distance_constant"):
+        explanation = _likelier(rival, explanation, "distance_offset")
+    return _with_constant(explanation, bool(explanation.screened.count("distance_offset")))
 
 
-def _with_constant(best: Explanation, constant: bool) -> Explanation:
+def _with_constant(explanation: Explanation, constant: bool) -> Explanation:
     """With the decision on a constant of the distances, for the folds."""
-    corrections = replace(best.decisions.corrections, constant=constant)
-    return replace(best, decisions=replace(best.decisions, corrections=corrections))
+    corrections = replace(explanation.decisions.corrections, constant=constant)
+    return replace(explanation, decisions=replace(explanation.decisions, corrections=corrections))
 
 
-def _likelier(best: Explanation, rival: Explanation, code: str, **numbers: object) -> Explanation:
+def _likelier(explanation: Explanation, rival: Explanation, code: str, **numbers: object) -> Explanation:
     """The explanation with a fault, or the one by physics in its place with the fault ruled out."""
-    gap = best.evidence - rival.evidence
+    gap = explanation.evidence - rival.evidence
     if gap > 0:
         more = {"log_likelihood_gap": gap, "rival_terms": rival.labels}
-        return replace(best, screened=_with_numbers(best.screened, code, more))
+        return replace(explanation, screened=_with_numbers(explanation.screened, code, more))
     numbers = {"reason": "physics", **numbers, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
     ruled_out = (*rival.screened.ruled_out, DataFault(code, (), numbers))
     return replace(rival, screened=replace(rival.screened, ruled_out=ruled_out))
 
 
-def _table_weighed(best: Explanation, case: Case) -> Explanation:
+def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With another nominal table than the file's, where that is more likely than physics: as published, or fitted.
 
     A table that the screening leaves open is first compared with physics. Once a table is accepted, the chain is either
     held as published or fitted from there.
     """
-    file, likelier = case.recording.settings.factory_calibration, best.screened.likelier_table
-    if file is None or (likelier is None and not best.screened.count("nominal_table")):
-        return best
-    used = best.screened
+    file, likelier = case.recording.settings.factory_calibration, explanation.screened.likelier_table
+    if file is None or (likelier is None and not explanation.screened.count("nominal_table")):
+        return explanation
+    used = explanation.screened
     if likelier is not None:
-        other = case.screened(replace(used.corrections, table=likelier))
-        found = (*used.found, *(fault for fault in other.found if fault.code == "nominal_table"))
+        rescreened = case.screened(replace(used.corrections, table=likelier))
+        faults = (*used.found, *(fault for fault in rescreened.found if fault.code == "nominal_table"))
         ruled_out = tuple(fault for fault in used.ruled_out if fault.code != "nominal_table")
-        used = replace(other, found=found, ruled_out=ruled_out)
-    published = case.search(used, Decisions(used.corrections, published=file), best.price)
-    gap = published.evidence - best.evidence
+        used = replace(rescreened, found=faults, ruled_out=ruled_out)
+    published = case.search(used, Decisions(used.corrections, published=file), explanation.price)
+    gap = published.evidence - explanation.evidence
     more: dict[str, object] = {}
     if likelier is not None:
         if gap <= case.options.prior.cost("nominal_table"):
-            return best
-        more = {"log_likelihood_gap": gap, "rival_terms": best.labels}
+            return explanation
+        more = {"log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if case.geometry != "declared":
-        return replace(best, screened=_with_numbers(used, "nominal_table", more))
-    fitted = best if likelier is None else case.search(used, Decisions(used.corrections))
+        return replace(explanation, screened=_with_numbers(used, "nominal_table", more))
+    fitted = explanation if likelier is None else case.search(used, Decisions(used.corrections))
     numbers = len(fitted.problem.frames) - len(published.problem.frames)
     if fitted.evidence - 0.5 * numbers * np.log(fitted.readings) > published.evidence:
         return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
@@ -308,48 +308,50 @@ def _table_weighed(best: Explanation, case: Case) -> Explanation:
     return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), recording=recording))
 
 
-def _calibration_weighed(best: Explanation, case: Case) -> Explanation:
+def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With a calibration whose numbers all have random errors, where that is more likely than some physics.
 
     An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere.
     """
-    settings = best.screened.recording.settings
+    settings = explanation.screened.recording.settings
     exact = case.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
-    if not exact or not best.selection.state.tested or best.screened.count("nominal_table"):
-        return best
+    if not exact or not explanation.selection.state.tested or explanation.screened.count("nominal_table"):
+        return explanation
     # physics that is not modelled resembles autocorrelated noise, and so do a chain's errors, in a trajectory
-    fit = best.selection.state.fit
-    models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(best.problem.groups)]
-    gain, sigma = max(_gain_of_uncertainty(best, case, model) for model in models)
+    fit = explanation.selection.state.fit
+    models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(explanation.problem.groups)]
+    gain, sigma = max(_gain_of_uncertainty(explanation, case, model) for model in models)
     if gain <= 0:
-        return best
-    rival = case.search(best.screened, replace(best.decisions, sigma=sigma))
+        return explanation
+    rival = case.search(explanation.screened, replace(explanation.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
-    gap = rival.evidence - best.evidence - case.options.prior.cost("calibration_off")
-    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": abs(gap), "rival_terms": best.labels}
+    gap = rival.evidence - explanation.evidence - case.options.prior.cost("calibration_off")
+    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": abs(gap), "rival_terms": explanation.labels}
     if gap <= 0:
         likely = gap > -case.options.engine.close
         ruled_out = DataFault("calibration_off", (), {"reason": "physics" if likely else "unlikely", **numbers})
-        return replace(best, screened=replace(best.screened, ruled_out=(*best.screened.ruled_out, ruled_out)))
+        return replace(
+            explanation, screened=replace(explanation.screened, ruled_out=(*explanation.screened.ruled_out, ruled_out))
+        )
     fault = DataFault("calibration_off", (), numbers)
     return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 
 
-def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
+def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
     """The gain of an uncertain calibration over the physics found, and its standard deviation (m and rad).
 
     To first order, in one noise model, with those of the effects beside it that are still needed; the standard
     deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
-    problem, fit, tested = best.problem, best.selection.state.fit, best.selection.state.tested
-    chain = case.problem(_uncertain(best.screened, 1.0))
+    problem, fit, tested = explanation.problem, explanation.selection.state.fit, explanation.selection.state.tested
+    chain = case.problem(_uncertain(explanation.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
-    known = np.flatnonzero(chain.precision[: len(chain.frames)])
+    uncertain = np.flatnonzero(chain.precision[: len(chain.frames)])
     precision = np.array([1 / number.spread**2 for term in terms for number in term.coordinates])
-    groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
-    G = _products(best, np.concatenate(groups), noise)
+    groups = (problem.frame_columns, effects, chain.frame_columns[uncertain], fit.residuals.rows[None])
+    G = _products(explanation, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
     of_nuisance = problem.precision[: len(nuisance)]
     displaced = of_nuisance * (problem.offset + fit.nuisance)[: len(nuisance)]
@@ -357,13 +359,13 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
     G[nuisance, -1] += displaced
     G[-1, nuisance] += displaced
 
-    def weighed(kept: tuple[int, ...]) -> tuple[float, float, float]:
+    def weighed(kept_terms: tuple[int, ...]) -> tuple[float, float, float]:
         """Log evidence with an exact file, with an uncertain one, and the standard deviation of the latter."""
-        left = np.zeros(len(G))  # the residual, less what the other effects do
-        left[-1], left[shifts] = 1.0, -fit.values
-        numbers = np.concatenate([np.zeros(0, int), *(shifts[fit.terms.slices[k]] for k in kept)])
+        combination = np.zeros(len(G))  # the residual, less what the other effects do
+        combination[-1], combination[shifts] = 1.0, -fit.values
+        numbers = np.concatenate([np.zeros(0, int), *(shifts[fit.terms.slices[k]] for k in kept_terms)])
         fitted = np.concatenate([nuisance, numbers])
-        left[fitted] = 0.0
+        combination[fitted] = 0.0
         # processes are integrated over under their priors, about zero: the residual is without their estimate
         estimate, of_prior = fit.values[numbers - shifts[:1]], precision[numbers - shifts[:1]]
         with_priors = G.copy()
@@ -373,21 +375,22 @@ def _gain_of_uncertainty(best: Explanation, case: Case, noise: NoiseModel) -> tu
         with_priors[-1, -1] += estimate @ (of_prior * estimate)
         S = schur_complement(with_priors, fitted)
         eigenvalues, V = np.linalg.eigh(S[np.ix_(moved, moved)])
-        ratio, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)
+        ratio = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0))
+        pulled = V.T @ (S[moved] @ combination)
         gains = 0.5 * np.sum(_UNCERTAINTIES[:, None] ** 2 * pulled**2 / (1 + ratio) - np.log1p(ratio), 1)
-        length = sum(tested[k].cost + tested[k].volume for k in kept)
-        plain = -0.5 * float(left @ S @ left) - length
+        length = sum(tested[k].cost + tested[k].volume for k in kept_terms)
+        plain = -0.5 * float(combination @ S @ combination) - length
         k = int(np.argmax(gains))
-        return plain, plain + float(gains[k]) - 0.5 * float(np.log(best.readings)), float(_UNCERTAINTIES[k])
+        return plain, plain + float(gains[k]) - 0.5 * float(np.log(explanation.readings)), float(_UNCERTAINTIES[k])
 
-    kept = tuple(range(len(terms)))
-    exact, off, sigma = weighed(kept)
-    while kept:
-        fewer = (tuple(other for other in kept if other != k) for k in kept)
-        (least, size), rest = max((weighed(rest)[1:], rest) for rest in fewer)
-        if least < off:
+    needed_terms = tuple(range(len(terms)))
+    exact, off, sigma = weighed(needed_terms)
+    while needed_terms:
+        fewer = (tuple(index for index in needed_terms if index != k) for k in needed_terms)
+        (reduced_evidence, size), subset = max((weighed(subset)[1:], subset) for subset in fewer)
+        if reduced_evidence < off:
             break
-        off, sigma, kept = least, size, rest
+        off, sigma, needed_terms = reduced_evidence, size, subset
     return off - exact, sigma
 
 
@@ -396,10 +399,10 @@ def _log_volume_ratio(explanation: Explanation) -> float:
     problem, fit = explanation.problem, explanation.selection.state.fit
     columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)
-    known = np.flatnonzero(problem.precision[: len(problem.frames)])
-    S = schur_complement(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
-    root = np.sqrt(problem.precision[known])
-    return 0.5 * float(np.linalg.slogdet(np.eye(len(known)) + S / np.outer(root, root))[1])
+    uncertain = np.flatnonzero(problem.precision[: len(problem.frames)])
+    S = schur_complement(G, np.setdiff1d(np.arange(len(G)), uncertain))[np.ix_(uncertain, uncertain)]
+    root = np.sqrt(problem.precision[uncertain])
+    return 0.5 * float(np.linalg.slogdet(np.eye(len(uncertain)) + S / np.outer(root, root))[1])
 
 
 def _products(explanation: Explanation, columns: Array, noise: NoiseModel) -> Array:
@@ -418,5 +421,5 @@ def _uncertain(screened: Screened, sigma: float) -> Screened:
 
 def _with_numbers(screened: Screened, code: str, numbers: dict[str, object]) -> Screened:
     """With more numbers for the faults of one code."""
-    found = tuple(f.with_numbers(**numbers) if f.code == code else f for f in screened.found)
-    return replace(screened, found=found)
+    faults = tuple(f.with_numbers(**numbers) if f.code == code else f for f in screened.found)
+    return replace(screened, found=faults)

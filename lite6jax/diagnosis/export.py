@@ -92,18 +92,20 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     """
     if nominal is None and model.arm in bundled_arms():
         nominal = load_bundled(model.arm)
-    rows, left_out, total = np.array(model.model.geometry).reshape(-1, 6), [], dense(Deflection(), model.dof, 1)
+    rows = np.array(model.model.geometry).reshape(-1, 6)
+    left_out = []
+    total = dense(Deflection(), model.dof, 1)
     still = motion_of(np.zeros((1, model.dof)), sliding=model.sliding)
     for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
-        found = None
+        deflection = None
         if isinstance(effect, Bending) and not effect.drivers:
-            found = dense(effect.deflect(jnp.asarray(model.values)[part], still, None), model.dof, 1)
-            if any(np.any(np.asarray(field)) for field in (found.stretch, found.scale, found.sensor)):
-                found = None
-        if found is None:
+            deflection = dense(effect.deflect(jnp.asarray(model.values)[part], still, None), model.dof, 1)
+            if any(np.any(np.asarray(field)) for field in (deflection.stretch, deflection.scale, deflection.sensor)):
+                deflection = None
+        if deflection is None:
             left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")
         else:
-            total = total + found
+            total = total + deflection
     joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))
     before = _displaced(base)
     for i, row in enumerate(rows):
@@ -137,22 +139,25 @@ def _displaced(twist: Array) -> Array:
 
 def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     """The arm of a diagnosed model of torques, and what of it an `Arm` has no place for; see `read_diagnosed_arm`."""
-    arm, links, left_out = model.arm, model.links.copy(), []
+    arm = model.arm
+    links = model.links.copy()
+    left_out = []
     joints: dict[str, np.ndarray] = {}
     springs = np.zeros((2, arm.dof))  # of each joint its stiffness, and its torque at zero
     if arm.spring_stiffness is not None and arm.spring_rest is not None:
         springs = np.stack([arm.spring_stiffness, -arm.spring_stiffness * arm.spring_rest])
     for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
         values = model.values[part]
-        held, phrase = _held(effect, values, model)
-        for kind, value in held.items():
+        arm_numbers, phrase = _held(effect, values, model)
+        for kind, value in arm_numbers.items():
             assert isinstance(effect, OfJoint)
-            field, at = FIELDS[kind], effect.joint - 1
+            field = FIELDS[kind]
+            at = effect.joint - 1
             before = getattr(arm, field)
-            known = joints.setdefault(field, np.zeros(arm.dof) if before is None else np.array(before))
+            joint_values = joints.setdefault(field, np.zeros(arm.dof) if before is None else np.array(before))
             # an estimate may scatter below nothing, which no simulator takes
-            known[at] = max(known[at] + value, 0.0)
-        if held:
+            joint_values[at] = max(joint_values[at] + value, 0.0)
+        if arm_numbers:
             left_out += [phrase] if phrase else []
         elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
@@ -182,8 +187,8 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and not bent:
         transition = getattr(effect, "transition_rad_per_s", 0.0)
         unit = "m/s" if effect.of_slide else "rad/s"
-        said = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
-        return {type(effect): float(values[0])}, said
+        phrase = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
+        return {type(effect): float(values[0])}, phrase
     if not isinstance(effect, Friction | UnnamedTorque) or not effect.follows_own_motion:
         return {}, ""
     if isinstance(effect, UnnamedTorque):
@@ -196,19 +201,20 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
         fastest = float(np.abs(recorded[effect.joint - 1]).max())
     else:
         return {}, ""
-    speed, nothing = np.linspace(-fastest, fastest, _SPEEDS), np.zeros((model.dof, _SPEEDS))
+    speed = np.linspace(-fastest, fastest, _SPEEDS)
+    nothing = np.zeros((model.dof, _SPEEDS))
     motion = motion_of_joint(effect.joint - 1, speed, model.arm.slides)
     alone = Dynamics(motion, nothing, model.links, model.payload_center, _none, _none, model.gravity)
     torque = effect.at_joint(values, alone)
     columns = np.stack([speed, np.sign(speed)], 1)
     numbers, _ = nnls(columns, torque - torque.mean())
-    left = float(np.std(torque - columns @ numbers))
+    residual = float(np.std(torque - columns @ numbers))
     curve = f" with the exponent {effect.exponent:.2g}" if isinstance(effect, ViscousFriction) else ""
-    what = f"{effect.name.replace('_', ' ')} at {effect.site}{curve}"
+    friction_label = f"{effect.name.replace('_', ' ')} at {effect.site}{curve}"
     unit = "N" if effect.of_slide else "Nm"
     return (
         {ViscousFriction: float(numbers[0]), CoulombFriction: float(numbers[1])},
-        f"{left:.2g} {unit} RMS of what is {what}, which its viscous and Coulomb friction leave",
+        f"{residual:.2g} {unit} RMS of what is {friction_label}, which its viscous and Coulomb friction leave",
     )
 
 

@@ -38,12 +38,12 @@ def fold_processes(count: int | None = None) -> Iterator[None]:
     if count is None and not interruption.is_command_line():
         yield
         return
-    others = min(count or threads.available(), 1 + _MOST) - 1
+    further_processes = min(count or threads.available(), 1 + _MOST) - 1
     threads.limit(1)
-    if not others:
+    if not further_processes:
         yield
         return
-    with Processes(others, _IMPORTS) as processes:
+    with Processes(further_processes, _IMPORTS) as processes:
         before = _at_hand.set(processes)
         try:
             yield
@@ -67,14 +67,15 @@ def work_on_folds(
             try:
                 # each in a copy of this context, which says who follows the progress
                 begun = [pool.submit(copy_context().run, function, fold, *given) for fold in folds]
-                for each in as_completed(begun):
-                    each.result()
+                for completed in as_completed(begun):
+                    completed.result()
                     going.number += 1
-                return [each.result() for each in begun]
+                return [future.result() for future in begun]
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
         # now: while this process works, it adds to what is given
-        job, results = pickle.dumps((work_on_one, (function, *given))), dict[int, Any]()
+        job = pickle.dumps((work_on_one, (function, *given)))
+        results = dict[int, Any]()
         begun = [processes.submit(job, [fold]) for fold in folds]
         try:
             for k in reversed(range(len(folds))):
@@ -88,8 +89,8 @@ def work_on_folds(
                     results[k] = function(folds[k], *given)
                 going.number += 1
         finally:
-            for one in begun:
-                one.cancel()
+            for future in begun:
+                future.cancel()
         return [results[k] for k in range(len(folds))]
 
 

@@ -45,7 +45,8 @@ def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
     Raises:
         InputError: no row can be held back, because the others would be too few for the unknowns.
     """
-    recording, unknowns = problem.recording, problem.undeclared + 1
+    recording = problem.recording
+    unknowns = problem.undeclared + 1
     needed = -(-unknowns // recording.numbers_per_sample)
     if recording.samples <= needed:
         raise InputError(
@@ -70,7 +71,8 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
 
     A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise.
     """
-    count, samples = len(folds), folds[0].size
+    count = len(folds)
+    samples = folds[0].size
     long = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
     blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, options.spread_blocks)))
     return [np.any(blocks[number::count], 0) for number in range(count)]
@@ -84,8 +86,8 @@ def errors_of_folds(
 ) -> HeldOut:
     """The errors on all rows, of which folds have each once; arguments as of `work_on_folds`."""
     parts = work_on_folds(errors, given, folds, anywhere)
-    order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
-    return HeldOut._make(np.concatenate(each, -1)[..., order] for each in zip(*parts, strict=True))
+    order = np.argsort(np.concatenate([np.flatnonzero(fold) for fold in folds]))
+    return HeldOut._make(np.concatenate(field_parts, -1)[..., order] for field_parts in zip(*parts, strict=True))
 
 
 def errors_of_selection(selection: Selection, held: Mask) -> HeldOut:
@@ -105,8 +107,8 @@ def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     if isinstance(problem, TorqueProblem | TrackingProblem):
         return rows * problem.sigma, rows
     assert isinstance(problem, PoseProblem)
-    each = (unwhitened(rows, problem.measured.whitener), rows)
-    lengths, over_noise = (np.stack([np.linalg.norm(part, axis=0) for part in (of[:3], of[3:])]) for of in each)
+    scaled_rows = (unwhitened(rows, problem.measured.whitener), rows)
+    lengths, over_noise = (np.stack([np.linalg.norm(part, axis=0) for part in (of[:3], of[3:])]) for of in scaled_rows)
     return lengths, over_noise
 
 
@@ -149,24 +151,25 @@ def verify(
         options: thresholds.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
     """
-    state, findings = selection.state, []
+    state = selection.state
+    findings = []
     for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
         assert isinstance(tested.term, Effect)
-        others = tuple(one for one in tested.alternatives if isinstance(one.term, Effect))
+        alternatives = tuple(alternative for alternative in tested.alternatives if isinstance(alternative.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
         gain, std, share = tested.gain, tested.chosen_std, tested.input_share
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, others, std, share))
-    found = tuple(findings)
-    searched = judge(errors, selection, kept, folds, options) if found else Judgement(False, 1.0)
+        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, alternatives, std, share))
+    selected_findings = tuple(findings)
+    searched = judge(errors, selection, kept, folds, options) if selected_findings else Judgement(False, 1.0)
     if not searched.rejects:
-        return Verification(selection, errors, folds, found)
+        return Verification(selection, errors, folds, selected_findings)
     spread = spread_folds(folds, state.fit.noise, options)
     again = refitted(spread)
     if judge(again, selection, kept, spread, options).rejects:
         # the nuisance alone, as it was fitted without the effects
         bare = replace(selection, problem=selection.reference, state=State(state.baseline, state.baseline))
-        return Verification(bare, errors.without_effects(), folds, (), Withdrawn(found, errors, kept))
-    return Verification(selection, again, spread, found, None, SearchedAgain(len(folds), searched.ratio))
+        return Verification(bare, errors.without_effects(), folds, (), Withdrawn(selected_findings, errors, kept))
+    return Verification(selection, again, spread, selected_findings, None, SearchedAgain(len(folds), searched.ratio))
 
 
 def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> Judgement:
@@ -180,7 +183,7 @@ def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mas
         pairs = [
             (errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)
         ]
-        logs = [[np.log(max(float(np.linalg.norm(each)), 1e-150)) for each in pair] for pair in pairs]
+        logs = [[np.log(max(float(np.linalg.norm(fold_errors)), 1e-150)) for fold_errors in pair] for pair in pairs]
         ratio = float(np.exp(np.mean([after - before for before, after in logs])))
         return Judgement(ratio > options.heldout_rise, ratio)
     numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
@@ -188,9 +191,9 @@ def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mas
     return Judgement(rejects, _ratio(errors.before[0, kept], errors.after[0, kept]))
 
 
-def _rows_of(folds: Sequence[Mask], kept: Mask) -> list[Mask]:
+def _rows_of(folds: Sequence[Mask], counted: Mask) -> list[Mask]:
     """`(sample,)` each, the rows of folds that count; without folds that have none."""
-    return [rows for fold in folds if (rows := fold & kept).any()]
+    return [rows for fold in folds if (rows := fold & counted).any()]
 
 
 def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> bool:
@@ -215,11 +218,11 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
     count: they say that the other rows are few.
     """
     (before, _), (after, _) = errors.before_over_noise, errors.after_over_noise
-    if (tried := kept & errors.with_effects).any():
-        kept = tried
-    if held := _rows_of(folds, kept):
-        logs = [np.log(max(_ratio(before[rows], after[rows]), 1e-300)) for rows in held]
-        if np.exp(np.average(logs, weights=[rows.sum() for rows in held])) < options.heldout_left:
+    if (searched_rows := kept & errors.with_effects).any():
+        kept = searched_rows
+    if fold_rows := _rows_of(folds, kept):
+        logs = [np.log(max(_ratio(before[rows], after[rows]), 1e-300)) for rows in fold_rows]
+        if np.exp(np.average(logs, weights=[rows.sum() for rows in fold_rows])) < options.heldout_left:
             return False
 
     def times_fitted(of_all: Array, problem: Problem, fit: Fit) -> float:
@@ -243,8 +246,8 @@ def _ratio(before: Array, after: Array) -> float:
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
     """The errors on the rows `(sample,)` of a fold, from a search of the others with the decisions of all rows."""
-    found = explain(replace(case, training=~held, thorough=False), decisions)
-    return errors_of_selection(found.selection, held)
+    explanation = explain(replace(case, training=~held, thorough=False), decisions)
+    return errors_of_selection(explanation.selection, held)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
@@ -254,12 +257,12 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
     """
     state, engine = selection.state, options.engine
 
-    def predicted(held: Mask) -> HeldOut:
-        training = state.baseline.training & ~held
+    def predicted(fold: Mask) -> HeldOut:
+        training = state.baseline.training & ~fold
         reference = problem = relinearise(selection.reference, engine, training)
         if selection.problem.preset[0].terms:
             problem = relinearise(selection.problem, engine, training)
         again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
-        return errors_of_selection(at_estimate(again, engine), held)
+        return errors_of_selection(at_estimate(again, engine), fold)
 
     return errors_of_folds(predicted, (), folds, anywhere=False)

@@ -95,15 +95,17 @@ def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     if isinstance(found, TorqueDiagnosis):
         return [_torque_curve(found, k)]
     assert isinstance(found, Diagnosis)
-    finding, used = found.findings[k], found.fit.training & ~found.outliers
+    finding = found.findings[k]
+    used = found.fit.training & ~found.outliers
     effect = finding.effect
     if isinstance(effect, Unnamed):
-        of, site = found.problem.deflections, site_of(effect.where, effect.component)
-        left, good = _residual_at(found, found.problem.sites[site], used)
+        of = found.problem.deflections
+        site = site_of(effect.where, effect.component)
+        residual, good = _residual_at(found, found.problem.sites[site], used)
         functions = of.basis(effect)
         mean = functions[:, good].mean(1)  # a constant may be the calibration's instead
         about = functions - mean[:, None]
-        samples = _Samples(site, effect.unit, finding.values @ about, about, left, good)
+        samples = _Samples(site, effect.unit, finding.values @ about, about, residual, good)
         drivers = np.asarray(effect.values_at(of.host_motion, of.loads), float)
         return [_process_curve(found, k, samples, drivers, mean)]
     curves = []
@@ -111,19 +113,19 @@ def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
         for samples in _movements(found, effect, k, used):
             curve = _driver_curve(found, k, samples)
             curves += [] if curve is None else [curve]
-        few = effect.drivers and len(curves) <= 3
-        if curves and (few or effect.site.startswith("joint")):
+        has_few_curves = effect.drivers and len(curves) <= 3
+        if curves and (has_few_curves or effect.site.startswith("joint")):
             return curves
     return [_displacement_curve(found, k, used)]
 
 
 def _curve(
-    found: DomainDiagnosis[Any], k: int, over: Any, quantity: Driver | None, x: Array, of: _Samples, **more: Any
+    diagnosis: DomainDiagnosis[Any], k: int, over: Any, quantity: Driver | None, x: Array, of: _Samples, **more: Any
 ):
     """The curve through what is fitted at the samples, or at the points that are given with `at`."""
     at, moved, slope = more.pop("points", (x, of.moved, of.slope))
     order = np.argsort(at, kind="stable")
-    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, found.findings[k].covariance, slope), 0.0))[order]
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, diagnosis.findings[k].covariance, slope), 0.0))[order]
     shown = x[of.good], (of.moved + of.left)[of.good]
     return FindingCurve(k, over, quantity, of.site, of.unit, *shown, at[order], moved[order], std, **more)
 
@@ -131,9 +133,9 @@ def _curve(
 # ------------------------------------------------------------------ of poses
 
 
-def _movements(found: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterator[_Samples]:
+def _movements(diagnosis: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterator[_Samples]:
     """Each way in which an effect moves sites; those that move alike are one."""
-    problem, values = found.problem, found.findings[k].values
+    problem, values = diagnosis.problem, diagnosis.findings[k].values
     unit = problem.deflections.unit(effect) if effect.linear else problem.deflections.slope(effect, values)
     bent = effect.deflect(jnp.asarray(values), problem.time_shifted, problem.loads)
     for field, moved, slopes in zip(Deflection._fields, bent, unit, strict=True):
@@ -145,8 +147,8 @@ def _movements(found: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterato
         uniform = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
         for group in [moving] if uniform and moving else [[i] for i in moving]:
             sites = [_site(field, i, np.ndim(moved)) for i in group]
-            left, good = _residual_at(found, np.sum([problem.sites[at] for at in sites], 0), used)
-            yield _Samples(sites[0], "", flat[group[0]], slope[:, group[0]], left, good)
+            residual, good = _residual_at(diagnosis, np.sum([problem.sites[at] for at in sites], 0), used)
+            yield _Samples(sites[0], "", flat[group[0]], slope[:, group[0]], residual, good)
 
 
 def _site(field: str, i: int, dimensions: int) -> Site:
@@ -155,20 +157,20 @@ def _site(field: str, i: int, dimensions: int) -> Site:
     return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
 
 
-def _driver_curve(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
+def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
     """One movement over the driver that it follows; None where it follows none."""
-    problem, effect = found.problem, found.findings[k].effect
+    problem, effect = diagnosis.problem, diagnosis.findings[k].effect
     assert isinstance(effect, Bending)
     assert of.site is not None
     field, joint, component = of.site
     at_joint = field == "joint"
     choices = effect.drivers or ((Driver("position", joint + 1),) if at_joint else ())
-    known = [np.asarray(driver.values(problem.time_shifted, problem.loads), float) for driver in choices]
-    follows = [_correlation(values, of.moved) for values in known]
+    driver_values = [np.asarray(driver.values(problem.time_shifted, problem.loads), float) for driver in choices]
+    follows = [_correlation(values, of.moved) for values in driver_values]
     if not choices or (len(choices) > 1 and max(follows) < _SAME):
         return None
-    best = int(np.argmax(follows))
-    driver, x = choices[best], known[best]
+    closest = int(np.argmax(follows))
+    driver, x = choices[closest], driver_values[closest]
     turns = at_joint and joint not in problem.motion.sliding.joints
     of = of._replace(unit="1" if field in ("stretch", "scale") else "rad" if turns or component > 2 else "m")
     points = x, of.moved, of.slope
@@ -178,25 +180,27 @@ def _driver_curve(found: Diagnosis, k: int, of: _Samples) -> FindingCurve | None
         q[:, driver.place - 1] = at
         motion = motion_of(q, sliding=problem.motion.sliding.joints)
         shown = lambda values: np.asarray(effect.deflect(jnp.asarray(values), motion, None).joint)[joint]  # noqa: E731
-        values = found.findings[k].values
+        values = diagnosis.findings[k].values
         points = at, shown(values), _slopes(shown, effect, values)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
         phase = lambda angle: np.mod(effect.order * angle, 2 * np.pi)  # noqa: E731
-        return _curve(found, k, "phase", driver, phase(x), of, points=(phase(points[0]), *points[1:]))
-    return _curve(found, k, "driver", driver, x, of, points=points)
+        return _curve(diagnosis, k, "phase", driver, phase(x), of, points=(phase(points[0]), *points[1:]))
+    return _curve(diagnosis, k, "driver", driver, x, of, points=points)
 
 
-def _residual_at(found: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
+def _residual_at(diagnosis: Diagnosis, site: Array, used: Mask) -> tuple[Array, Mask]:
     """What the whole model leaves along a site's column `(row, sample)`, in its unit; and where that is well known."""
     power = np.sum(site**2, 0)
-    left = -np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
+    residual = -np.sum(site * diagnosis.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
     spread = np.sqrt(1 / np.where(power > 0, power, np.finfo(float).tiny))
-    return left, used & (spread < _POORLY_OBSERVED * np.median(spread))
+    return residual, used & (spread < _POORLY_OBSERVED * np.median(spread))
 
 
-def _displacement_curve(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
+def _displacement_curve(diagnosis: Diagnosis, k: int, used: Mask) -> FindingCurve:
     """A finding along the direction in which it displaces each measured pose, over the length of that displacement."""
-    problem, finding, fit = found.problem, found.findings[k], found.fit
+    problem = diagnosis.problem
+    finding = diagnosis.findings[k]
+    fit = diagnosis.fit
     without = fit.values.copy()
     without[fit.terms.slices[k]] = 0.0
     rows = problem.residual(fit.nuisance, fit.terms, without)
@@ -204,7 +208,8 @@ def _displacement_curve(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     scale, unit = 1.0, "sigma"
     if problem.measured.whitener.ndim == 1 and np.sum(columns[:, :3] ** 2) > 0.5 * np.sum(columns**2):
         columns, rows = columns[:, :3], rows[:3]
-        scale, unit = 1 / float(problem.measured.whitener[0]), "m"
+        scale = 1 / float(problem.measured.whitener[0])
+        unit = "m"
     moved = np.tensordot(finding.values, columns, 1)
     size = np.sqrt(np.sum(moved**2, 0))
     safe = np.where(size > 0, size, np.inf)
@@ -212,8 +217,8 @@ def _displacement_curve(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
     good, slope = used & (size > 0), scale * np.sum(columns * moved, 1) / safe
     samples = _Samples(None, unit, scale * size, slope, scale * (partial - size), good)
     if not good.any() or np.ptp(size[good]) < 1e-3 * size.max():  # the same everywhere
-        return _curve(found, k, "row", None, problem.recording.row.astype(float), samples)
-    return _curve(found, k, "displacement", None, scale * size, samples)
+        return _curve(diagnosis, k, "row", None, problem.recording.row.astype(float), samples)
+    return _curve(diagnosis, k, "displacement", None, scale * size, samples)
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -223,29 +228,32 @@ def _correlation(a: Array, b: Array) -> float:
 # ------------------------------------------------------------------ of torques
 
 
-def _torque_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
+def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
     """A finding of one joint over its driver; another over the torque that it adds where it adds most."""
-    problem, fit, finding = found.problem, found.fit, found.findings[k]
+    problem = diagnosis.problem
+    fit = diagnosis.fit
+    finding = diagnosis.findings[k]
     effect, used, dynamics = finding.effect, problem.valid, problem.dynamics
     assert isinstance(effect, TorqueEffect)
-    moved = added_torque(found, [k])
+    moved = added_torque(diagnosis, [k])
     j = int(np.argmax(np.sum(as_revolute(moved[:, used], "Nm", problem.data.arm.slides) ** 2, 1)))
     columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.sigma[j]
-    left = (problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values))[j]
+    residual = (problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values))[j]
     unit = "N" if problem.data.arm.slides[j] else "Nm"
-    samples, kept = _Samples(("joint", j, 0), unit, moved[j], columns, left, used), problem.data.filter.kept
+    samples = _Samples(("joint", j, 0), unit, moved[j], columns, residual, used)
+    filter_samples = problem.data.filter.kept
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
-        return _curve(found, k, "displacement", None, moved[j], samples)
+        return _curve(diagnosis, k, "displacement", None, moved[j], samples)
     if isinstance(effect, UnnamedTorque):
-        return _process_curve(found, k, samples, effect.values_in(dynamics)[:, kept][:, problem.chosen])
+        return _process_curve(diagnosis, k, samples, effect.values_in(dynamics)[:, filter_samples][:, problem.chosen])
     driver = next(iter(effect.drivers), Driver("time"))
     x = np.asarray(driver.values(dynamics.motion, dynamics.loads))
     if len(effect.drivers) > 1:
-        return _curve(found, k, "driver", driver, x[kept][problem.chosen], samples, scattered=True)
+        return _curve(diagnosis, k, "driver", driver, x[filter_samples][problem.chosen], samples, scattered=True)
     # not filtered, so that it is a function of its driver
     shown = lambda values: effect.at_joint(values, dynamics)  # noqa: E731
     points = x, shown(finding.values), _slopes(shown, effect, finding.values)
-    return _curve(found, k, "driver", driver, x[kept][problem.chosen], samples, points=points)
+    return _curve(diagnosis, k, "driver", driver, x[filter_samples][problem.chosen], samples, points=points)
 
 
 def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
@@ -254,27 +262,27 @@ def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
     without = fit.values.copy()
     for k in chosen:
         without[fit.terms.slices[k]] = 0.0
-    whole, rest = (problem.torque(fit.nuisance, fit.terms, values) for values in (fit.values, without))
-    return whole - rest
+    full_torque, other_torque = (problem.torque(fit.nuisance, fit.terms, values) for values in (fit.values, without))
+    return full_torque - other_torque
 
 
 # ------------------------------------------------------------------ of both
 
 
 def _process_curve(
-    found: DomainDiagnosis[Any], k: int, of: _Samples, drivers: Array, mean: Array | float = 0.0
+    diagnosis: DomainDiagnosis[Any], k: int, of: _Samples, drivers: Array, mean: Array | float = 0.0
 ) -> FindingCurve:
     """A nonparametric effect over its first driver, about a mean of its functions."""
-    finding, x = found.findings[k], drivers[0]
+    finding, x = diagnosis.findings[k], drivers[0]
     effect: Any = finding.effect
     if effect.hysteretic or len(drivers) > 1:
-        return _curve(found, k, "driver", effect.drivers[0], x, of, scattered=True)
+        return _curve(diagnosis, k, "driver", effect.drivers[0], x, of, scattered=True)
     highest = orders_of(effect.bounds)[-1] if effect.kernel == "spectrum" else 0.0
     periods = max(highest * np.ptp(x) / (2 * np.pi), 1.0)
     at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
     functions = np.asarray(effect.functions_at(at[None])) - np.reshape(mean, (-1, 1))
     points = at, finding.values @ functions, functions
-    return _curve(found, k, "driver", effect.drivers[0], x, of, points=points, periods=periods)
+    return _curve(diagnosis, k, "driver", effect.drivers[0], x, of, points=points, periods=periods)
 
 
 def _slopes(shown: Callable[[Array], Array], effect: Effect, values: Array) -> Array:

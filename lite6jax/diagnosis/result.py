@@ -82,12 +82,12 @@ class Finding:
     @property
     def nearest(self) -> tuple[Effect, float] | None:
         """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
-        named = [one for one in self.alternatives if not one.term.nonparametric]
-        if not self.effect.nonparametric or not named:
+        named_alternatives = [alternative for alternative in self.alternatives if not alternative.term.nonparametric]
+        if not self.effect.nonparametric or not named_alternatives:
             return None
-        best = min(named, key=lambda one: one.gap)
-        assert isinstance(best.term, Effect)
-        return best.term, float(np.clip(1 - best.gap / max(self.gain, 1e-300), 0.0, 1.0))
+        closest = min(named_alternatives, key=lambda alternative: alternative.gap)
+        assert isinstance(closest.term, Effect)
+        return closest.term, float(np.clip(1 - closest.gap / max(self.gain, 1e-300), 0.0, 1.0))
 
     @property
     def effective_parameters(self) -> float:
@@ -254,20 +254,20 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         more is left than noise, and nothing was found. *undetermined*: the rows are too few to tell, or what is left is
         noise, but an effect that is no finding is nearly significant.
         """
-        found = bool(self.findings)
-        if not found and self._too_few:
+        has_findings = bool(self.findings)
+        if not has_findings and self._too_few:
             return "undetermined"
-        if found and max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
+        if has_findings and max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
             return "unnamed"
         if not self._leaves_noise:
-            return "partly_explained" if found else "unexplained"
+            return "partly_explained" if has_findings else "unexplained"
         # What it moves may have gone into numbers of the findings, as the compliance of a joint goes into that of the
         # base where both are loaded alike. One that is significant and yet no finding was refused for a reason of its
         # own; beside effects that were withdrawn, the nearest is that of another model.
         nearest, options = self.selection.nearest, self.options
         if self.withdrawn is None and nearest and options.engine.level <= nearest[1] < options.nearly_significant:
             return "undetermined"
-        return "explained" if found else "consistent"
+        return "explained" if has_findings else "consistent"
 
     @property
     def before(self) -> Array:
@@ -318,8 +318,12 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     @property
     def _reference(self) -> ReferenceOrigin | None:
         """The reference that the findings are the difference from."""
-        said = None if self.against is None else self.against.to_dict()
-        return None if said is None or said["basis"] == "effects" else ReferenceOrigin(said["file"], said["basis"])
+        against = None if self.against is None else self.against.to_dict()
+        return (
+            None
+            if against is None or against["basis"] == "effects"
+            else ReferenceOrigin(against["file"], against["basis"])
+        )
 
     @property
     @abstractmethod
@@ -349,9 +353,12 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/3`: codes and numbers in SI units."""
-        settings, kept, nearest = self.recording.settings, ~self.outliers, self.nearest
+        settings = self.recording.settings
+        inliers = ~self.outliers
+        nearest = self.nearest
         again, withdrawn = self.searched_again, self.withdrawn
-        faults, outliers = list(self.faults), self.outliers & self.problem.valid
+        faults = list(self.faults)
+        outliers = self.outliers & self.problem.valid
         if outliers.any():
             faults.append(DataFault("outliers", tuple(self.recording.row[outliers].tolist())))
         (declared, estimated), at = self._noise, self.acts_at
@@ -360,7 +367,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "domain": self.domain,
             "verdict": self.verdict,
             "samples": self.recording.samples,
-            "heldout_rows": int(kept.sum()),
+            "heldout_rows": int(inliers.sum()),
             "heldout_blocks": block_count(self.folds),
             "searched_again": None if again is None else {"blocks": again.blocks, "heldout_ratio": again.ratio},
             "quick": self.options.quick,
@@ -369,8 +376,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "source": getattr(settings, _SOURCES[self.domain]),
             "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
-            "before": self._statistics(self.errors.before, kept),
-            "after": self._statistics(self.errors.after, kept),
+            "before": self._statistics(self.errors.before, inliers),
+            "after": self._statistics(self.errors.after, inliers),
             "left": {
                 "over_noise": self.over_noise,
                 "between_reversals": self.between_reversals,
@@ -403,7 +410,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         }
 
     def _finding(self, k: int) -> dict[str, Any]:
-        finding, size = self.findings[k], {}
+        finding = self.findings[k]
+        size = {}
         if finding.effect.nonparametric:
             ranges = {name: estimate._asdict() for name, estimate in self._peak_to_peak(k).items()}
             size = {"peak_to_peak": ranges, "effective_parameters": finding.effective_parameters}
@@ -411,7 +419,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             size["nearest"] = effect_entry(finding.nearest[0]) | {"share": finding.nearest[1]}
         if finding.input_share:
             size["payload_share"] = finding.input_share
-        alternatives = sorted(finding.alternatives, key=lambda one: one.gap)
+        alternatives = sorted(finding.alternatives, key=lambda alternative: alternative.gap)
         return {
             **effect_entry(finding.effect),
             "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
@@ -419,24 +427,24 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "p_value": finding.p_value,
             "log_likelihood_gain": finding.gain,
             **self.moves[k],
-            "confusable_with": [self._alternative(k, one) for one in alternatives],
+            "confusable_with": [self._alternative(k, alternative) for alternative in alternatives],
         }
 
-    def _alternative(self, k: int, one: Alternative) -> dict[str, Any]:
+    def _alternative(self, k: int, alternative: Alternative) -> dict[str, Any]:
         """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
-        effect = one.term
+        effect = alternative.term
         assert isinstance(effect, Effect)
-        if one.gap >= self.options.engine.close:
+        if alternative.gap >= self.options.engine.close:
             status = "rejected"
         else:
             status = "found" if effect in self.fit.terms.terms else self._distinction(k, effect)
         numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
-        known = {name: value for name, value in numbers.items() if value is not None}
-        if "period_m" in known:  # what an order is of a prismatic joint
-            del known["order"]
-        return {**effect_entry(effect), **known, "log_likelihood_gap": one.gap, "status": status}
+        stated_numbers = {name: value for name, value in numbers.items() if value is not None}
+        if "period_m" in stated_numbers:  # what an order is of a prismatic joint
+            del stated_numbers["order"]
+        return {**effect_entry(effect), **stated_numbers, "log_likelihood_gap": alternative.gap, "status": status}
 
 
 def block_count(folds: Sequence[Mask]) -> int:
     """How many contiguous blocks of rows these sets have in all."""
-    return sum(int(np.sum(np.diff(held.astype(int), prepend=0) > 0)) for held in folds)
+    return sum(int(np.sum(np.diff(fold.astype(int), prepend=0) > 0)) for fold in folds)

@@ -132,8 +132,8 @@ def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:
         "rotor_inertia": servo.inertia,
     }
     if stiff.any():
-        rest = np.divide(-servo.spring_torque, stiff, out=np.zeros_like(stiff), where=stiff > 0)
-        fields |= {"spring_stiffness": stiff, "spring_rest": rest}
+        spring_rest = np.divide(-servo.spring_torque, stiff, out=np.zeros_like(stiff), where=stiff > 0)
+        fields |= {"spring_stiffness": stiff, "spring_rest": spring_rest}
     arm = replace(model.arm, dh=None, **{name: np.asarray(values, float) for name, values in fields.items()})
     if not links.any():
         return arm, ()
@@ -144,7 +144,8 @@ def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:
         try:
             links, exact = consistent_links(base, base.values(links), near)
         except np.linalg.LinAlgError:  # far from any bodies
-            links, exact = near, False
+            links = near
+            exact = False
     return set_link_parameters(arm, links), () if exact else ("inertial numbers that no bodies have",)
 
 
@@ -174,9 +175,9 @@ def _left_out(model: DiagnosedServos, form: files.FileForm) -> list[str]:
         tilts = any(isinstance(term, BaseTilt) for term in model.terms.terms)
         phrases += ["the tilt of the base"] if tilts and model.links.any() else []
         phrases += ["that the servos carry the weight of the arm"] if model.compensated else []
-    held = [effect for effect, _ in model.model.torques if form == "numpy" and _driver_of(effect)]
-    others = (effect for effect, _ in model.model.torques if effect not in held)
-    return phrases + [f"{effect.name.replace('_', ' ')} at {effect.site}" for effect in others]
+    exported = [effect for effect, _ in model.model.torques if form == "numpy" and _driver_of(effect)]
+    omitted = (effect for effect, _ in model.model.torques if effect not in exported)
+    return phrases + [f"{effect.name.replace('_', ' ')} at {effect.site}" for effect in omitted]
 
 
 def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
@@ -200,8 +201,8 @@ def _beyond(servo: Servo, name: str, form: files.FileForm) -> NDArray[np.bool_]:
 
 
 def _joints(present: NDArray[np.bool_]) -> str:
-    named = [f"joint{joint + 1}" for joint in np.flatnonzero(present)]
-    return " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
+    joint_names = [f"joint{joint + 1}" for joint in np.flatnonzero(present)]
+    return " and ".join(filter(None, (", ".join(joint_names[:-1]), joint_names[-1])))
 
 
 def _limit(values: Array) -> Array:
@@ -241,8 +242,8 @@ def _write_mjcf(model: DiagnosedServos, target: Path, overwrite: bool, source: s
         for key, value in entries.items():
             entry.set(key, repr(float(value)))
         if servo.torque_limit[i] < UNLIMITED:
-            most = float(servo.torque_limit[i])
-            entry.set("forcerange", format_numbers(np.array([-most, most])))
+            torque_limit = float(servo.torque_limit[i])
+            entry.set("forcerange", format_numbers(np.array([-torque_limit, torque_limit])))
         if servo.time_constant[i] > 0:
             entry.set("timeconst", repr(float(servo.time_constant[i])))
         if servo.delay[i] > 0:

@@ -121,16 +121,19 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
 
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
         """Over revolute joints in Nm, and over those that slide in N."""
-        errors, found = errors[:, kept], {}
-        there = errors if errors.size else np.zeros((len(errors), 1))
+        errors = errors[:, kept]
+        statistics = {}
+        padded_errors = errors if errors.size else np.zeros((len(errors), 1))
         for name, of in STATISTICS.items():
-            found |= by_kind(f"heldout_torque_{name}_Nm", np.abs(there), self.problem.data.arm.slides, of)
-        return found | {"heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
+            statistics |= by_kind(f"heldout_torque_{name}_Nm", np.abs(padded_errors), self.problem.data.arm.slides, of)
+        return statistics | {"heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
 
     @cached_property
     def _added(self) -> list[Array]:
         """`(joint, sample)` Nm of each finding, what it adds."""
-        problem, fit, added = self.problem, self.fit, []
+        problem = self.problem
+        fit = self.fit
+        added = []
         for finding, numbers in zip(self.findings, fit.terms.slices, strict=True):
             columns = problem.columns([finding.effect], finding.values, (fit.terms, fit.values))
             added.append(np.tensordot(fit.values[numbers], columns, 1) * problem.sigma)
@@ -139,13 +142,14 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     @cached_property
     def moves(self) -> tuple[dict[str, Any], ...]:
         """What each finding moves, RMS at its joints, Nm and N, and these, from 1."""
-        slides, found = self.problem.data.arm.slides, []
+        slides = self.problem.data.arm.slides
+        movements = []
         for moved in self._added:
             acts = np.abs(moved).max(1) > 0
             where = acts if acts.any() else np.ones_like(acts)
             sizes = by_kind("moves_rms_Nm", moved[where], slides[where], STATISTICS["rms"])
-            found.append({**sizes, "joints": (1 + np.flatnonzero(acts)).tolist()})
-        return tuple(found)
+            movements.append({**sizes, "joints": (1 + np.flatnonzero(acts)).tolist()})
+        return tuple(movements)
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         effect = self.findings[k].effect
@@ -201,20 +205,20 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions) -> TorqueP
 
     widest = of_width(_WIDTHS[-1])
     noise = remaining_noise_model(widest, fit_numbers(widest, terms, options, training=problem.valid), options)
-    found = fit_numbers(widest, terms, options, training=problem.valid, noise=noise)
-    time = max(longest_time(widest, found, options), 1.0)
+    widest_fit = fit_numbers(widest, terms, options, training=problem.valid, noise=noise)
+    time = max(longest_time(widest, widest_fit, options), 1.0)
 
     def judged(width: float) -> float:
-        each = of_width(width)
-        return _evidence(each, fit_numbers(each, terms, options, training=problem.valid, noise=noise), time)
+        candidate = of_width(width)
+        return _evidence(candidate, fit_numbers(candidate, terms, options, training=problem.valid, noise=noise), time)
 
-    evidence = {width: judged(width) for width in _WIDTHS[:-1]} | {_WIDTHS[-1]: _evidence(widest, found, time)}
-    least = max(evidence.values()) - options.close
-    likely = max(width for width, one in evidence.items() if one > least)
+    evidence = {width: judged(width) for width in _WIDTHS[:-1]} | {_WIDTHS[-1]: _evidence(widest, widest_fit, time)}
+    threshold = max(evidence.values()) - options.close
+    likely = max(width for width, log_evidence in evidence.items() if log_evidence > threshold)
     # the grid is coarse, and a prior half as wide as it should be already causes false findings
     wider = [width for width in _WIDTHS if width > likely]
     for width in np.geomspace(likely, wider[0], _BETWEEN + 2)[1:-1] if wider else ():
-        if judged(float(width)) <= least:
+        if judged(float(width)) <= threshold:
             break
         likely = float(width)
     return of_width(likely)
@@ -222,25 +226,27 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions) -> TorqueP
 
 def _everywhere(problem: TorqueProblem) -> Terms:
     slides = problem.data.arm.slides.tolist()
-    return Terms(tuple(kind(j, of_slide=own) for kind in _EVERYWHERE for j, own in enumerate(slides, 1)))
+    return Terms(tuple(kind(j, of_slide=slide) for kind in _EVERYWHERE for j, slide in enumerate(slides, 1)))
 
 
-def _evidence(problem: TorqueProblem, found: Fit, time: float) -> float:
+def _evidence(problem: TorqueProblem, fitted: Fit, time: float) -> float:
     """The logarithm of the marginal likelihood of a prior's width, in the noise model of the fit.
 
     What no effect explains yet is not independent from sample to sample. What the noise model leaves of that is: so
     many samples as its autocorrelation `time` says count as one. If each counted, inertial numbers would be taken as
     less certain for what is missing beside them, and would follow it.
     """
-    root = np.sqrt(np.where(found.training, found.residuals.row_weight / time, 0.0))
-    columns = np.concatenate([problem.nuisance_columns(found.terms, found.values), problem.columns(found.terms.terms)])
-    flat = (found.noise.whitened(columns) * root).reshape(len(columns), -1)
+    root = np.sqrt(np.where(fitted.training, fitted.residuals.row_weight / time, 0.0))
+    columns = np.concatenate(
+        [problem.nuisance_columns(fitted.terms, fitted.values), problem.columns(fitted.terms.terms)]
+    )
+    flat = (fitted.noise.whitened(columns) * root).reshape(len(columns), -1)
     k = len(problem.precision)
     S = schur_complement(flat @ flat.T, np.arange(k, len(columns)))[:k, :k] / np.sqrt(
         np.outer(problem.precision, problem.precision)
     )
     volume = float(np.linalg.slogdet(np.eye(k) + S)[1])
-    return found.log_likelihood(found.scale) / time - 0.5 * volume
+    return fitted.log_likelihood(fitted.scale) / time - 0.5 * volume
 
 
 # ------------------------------------------------------------------ the diagnosis
@@ -277,8 +283,8 @@ def diagnose_torques(
     by_rows = compare_rows(recording, reference, with_calibration(arm, recording))
     if by_rows is not None:  # both are of one motion: their difference is diagnosed
         return replace(alone(by_rows.recording, arm), against=by_rows)
-    found = alone(recording, arm)
-    return replace(found, against=compare_effects(found, alone(reference, arm)))
+    diagnosis = alone(recording, arm)
+    return replace(diagnosis, against=compare_effects(diagnosis, alone(reference, arm)))
 
 
 def _diagnose_alone(
@@ -295,8 +301,8 @@ def _diagnose_alone(
         with part(0, 1 + options.folds):
             entered("screening")
             screened = screen_torques(recording, arm)
-            whole = with_likely_prior(torque_problem(screened.data, effects), options.engine)
-            problem = linearised(whole, options.engine)
+            unlinearised = with_likely_prior(torque_problem(screened.data, effects), options.engine)
+            problem = linearised(unlinearised, options.engine)
             pushed, events = contacts(problem, options.engine)
             problem = replace(problem, valid=problem.valid & ~pushed)
             problem = linearised(problem, options.engine, problem.valid) if pushed.any() else problem
@@ -306,16 +312,16 @@ def _diagnose_alone(
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
         # postures are few and independent: a model of half of them says little of the rest
-        few = recording.motion == "static"
+        is_static = recording.motion == "static"
         used = int(problem.valid.sum())
-        count = fold_count(used, replace(options, folds=max(options.folds, _FOLDS)) if few else options)
+        count = fold_count(used, replace(options, folds=max(options.folds, _FOLDS)) if is_static else options)
         blocks = contiguous_blocks(used, count)
         folds = [block[np.maximum(np.cumsum(problem.valid) - 1, 0)] for block in blocks]
-        whole = replace(whole, valid=problem.valid)
-        errors = errors_of_folds(errors_without, (whole, options, selection.considered), folds)
+        unlinearised = replace(unlinearised, valid=problem.valid)
+        errors = errors_of_folds(errors_without, (unlinearised, options, selection.considered), folds)
 
         def refitted(spread: Sequence[Mask]) -> HeldOut:
-            return errors_of_folds(errors_without, (whole, options, frozenset(), selection.state), spread, False)
+            return errors_of_folds(errors_without, (unlinearised, options, frozenset(), selection.state), spread, False)
 
         verified = verify(selection, errors, folds, problem.valid, options, refitted)
         if not verified.findings:
@@ -345,8 +351,8 @@ def errors_without(
         state: whose terms are fitted to the others; searched where not given.
     """
     training = ~(np.convolve(held, np.ones(3), "same") > 0) & problem.valid
-    there = linearised(problem, options.engine, training)
+    fold_problem = linearised(problem, options.engine, training)
     if state is None:
-        return errors_of_selection(search(there, options.engine, training, thorough=False, among=among), held)
-    again = fitted_again(there, there, state, training, options.engine)
-    return errors_of_selection(Selection(there, there, again), held)
+        return errors_of_selection(search(fold_problem, options.engine, training, thorough=False, among=among), held)
+    again = fitted_again(fold_problem, fold_problem, state, training, options.engine)
+    return errors_of_selection(Selection(fold_problem, fold_problem, again), held)

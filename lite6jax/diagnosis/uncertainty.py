@@ -65,53 +65,62 @@ def uncertainty_of_poses(
         read = problem.measured.columns(tool, J[:, :3], turned)
         columns = np.concatenate([whitened(read, problem.measured.whitener), moved])
         effects = tuple(freed(effect) for effect in model.physics.effects)
-        prior, known = prior_precision(problem, effects), problem.precision
+        prior = prior_precision(problem, effects)
+        nuisance_precision = problem.precision
         # what is no finding is within the tolerance of its joint
         no_finding = [effect not in fit.terms.terms for effect in model.physics.effects]
         prior[np.repeat(no_finding, [effect.size for effect in effects]).astype(bool)] = ONCE_PER_TURN**-2.0
-        precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, known[beside]])
+        precision = np.concatenate(
+            [
+                nuisance_precision[:frames],
+                nuisance_precision[len(nuisance_precision) - masses :],
+                prior,
+                nuisance_precision[beside],
+            ]
+        )
         C = _covariance(fit, problem.valid, columns, precision)[: len(J), : len(J)]
     estimated = _variance(J, C)
-    left, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
-    some = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
-    typical = np.sqrt([np.median(rows.mean(0)) for rows in np.split(estimated[:, some], 2)] + left**2)
+    model_error, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
+    usable_rows = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
+    typical = np.sqrt([np.median(rows.mean(0)) for rows in np.split(estimated[:, usable_rows], 2)] + model_error**2)
     q = problem.recording.joint_position
-    rows = some[spread_rows(len(some), _ROWS)]  # of those that a model keeps, from which the distance is measured
-    measured = some[spread_rows(len(some), _MOST)]
+    # of those that a model keeps, from which the distance is measured
+    rows = usable_rows[spread_rows(len(usable_rows), _ROWS)]
+    measured = usable_rows[spread_rows(len(usable_rows), _MOST)]
     recorded = RecordedRange(
-        joints=np.stack([q[some].min(0), q[some].max(0)], 1),
+        joints=np.stack([q[usable_rows].min(0), q[usable_rows].max(0)], 1),
         positions=np.round(q[rows], 5),
         spacing=_spacing(q, measured, rows, folds),
-        drivers=_ranges(change.driver_values(), some),
+        drivers=_ranges(change.driver_values(), usable_rows),
     )
     usual = typical if kept.any() and np.isfinite(typical).all() and typical.min() > 0 else None
-    return Uncertainty(sites, C, left, unseen, noise, recorded, usual)
+    return Uncertainty(sites, C, model_error, unseen, noise, recorded, usual)
 
 
 def _left_of_poses(
-    problem: PoseProblem, fit: Fit, estimated: Array, kept: Mask, after: Array, folds: int
+    problem: PoseProblem, fit: Fit, estimated: Array, inliers: Mask, after: Array, folds: int
 ) -> tuple[Array, Array, Array]:
     """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction.
 
     The noise is the declared one, or less where the residuals are less: whatever they are more is left of the model.
     Numbers that are estimated without one of n blocks vary by n / (n - 1) more.
     """
-    count = max(int(kept.sum()), 1)
+    count = max(int(inliers.sum()), 1)
     scales = fit.scale[problem.groups[[0, -1]]]
-    declared = [known is not None for known in problem.declared_noise]
+    declared = [declared_std is not None for declared_std in problem.declared_noise]
     noise = np.where(declared, np.minimum(scales, 1.0), scales) * [problem.noise[0], problem.noise[1] or 0.0]
     rows = min(problem.rows, 3)
-    squares = after[kept] ** 2 / _SQUARES[rows]
-    position = _excess(squares - folds / (folds - 1) * estimated[:3, kept].mean(0), noise[0], rows * count)
+    squares = after[inliers] ** 2 / _SQUARES[rows]
+    position = _excess(squares - folds / (folds - 1) * estimated[:3, inliers].mean(0), noise[0], rows * count)
     orientation = 0.0
     if problem.rows == 6 and problem.noise[1]:
         lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
-        turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
+        turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, inliers] ** 2, 0) / lost
         lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
         # an angle inside the arm that displaces the tool by what is left of positions turns it too
         orientation = max(_excess(turned / _SQUARES[3], noise[1], 3 * count), position / max(lever, 1e-3))
-    left = np.array([position, orientation])
-    return left, np.sqrt(_relative_error(3 * count) * (noise**2 + left**2)), noise
+    model_error = np.array([position, orientation])
+    return model_error, np.sqrt(_relative_error(3 * count) * (noise**2 + model_error**2)), noise
 
 
 def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds: Sequence[Mask]) -> Uncertainty:
@@ -126,23 +135,24 @@ def uncertainty_of_torques(problem: TorqueProblem, fit: Fit, after: Array, folds
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
     C = _covariance(fit, problem.valid, columns, np.concatenate([problem.precision, prior]))
     estimated = _variance(columns * problem.sigma, C)
-    left, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
-    kept, at = np.flatnonzero(problem.valid), problem.data.filter.kept[problem.chosen]
+    model_error, unseen, noise = _left_of_torques(problem, fit, estimated, after, len(folds))
+    valid_samples = np.flatnonzero(problem.valid)
+    at = problem.data.filter.kept[problem.chosen]
     dynamics = problem.data.bodies.dynamics(problem.links_at(fit.nuisance))
     states = problem.data.bodies.moved[..., at]
-    ranges = np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1)
-    rows = kept[spread_rows(len(kept), _ROWS)]
-    values_of = {phrase: each[at] for phrase, each in driver_values(fit.terms, dynamics).items()}
+    ranges = np.stack([states[..., valid_samples].min(-1), states[..., valid_samples].max(-1)], -1)
+    rows = valid_samples[spread_rows(len(valid_samples), _ROWS)]
+    values_of = {phrase: recorded_values[at] for phrase, recorded_values in driver_values(fit.terms, dynamics).items()}
     recorded = RecordedRange(
         joints=ranges[0],
         positions=np.round(states[0].T[rows], 5),
-        spacing=_spacing(as_revolute(states[0], "rad", problem.data.arm.slides).T, kept, rows, folds),
-        drivers=_ranges(values_of, kept),
+        spacing=_spacing(as_revolute(states[0], "rad", problem.data.arm.slides).T, valid_samples, rows, folds),
+        drivers=_ranges(values_of, valid_samples),
         velocities=ranges[1],
         accelerations=ranges[2],
     )
     sites = link_sites(problem.rows) if len(problem.directions) else ()
-    return Uncertainty(sites, C, left, unseen, noise, recorded)
+    return Uncertainty(sites, C, model_error, unseen, noise, recorded)
 
 
 def _left_of_torques(
@@ -153,22 +163,24 @@ def _left_of_torques(
     Held-out errors are those of filtered torques. What the filter takes from a row is added: a prediction is not
     filtered.
     """
-    kept, data = problem.valid, problem.data
+    valid, data = problem.valid, problem.data
     dynamics = data.bodies.dynamics(problem.links_at(fit.nuisance))
     time = np.asarray(dynamics.motion.time)
     rough = shown_torques(fit.terms, fit.values, dynamics, time, data.filter.runs) - data.torque[:, data.rows]
     fine = (rough - data.filter.whole(rough))[:, data.filter.kept[problem.chosen]]
-    squares = (after + fine)[:, kept] ** 2 / _SQUARES[1]
+    squares = (after + fine)[:, valid] ** 2 / _SQUARES[1]
     noise = 1.4826 * np.median(np.abs(rough), axis=1)
     if problem.declared:
         noise = np.minimum(noise, problem.noise * np.sqrt(data.recorded.every))
-    left, unseen = np.zeros((2, problem.rows))
-    moving = problem.sigma[:, kept] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
+    model_error, unseen = np.zeros((2, problem.rows))
+    moving = problem.sigma[:, valid] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
     for j in range(problem.rows):
-        worth = moving[j].sum() / fit.noise.models[j].time
-        left[j] = _excess((squares[j] - folds / (folds - 1) * estimated[j, kept])[moving[j]], float(noise[j]), worth)
-        unseen[j] = np.sqrt(_relative_error(worth) * (noise[j] ** 2 + left[j] ** 2))
-    return left, unseen, noise
+        effective_count = moving[j].sum() / fit.noise.models[j].time
+        model_error[j] = _excess(
+            (squares[j] - folds / (folds - 1) * estimated[j, valid])[moving[j]], float(noise[j]), effective_count
+        )
+        unseen[j] = np.sqrt(_relative_error(effective_count) * (noise[j] ** 2 + model_error[j] ** 2))
+    return model_error, unseen, noise
 
 
 # ------------------------------------------------------------------ of both
@@ -212,19 +224,19 @@ def _excess(variance: Array, noise: float, numbers: float) -> float:
     """
     if not variance.size:
         return 0.0
-    asked = float(np.quantile(variance, _LEVEL)) - noise**2
-    error = max(_relative_error(numbers) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
-    z = asked / error
+    excess_variance = float(np.quantile(variance, _LEVEL)) - noise**2
+    error = max(_relative_error(numbers) * (noise**2 + max(excess_variance, 0.0)), np.finfo(float).tiny)
+    z = excess_variance / error
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
 
-def _spacing(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
+def _spacing(q: Array, rows: Rows, kept_rows: Rows, folds: Iterable[Mask]) -> float:
     """The distance in `q` `(sample, joint)` rad to the nearest kept row of other blocks that 95 % of rows keep, rad."""
     distances = []
     for fold in folds:
-        held, others = rows[fold[rows]], kept[~fold[kept]]
-        if held.size and others.size:
-            distances.append(distance_to(q[others], q[held]))
+        fold_rows, other_rows = rows[fold[rows]], kept_rows[~fold[kept_rows]]
+        if fold_rows.size and other_rows.size:
+            distances.append(distance_to(q[other_rows], q[fold_rows]))
     return float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0
 
 

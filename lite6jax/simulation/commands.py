@@ -272,8 +272,8 @@ def simulate_tracking(
 def _terms_of(effects: Iterable[str | tuple[Effect, ArrayLike]], arm: Arm) -> tuple[Terms, Array]:
     """The effects, and their numbers one after the other."""
     parsed: list[tuple[Effect, Array]] = []
-    for given in effects:
-        effect, values = parse_effect(given, NAMED) if isinstance(given, str) else given
+    for stated_effect in effects:
+        effect, values = parse_effect(stated_effect, NAMED) if isinstance(stated_effect, str) else stated_effect
         if effect.joints_needed > arm.dof:
             raise InputError(f"{effect.label}: is of a joint that {arm.name} does not have; it has {arm.dof}")
         parsed.append((effect, np.asarray(values, float)))
@@ -291,8 +291,8 @@ def _model(arm: Arm, settings: RecordingSettings, payload: float, terms: Terms, 
     bodies = Bodies.of_arm(arm, payload, np.array(settings.payload_com_m), gravity)
     servo, _ = declared_servo(settings, arm, bodies)
     none = np.zeros((arm.dof, 2))
-    given = settings.servo
-    assert isinstance(given, ServoSettings)
+    servo_settings = settings.servo
+    assert isinstance(servo_settings, ServoSettings)
     return DiagnosedServos(
         arm=arm,
         servo=servo,
@@ -300,11 +300,11 @@ def _model(arm: Arm, settings: RecordingSettings, payload: float, terms: Terms, 
         payload_center=bodies.payload_center,
         payload=payload,
         gravity=gravity,
-        compensated=given.gravity_compensation,
+        compensated=servo_settings.gravity_compensation,
         terms=terms,
         values=values,
         step=LONGEST_STEP,
-        interpolated=given.hold == "interpolated",
+        interpolated=servo_settings.hold == "interpolated",
         ranges=FittedRange(none, none),
         reference_temperature=settings.reference_temperature_degC,
     )

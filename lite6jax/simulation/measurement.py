@@ -197,11 +197,11 @@ def measure(
 
     if reading:
         noise = 0.0 if undeclared.factor == 0 else position_noise
-        found = readings.read(str(sensor), motion, arm, model, move, noise, seed)
-        declared = {"joint_source": "measured", "joint_noise_rad": joint_noise or 0.0, "motion": found.motion}
-        settings = replace(found.settings, **declared)
-        read = replace(found, joint_position=read_joints(found, joint_noise or 0.0), settings=settings)
-        return Measurement(read, move(found), move_rigidly(found), np.zeros(found.samples, bool))
+        simulated = readings.read(str(sensor), motion, arm, model, move, noise, seed)
+        declared = {"joint_source": "measured", "joint_noise_rad": joint_noise or 0.0, "motion": simulated.motion}
+        settings = replace(simulated.settings, **declared)
+        read = replace(simulated, joint_position=read_joints(simulated, joint_noise or 0.0), settings=settings)
+        return Measurement(read, move(simulated), move_rigidly(simulated), np.zeros(simulated.samples, bool))
 
     probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
     if probe.quantity not in ("position", "pose"):
@@ -209,7 +209,9 @@ def measure(
             f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
         )
     probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
-    rigid, poses, beyond = move_rigidly(motion), move(motion), np.zeros(motion.samples, bool)
+    rigid = move_rigidly(motion)
+    poses = move(motion)
+    beyond = np.zeros(motion.samples, bool)
     if physics.effects:
         beyond = np.asarray(_beyond(physics, values, motion_of_recording(motion)))
     if beyond.all():
@@ -223,7 +225,8 @@ def measure(
 
     def draw_noise(purpose: str, sigma: float) -> Array:
         """`(sample, 3)`, a first-order autoregression in each run."""
-        noise, rho = make_generator(seed, purpose).standard_normal((motion.samples, 3)), undeclared.correlation
+        noise = make_generator(seed, purpose).standard_normal((motion.samples, 3))
+        rho = undeclared.correlation
         for k in range(1, len(noise) if rho else 0):
             if motion.run[k] == motion.run[k - 1]:
                 noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
@@ -231,7 +234,8 @@ def measure(
 
     position = poses[:, :3, 3] + draw_noise("position", probe.position_noise)
     turn = None if probe.orientation_noise is None else draw_noise("orientation", probe.orientation_noise)
-    outlier, rng = np.zeros(motion.samples, bool), make_generator(seed, "outliers")
+    outlier = np.zeros(motion.samples, bool)
+    rng = make_generator(seed, "outliers")
     hit = rng.permutation(motion.samples)[: round(undeclared.outlier_share * motion.samples)]
     outlier[hit] = True
     size = undeclared.outlier_size * rng.uniform(0.5, 2.0, hit.size)[:, None]

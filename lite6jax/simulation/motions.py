@@ -186,7 +186,8 @@ def draw_motion(
         if not 0 < value < np.inf:
             raise InputError(f"simulation: {name} is {value}; give a number above 0")
     rng = make_generator(seed, "motion")
-    run, velocity = np.arange(samples) * runs // samples, None
+    run = np.arange(samples) * runs // samples
+    velocity = None
     if kind == "static":
         center, half = joint_ranges(arm)
         order = np.argsort(rng.random((samples, arm.dof)), axis=0)
@@ -307,20 +308,20 @@ def visit(
     """
     stops = np.asarray(places, float)
     pieces, zero = [], np.zeros(stops.shape[1])  # duration, half the acceleration, velocity and position at the start
-    for here, there in zip(stops, np.roll(stops, -1, axis=0), strict=True):
+    for start, end in zip(stops, np.roll(stops, -1, axis=0), strict=True):
         if pause:
-            pieces.append((pause, zero, zero, here))
-        way = float(np.abs(there - here).max())
-        ramp = min(speed / acceleration, np.sqrt(way / acceleration))
+            pieces.append((pause, zero, zero, start))
+        distance = float(np.abs(end - start).max())
+        ramp = min(speed / acceleration, np.sqrt(distance / acceleration))
         if not ramp:
             continue
-        level = max(way / (acceleration * ramp) - ramp, 0.0)
-        peak = (there - here) / (ramp + level)
+        level = max(distance / (acceleration * ramp) - ramp, 0.0)
+        peak = (end - start) / (ramp + level)
         half = peak / (2 * ramp)
-        pieces.append((ramp, half, zero, here))
+        pieces.append((ramp, half, zero, start))
         if level:
-            pieces.append((level, zero, peak, here + half * ramp**2))
-        pieces.append((ramp, -half, peak, there - half * ramp**2))
+            pieces.append((level, zero, peak, start + half * ramp**2))
+        pieces.append((ramp, -half, peak, end - half * ramp**2))
     durations, *coefficients = zip(*pieces, strict=True)
     ends = np.cumsum([0.0, *durations])
     return Polynomials(PPoly(np.array(coefficients), ends, extrapolate="periodic"), np.inf)

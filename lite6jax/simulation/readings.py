@@ -67,23 +67,24 @@ def read(
     Raises:
         InputError: an arm that reaches too few of the places.
     """
-    rng, usual = np.random.default_rng([seed, 50]), READERS[reading].noise
+    rng = np.random.default_rng([seed, 50])
+    usual = READERS[reading].noise
     scene = _SCENES[reading](rng, motion.samples, arm, usual if noise is None else noise, noise or usual)
-    wanted, q = scene.target, motion.joint_position
+    target_poses, q = scene.target, motion.joint_position
     reached = np.ones(motion.samples, bool)
-    if wanted is not None:
-        q, reached = reach(model, _target(wanted, scene.turned), q, arm.joint_limits, arm.sliding, rng)
+    if target_poses is not None:
+        q, reached = reach(model, _target(target_poses, scene.turned), q, arm.joint_limits, arm.sliding, rng)
     if reached.sum() < 2:
         raise InputError(
             f"simulation: the {arm.name} reaches no place where it could read a {reading}; take another arm"
         )
     chosen = np.flatnonzero(reached)
     moved = motion.select(reached).made_anew(joint_position=q[reached], row=np.arange(1, len(chosen) + 1))
-    if wanted is not None:
-        wanted = led = wanted[chosen]
+    if target_poses is not None:
+        target_poses = led = target_poses[chosen]
         for _ in range(_CORRECTIONS):
             tool = poses(moved)
-            off = np.linalg.inv(tool if scene.turned else _shifts(tool[:, :3, 3])) @ wanted
+            off = np.linalg.inv(tool if scene.turned else _shifts(tool[:, :3, 3])) @ target_poses
             if np.abs(off - np.eye(4)).max() < REACHED:
                 break
             led = led @ off
@@ -92,9 +93,10 @@ def read(
     tools = np.tile(np.eye(4), (motion.samples, 1, 1))  # places and noise belong to samples of the motion
     tools[chosen] = poses(moved)
     settings = replace(moved.settings, pose_source=READERS[reading].source, tool="unknown", **scene.settings)
-    found = scene.readings(tools).select(chosen)
+    simulated_readings = scene.readings(tools).select(chosen)
     return replace(
-        moved.made_anew(settings=settings, position=None, quaternion=None, readings=found), notes=motion.notes
+        moved.made_anew(settings=settings, position=None, quaternion=None, readings=simulated_readings),
+        notes=motion.notes,
     )
 
 
@@ -115,10 +117,10 @@ def _shifts(at: Array) -> Array:
 def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
     points, names, distances = [], [], []
     for k, angle in enumerate((-0.6, 0.7)):
-        one = draw_place(rng, arm, angle)
+        socket = draw_place(rng, arm, angle)
         along = rng.standard_normal(3)
         along = along / np.linalg.norm(along)
-        points += [one, one + SOCKETS_APART * along]
+        points += [socket, socket + SOCKETS_APART * along]
         names += [f"plate{k + 1}_a", f"plate{k + 1}_b"]
         distances.append(KnownDistance((names[-2], names[-1]), SOCKETS_APART, 5e-5))
     group = np.arange(samples) * len(points) // max(samples, 1)
@@ -172,8 +174,8 @@ def _camera(fixed: bool) -> Callable[[np.random.Generator, int, Arm, float, floa
     def scene(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
         corners = np.array(BOARD.points)
         printed = corners + BOARD.noise_m * rng.standard_normal(corners.shape)
-        seen, T = draw_views(rng, samples, arm, fixed)
-        target = T @ (seen if fixed else np.linalg.inv(seen))
+        view_poses, T = draw_views(rng, samples, arm, fixed)
+        target = T @ (view_poses if fixed else np.linalg.inv(view_poses))
         lens = Lens(np.array([CAMERA[key] for key in ("fx", "fy", "cx", "cy")]), np.array(DISTORTION))
         error = noise * rng.standard_normal((samples, len(corners), 2))
 
