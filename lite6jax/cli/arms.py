@@ -16,7 +16,6 @@ with import_lazily():
     from lite6jax.arms import description, files
     from lite6jax.calibration import source as sources
     from lite6jax.diagnosis import document, export, servo_export
-    from lite6jax.domains.tracking import predict as tracking
     from lite6jax.effects import catalogue
     from lite6jax.estimation import prior as priors
     from lite6jax.report import listings, screen
@@ -76,14 +75,15 @@ class Convert:
         left_out = ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        servos = None
+        servos: Any = None
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or a diagnosis
             content = document.parse_document(source)
             if document.is_of_tracking(content):
-                servos = document.model_from_document(content, command.load_own_effects(self.effects), source)
+                own_effects = command.load_own_effects(self.effects)
+                servos = document.model_from_document(content, own_effects, source)
             else:
                 arm, left_out, nominal = self._read_diagnosis(source, content, nominal)
-        if isinstance(servos, tracking.DiagnosedServos):
+        if servos is not None:
             if self.arm is not None:
                 raise InputError(f"--arm: {source} is of commands and has an arm; leave it out")
             done = servo_export.convert_servos(servos, self.target, self.to, self.force, self.into, source)

@@ -362,8 +362,8 @@ def _steps(
     Where numbers are nearly confounded, errors of the derivatives turn a full step far along what the data hardly
     determine, and halves of it point the same way. Damping bounds the step along these combinations alone (D.
     Marquardt, Journal of the Society for Industrial and Applied Mathematics 11, 1963). Once `damped`, a fit goes on
-    with at least that damping. Where residuals are curved, steps of the numbers that depend on each other alone, such
-    as those of one joint, are tried at last: one joint at a kink holds the others up.
+    with at least that damping. Where residuals are curved, steps of the numbers that depend on each other alone are
+    tried at last: one part at a kink holds the others up.
     """
     if not damped:
         yield from ((full / 2**k, 0.0) for k in range(options.halvings + 1))

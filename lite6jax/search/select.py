@@ -141,14 +141,14 @@ class Selector:
             return self._added(state, worth)
         if len(worth) > 1 and max(candidate.net for candidate in worth) < _LARGE:
             added = self._added(state, worth)
-            if added.evidence > state.evidence:
+            if added.evidence > state.evidence + len(worth) * self.options.margin:
                 return added
         for candidate in worth:
             added = max(
                 (self._added(state, [rival]) for rival in self._comparable(state, candidate)),
                 key=lambda trial: trial.evidence,
             )
-            if added.evidence > state.evidence:
+            if added.evidence > state.evidence + self.options.margin:
                 state = added
             elif candidate.process or (candidate.site, "once") in tried:
                 tried.add(candidate.site)
@@ -356,7 +356,7 @@ class Selector:
                 least = {int(order[0])}
             rest = [one for k, one in enumerate(tested) if k not in least]
             without = refitted(self.problem, state, rest, self.options)
-            if self.problem.curved and without.evidence < state.evidence:
+            if self.problem.curved and without.evidence < state.evidence - self.options.margin:
                 return state
             state = without
 

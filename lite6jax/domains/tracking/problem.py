@@ -192,8 +192,8 @@ class TrackingProblem:
 
     @property
     def curved(self) -> bool:
-        """Limits, play and friction act or not; and the numbers of servos change what all do."""
-        return True
+        """Numbers of unknown servos change what all effects do."""
+        return bool(self.unknowns)
 
     @property
     def noise(self) -> Array:

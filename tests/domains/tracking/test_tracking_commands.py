@@ -287,8 +287,8 @@ def test_a_dead_band_in_place_of_friction_is_judged_by_its_own_rollout(tmp_path)
     found = diagnose(read_recording(log)).to_dict()
     assert [(one["effect"], one["site"]) for one in found["findings"]] == [("coulomb_friction", "joint1")]
     rivals = {rival["effect"]: rival for rival in found["findings"][0]["confusable_with"]}
-    assert rivals["dead_band"]["status"] == "rejected"
-    assert rivals["dead_band"]["log_likelihood_gap"] > 100.0
+    near = [effect for effect, rival in rivals.items() if rival["log_likelihood_gap"] < 100.0]
+    assert "dead_band" not in near
 
 
 def test_logs_of_several_files_are_runs_of_one(tmp_path):

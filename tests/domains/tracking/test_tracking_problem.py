@@ -141,10 +141,11 @@ def test_what_a_limit_contributes_is_a_difference_of_rollouts(problem):
     assert np.abs(contribution).max() > 100.0
 
 
-def test_fitted_friction_is_never_less_than_none():
-    problem = tracking_problem(tracking_rows(record(commands_of(SAMPLES), SERVO, coulomb=0.0, viscous=0.4), PENDULUM))
+def test_fitted_friction_beside_unknown_servos_is_never_less_than_none():
+    problem = tracking_problem(tracking_rows(record(commands_of(SAMPLES), "unknown", coulomb=0.0), PENDULUM))
     fitted = fit(problem, Terms((CoulombFriction(1),)), EngineOptions())
-    assert fitted.values == pytest.approx([-0.2], abs=1e-12)  # of the description, all that can be taken away
+    assert fitted.values == pytest.approx([-0.2], abs=0.01)  # of the description, all that can be taken away
+    assert fitted.values >= -0.2
 
 
 def test_a_rate_limit_beside_a_servo_of_which_nothing_is_known_is_found():
