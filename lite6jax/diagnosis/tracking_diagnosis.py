@@ -253,15 +253,18 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> tuple[TrackingPr
     there = named.problem
     assert isinstance(there, TrackingProblem)
     gripped = with_likely_grip(there.relinearised(fit.nuisance), fit.terms, fit.values)
-    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
+    gripped = replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))
+    return _with_discrepancy(gripped), named if problem.unknowns else None
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
-    """The problem with noise by which effects that move a joint far are described.
+    """The problem with noise by which effects that move a joint of an unknown servo far are described.
 
     Simulators switch limits and friction at their own steps: what such an effect moves they share to some thousandths.
     In noise that is far below, the rest would be taken for further physics.
     """
+    if not problem.unknowns:
+        return problem
     residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0)) * problem.sigma
     moved = np.sqrt(np.mean(residual[:, problem.valid] ** 2, 1))
     noise = np.hypot(problem.noise, _DISCREPANCY * moved)
@@ -308,7 +311,7 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     for tested in state.tested:
         others = fit.terms.part(fit.values, [term != tested.term for term in terms])
         moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
-        if np.all(moved < _DISCREPANCY**2 * explained):
+        if problem.unknowns and np.all(moved < _DISCREPANCY**2 * explained):
             continue
         if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:
             continue
@@ -352,7 +355,8 @@ def diagnose_tracking(
             screened = screen_tracking(recording, arm)
             problem = tracking_problem(screened.data)
             problem = replace(problem, valid=problem.valid & ~screened.stale)
-            engine = replace(engine, longest_memory=_MEMORY / problem.data.commands.period)
+            if problem.unknowns:
+                engine = replace(engine, longest_memory=_MEMORY / problem.data.commands.period)
             if problem.unknowns:
                 entered("linearising")
                 problem = relinearise(problem, engine, problem.valid, _STARTS)

@@ -388,7 +388,12 @@ class TrackingProblem:
         return np.concatenate(parts)
 
     def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        """The difference of the rollouts with all terms and without these: limits and play are not linear."""
+        """Columns times numbers; beside unknown servos the difference of the rollouts with all terms and without these.
+
+        There a limit may be all that keeps a servo from being of any stiffness.
+        """
+        if not self.unknowns:
+            return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
         model, numbers = beside
         without = model.part(numbers, [term not in terms.terms for term in model.terms])
         none = np.zeros(len(self.unknowns))

@@ -129,15 +129,15 @@ def test_columns_at_a_nuisance_are_how_residuals_change_there(unknown):
     assert unknown.linearised_at(np.full(2, 0.001)) is unknown
 
 
-def test_what_a_limit_contributes_is_a_difference_of_rollouts(problem):
+def test_what_a_limit_contributes_is_a_difference_of_rollouts(unknown):
     limit = Terms((RateLimit(1),))
     friction = Terms((CoulombFriction(1),))
     model = Terms((*limit.terms, *friction.terms))
     numbers = np.array([2.0, 0.3])
-    none = np.zeros(len(problem.precision))
-    contribution = problem.contribution(limit, numbers[:1], (model, numbers))
-    both = problem.residual(none, model, numbers)
-    assert contribution == pytest.approx(both - problem.residual(none, friction, numbers[1:]), abs=1e-9)
+    none = np.zeros(len(unknown.precision))
+    contribution = unknown.contribution(limit, numbers[:1], (model, numbers))
+    both = unknown.residual(none, model, numbers)
+    assert contribution == pytest.approx(both - unknown.residual(none, friction, numbers[1:]), abs=1e-9)
     assert np.abs(contribution).max() > 100.0
 
 
