@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import LinearisedProblem, Mask, prior_precision
+from lite6jax.estimation.problem import LinearisedProblem, Mask, linearised_at, prior_precision
 from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve, schur_complement
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
@@ -250,14 +250,14 @@ def _fitted(
     def columns_at(where: P, numbers: Array, rows: Array) -> Sequence[Array | Factored]:
         if exact:
             return [noise.whitened(_differences(where, terms, numbers, rows, options.difference))]
-        near = where.linearised_at(numbers[:k])
+        near = linearised_at(where, numbers[:k])
         if noise.white:
             return _parts(near, terms, numbers[k:])
         return [noise.whitened(linear_columns(near, terms, numbers[k:]))]
 
     def differs(where: P, numbers: Array, others: Array) -> bool:
         """Whether columns at some numbers differ from those at others by the nuisance."""
-        return where.linearised_at(numbers[:k] - others[:k]) is not where
+        return linearised_at(where, numbers[:k] - others[:k]) is not where
 
     bounds = _bounds(problem, terms)
     least = float(problem.floored)

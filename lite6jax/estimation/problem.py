@@ -6,7 +6,7 @@ residuals and columns are divided by the declared standard deviation of the nois
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, Self, final
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from lite6jax.estimation.terms import Factored, Term, Terms
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
+P = TypeVar("P", bound="LinearisedProblem")
+_NEAR = 1 / 75
+"""Standard deviations of a prior, within which columns are taken for the same."""
 
 
 @final
@@ -105,8 +108,8 @@ class LinearisedProblem(Protocol):
             linearisation of a score test, and their numbers.
         floored: whether the noise is never less than declared, so that nothing is looked for below it: how a ball seats
             in its socket varies from sample to sample, like physics.
-        curved: whether residuals are so far from linear in what terms change that what a term gains is known from its
-            fit alone.
+        curved: whether residuals are so far from linear in the nuisance and in terms that columns hold where they are
+            taken alone, and what a term gains is known from its fit. Each number of the nuisance then has a prior.
     """
 
     @property
@@ -143,16 +146,6 @@ class LinearisedProblem(Protocol):
         """
         ...
 
-    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        """What terms of a model change of the residuals, `(row, sample)`.
-
-        Args:
-            terms: some of the model.
-            values: `(terms.size,)`.
-            beside: the model, and its numbers.
-        """
-        ...
-
     def factored(self, term: Term) -> Factored | None:
         """The columns of a term as a `Factored`; None where they are no such products."""
         ...
@@ -172,10 +165,6 @@ class LinearisedProblem(Protocol):
 
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem about another nuisance, `(number,)` from here."""
-        ...
-
-    def linearised_at(self, nuisance: Array) -> Self:
-        """The problem whose columns are those at a nuisance `(number,)` from here; itself where they hardly differ."""
         ...
 
 
@@ -259,6 +248,33 @@ class WanderingProblem(Problem, Protocol):
     def with_nuisance(self, terms: Sequence[Term]) -> "WanderingProblem":
         """The same problem with the processes that read-outs do by themselves as nuisance, under their priors."""
         ...
+
+
+def linearised_at(problem: P, nuisance: Array) -> P:
+    """The problem whose columns are those at a nuisance `(number,)` from its point of linearisation.
+
+    The problem itself where columns hardly depend on the nuisance, or where that is near.
+    """
+    if not problem.curved or np.all(np.abs(nuisance) * np.sqrt(problem.precision) <= _NEAR):
+        return problem
+    return problem.relinearised(nuisance)
+
+
+def contribution(problem: LinearisedProblem, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
+    """What terms of a model change of the residuals, `(row, sample)`: columns times numbers, of a curved problem exact.
+
+    Args:
+        problem: linearised at the model's nuisance.
+        terms: some of the model.
+        values: `(terms.size,)`.
+        beside: the model, and its numbers.
+    """
+    if not problem.curved:
+        return np.tensordot(values, problem.columns(terms.terms, values, beside), 1)
+    model, numbers = beside
+    without = model.part(numbers, [term not in terms.terms for term in model.terms])
+    none = np.zeros(len(problem.precision))
+    return problem.residual(none, model, numbers) - problem.residual(none, *without)
 
 
 def prior_precision(problem: LinearisedProblem, terms: "Sequence[Term]") -> Array:

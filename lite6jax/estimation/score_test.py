@@ -18,7 +18,7 @@ from scipy.special import chdtrc, fdtrc
 from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem, prior_precision
+from lite6jax.estimation.problem import Problem, contribution, linearised_at, prior_precision
 from lite6jax.estimation.projection import orthonormal, outside, part_of_span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
 
@@ -136,7 +136,7 @@ class ScoreTest:
         out = [not stays and not _has_prior(term) for term, stays in zip(f.terms.terms, kept, strict=True)]
         if any(out):
             more, values = f.terms.part(f.values, out)
-            added = self.problem.contribution(more, values, (f.terms, f.values))[None]
+            added = contribution(self.problem, more, values, (f.terms, f.values))[None]
             residual = residual.copy()
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
         part = f.part(kept)
@@ -399,7 +399,7 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
         the test, of the problem whose columns are those at the fit.
     """
     off = problem.offset + fit.nuisance
-    problem = problem.linearised_at(fit.nuisance)
+    problem = linearised_at(problem, fit.nuisance)
     training = np.tile(fit.training, problem.rows).astype(float)
     n = float(training.sum())
     winsorised = _winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training
@@ -416,7 +416,7 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     apart = [_has_prior(term) for term in fit.terms.terms]
     if any(apart):
         more, values = fit.terms.part(fit.values, apart)
-        added = problem.contribution(more, values, (fit.terms, fit.values))[None]
+        added = contribution(problem, more, values, (fit.terms, fit.values))[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     stated = _stated(problem)
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
@@ -517,7 +517,7 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
-    columns = linear_columns(problem.linearised_at(fit.nuisance), fit.terms, fit.values)
+    columns = linear_columns(linearised_at(problem, fit.nuisance), fit.terms, fit.values)
     columns /= fit.scale[fit.residuals.groups, None]
     columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
     model = noise_model(

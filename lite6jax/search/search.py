@@ -7,7 +7,7 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem, WanderingProblem
+from lite6jax.estimation.problem import Mask, Problem, WanderingProblem, linearised_at
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
@@ -171,7 +171,7 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
         here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
         apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
         same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same
-        if same and problem.linearised_at(f.nuisance) is problem:
+        if same and linearised_at(problem, f.nuisance) is problem:
             break
         fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
         selection = replace(selection, problem=there, state=replace(selection.state, fit=fitted))

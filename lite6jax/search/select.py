@@ -17,6 +17,7 @@ A site has one process, at one or more components, and may have the spectrum of 
 could not be told apart from these. A term is rejected if independent noise at the same component explains more.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, wave_of
+from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan, Weighed
@@ -37,6 +38,8 @@ Array = NDArray[np.floating]
 
 _LARGE = 30.0
 """Log odds by their columns, from which curved terms are compared by their fits."""
+_FAILURES = 2
+"""Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
 
@@ -126,16 +129,18 @@ class Selector:
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
+        failures = Counter[str]()
         while worth := self._next(state := self._with_usual(state), tried):
+            state = self._settled(self._likelier(state, worth, failures))
             tried |= {candidate.key for candidate in worth}
-            state = self._settled(self._likelier(state, worth, tried))
+            tried |= {site for site, count in failures.items() if count >= _FAILURES}
         return state
 
-    def _likelier(self, state: State, worth: Sequence[Ranked], tried: set[object]) -> State:
+    def _likelier(self, state: State, worth: Sequence[Ranked], failures: Counter[str]) -> State:
         """The state with more terms; where residuals are curved with those alone whose fit is likelier.
 
-        Where the fit of a process is not, or of the second name, columns say nothing there: its site joins those that
-        are `tried`. Columns of large effects say little of their fits: the likeliest names of a site are all fitted.
+        Columns of large effects say little of their fits: the likeliest names of a site are all fitted. Where no fit is
+        likelier, that is counted among the `failures` of the site: a process is worth all of them.
         """
         if not self.problem.curved:
             return self._added(state, worth)
@@ -150,10 +155,8 @@ class Selector:
             )
             if added.evidence > state.evidence + self.options.margin:
                 state = added
-            elif candidate.process or (candidate.site, "once") in tried:
-                tried.add(candidate.site)
             else:
-                tried.add((candidate.site, "once"))
+                failures[candidate.site] += _FAILURES if candidate.process else 1
         return state
 
     def _comparable(self, state: State, candidate: Ranked) -> list[Ranked]:
@@ -401,7 +404,7 @@ class Selector:
         values = fit.values[fit.terms.slices[k]]
         columns = test.problem.columns([term], values, model)
         largest = np.argmax(np.linalg.norm(values[:, None, None] * columns, axis=(1, 2)))
-        columns[largest] = test.problem.contribution(Terms((term,)), values, model)
+        columns[largest] = contribution(test.problem, Terms((term,)), values, model)
         return columns
 
     def _within_bounds(self, state: State) -> State:

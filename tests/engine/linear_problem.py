@@ -229,14 +229,8 @@ class LinearProblem:
     def factored(self, term):
         return None if is_free(term) else Factored(self._column(term.site)[None], term.basis(self.data))
 
-    def contribution(self, terms, values, beside):
-        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
-
     def nuisance_columns(self, terms, values):
         return self.levels
-
-    def linearised_at(self, nuisance):
-        return self
 
     def relinearised(self, nuisance):
         return replace(self, offset=self.offset + nuisance)

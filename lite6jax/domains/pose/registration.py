@@ -232,9 +232,6 @@ class _Frames(NuisanceProblem):
         twists = rigid_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
         return whitened(twists[self.unknown], self.measured.whitener)
 
-    def linearised_at(self, nuisance: Array) -> "_Frames":
-        return self
-
     def relinearised(self, nuisance: Array) -> "_Frames":
         change = np.zeros(12)
         change[self.unknown] = nuisance

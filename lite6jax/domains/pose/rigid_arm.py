@@ -90,9 +90,6 @@ class NuisanceProblem:
         """Position and orientation share one scale over their noise."""
         return np.zeros(self.rows, int)
 
-    def contribution(self: Any, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
-
     def nuisance_columns(self: Any, terms: Terms, values: Array) -> Array:
         """`frame_columns`, whatever terms are beside them."""
         return self.frame_columns
@@ -253,9 +250,6 @@ class RigidArm(NuisanceProblem):
     def own_numbers(self, nuisance: Array) -> Array:
         """The sensor's own unknowns in a nuisance `(unknown,)`."""
         return nuisance[[k for k, site in enumerate(self.unknown) if site[0] == "reading"]]
-
-    def linearised_at(self, nuisance: Array) -> Self:
-        return self
 
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""

@@ -447,15 +447,9 @@ class TorqueProblem:
         """None: a term acts on one row, over which there is no sum."""
         return
 
-    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
-
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
         return self._inertial / self.sigma
-
-    def linearised_at(self, nuisance: Array) -> "TorqueProblem":
-        return self
 
     def relinearised(self, nuisance: Array) -> "TorqueProblem":
         """The same problem at other inertial numbers: nuisance zero is then there."""

@@ -43,12 +43,10 @@ lazy = property if TYPE_CHECKING else cached_property
 
 _SHARE = 0.02
 """Of a number, by which it is changed for a derivative."""
-_NEAR = 0.02
-"""Of the logarithm of a servo's number: columns nearer to those at which they were taken are taken for the same."""
 _REACHED = 0.7
 """Of the largest speed or torque: the limit at which a first column is taken."""
 _PRIOR = 1.5
-"""Standard deviation of the prior of the logarithm of a servo's unknown number."""
+"""Standard deviation of the prior of the logarithm of a servo's unknown number; columns differ by 0.02 of it."""
 NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
 _QUANTITIES = ("position", "velocity", "direction of motion", "gravity torque")
 """Of each joint; a function of the speed is one of the velocity and the direction of motion."""
@@ -387,18 +385,6 @@ class TrackingProblem:
             parts.append(roll(servo.take(some), commands, joints[some], loads.load, loads.mass, extra=more).readout)
         return np.concatenate(parts)
 
-    def contribution(self, terms: Terms, values: Array, beside: tuple[Terms, Array]) -> Array:
-        """Columns times numbers; beside unknown servos the difference of the rollouts with all terms and without these.
-
-        There a limit may be all that keeps a servo from being of any stiffness.
-        """
-        if not self.unknowns:
-            return np.tensordot(values, self.columns(terms.terms, values, beside), 1)
-        model, numbers = beside
-        without = model.part(numbers, [term not in terms.terms for term in model.terms])
-        none = np.zeros(len(self.unknowns))
-        return self.residual(none, model, numbers) - self.residual(none, *without)
-
     def factored(self, term: Term) -> None:
         """None: a term acts through the loop."""
         return
@@ -425,10 +411,6 @@ class TrackingProblem:
     def relinearised(self, nuisance: Array) -> "TrackingProblem":
         """The same problem at other numbers of the servos: nuisance zero is then there."""
         return replace(self, servo=self.servo_at(nuisance), offset=self.offset + nuisance)
-
-    def linearised_at(self, nuisance: Array) -> "TrackingProblem":
-        """The same problem at other numbers of the servos, on which every column depends."""
-        return self.relinearised(nuisance) if np.any(np.abs(nuisance) > _NEAR) else self
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
         """Those of the effect; no friction or rotor is less than nothing."""

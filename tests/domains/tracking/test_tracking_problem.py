@@ -10,6 +10,7 @@ from lite6jax.effects.dynamic import CoulombFriction
 from lite6jax.effects.servo import RateLimit
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import contribution, linearised_at
 from lite6jax.estimation.terms import Terms
 from tests.domains.tracking.test_servo_fit import PENDULUM, PERIOD, SERVO, commands_of, record
 
@@ -116,7 +117,7 @@ def unknown():
 def test_columns_at_a_nuisance_are_how_residuals_change_there(unknown):
     friction = CoulombFriction(1)
     terms = Terms((friction,))
-    there = unknown.linearised_at(FAR)
+    there = linearised_at(unknown, FAR)
     column = there.columns([friction])[0]
     step = friction.coordinates[0].typical
     change = unknown.residual(FAR, terms, np.array([step])) - unknown.residual(FAR, terms, np.zeros(1))
@@ -126,7 +127,7 @@ def test_columns_at_a_nuisance_are_how_residuals_change_there(unknown):
     number = np.array([0.01, 0.0])
     change = unknown.residual(FAR + number, Terms(), np.zeros(0)) - unknown.residual(FAR, Terms(), np.zeros(0))
     assert apart(stiffness, change / 0.01) < 0.05
-    assert unknown.linearised_at(np.full(2, 0.001)) is unknown
+    assert linearised_at(unknown, np.full(2, 0.001)) is unknown
 
 
 def test_what_a_limit_contributes_is_a_difference_of_rollouts(unknown):
@@ -135,10 +136,10 @@ def test_what_a_limit_contributes_is_a_difference_of_rollouts(unknown):
     model = Terms((*limit.terms, *friction.terms))
     numbers = np.array([2.0, 0.3])
     none = np.zeros(len(unknown.precision))
-    contribution = unknown.contribution(limit, numbers[:1], (model, numbers))
+    contributed = contribution(unknown, limit, numbers[:1], (model, numbers))
     both = unknown.residual(none, model, numbers)
-    assert contribution == pytest.approx(both - unknown.residual(none, friction, numbers[1:]), abs=1e-9)
-    assert np.abs(contribution).max() > 100.0
+    assert contributed == pytest.approx(both - unknown.residual(none, friction, numbers[1:]), abs=1e-9)
+    assert np.abs(contributed).max() > 100.0
 
 
 def test_fitted_friction_beside_unknown_servos_is_never_less_than_none():
