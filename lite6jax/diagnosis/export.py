@@ -171,11 +171,30 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
         joints |= {"spring_stiffness": springs[0], "spring_rest": np.where(stiff, -springs[1], 0.0)}
         joints["spring_rest"][stiff] /= springs[0, stiff]
     arm = replace(arm, **joints)
-    if links.any() and not is_consistent(links):
-        base = base_parameters(arm.kinematics, model.gravity, arm.sliding)
-        links, exact = consistent_links(base, base.values(links), bodies_near(links))
-        left_out += [] if exact else ["inertial numbers that no bodies have"]
-    return set_link_parameters(arm, links) if links.any() else arm, tuple(left_out)
+    arm, not_bodies = with_bodies(arm, links, model.gravity)
+    return arm, (*left_out, *not_bodies)
+
+
+def with_bodies(arm: Arm, links: Array, gravity: Array) -> tuple[Arm, tuple[str, ...]]:
+    """The arm with inertial numbers that bodies have, nearest to those of its links, and what is lost, a phrase.
+
+    Args:
+        arm: any.
+        links: `(joint, 10)`; zeros leave the arm as it is.
+        gravity: `(3,)` m/s², along which base parameters are kept.
+    """
+    if not links.any():
+        return arm, ()
+    exact = True
+    if not is_consistent(links):
+        base = base_parameters(arm.kinematics, gravity, arm.sliding)
+        near = bodies_near(links)
+        try:
+            links, exact = consistent_links(base, base.values(links), near)
+        except np.linalg.LinAlgError:  # far from any bodies
+            links = near
+            exact = False
+    return set_link_parameters(arm, links), () if exact else ("inertial numbers that no bodies have",)
 
 
 def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dict[type, float], str]:

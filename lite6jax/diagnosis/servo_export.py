@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import files
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
 from lite6jax.arms.mjcf import mjcf_tree, read_mjcf, require_mujoco, write_tree
 from lite6jax.arms.trees import format_numbers
+from lite6jax.diagnosis.export import with_bodies
 from lite6jax.domains.torque.predict import motion_of_joint
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.effects.dynamic import BaseTilt, Dynamics, JointTorque, TorqueEffect
@@ -124,7 +124,6 @@ def convert_servos(
 def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:
     """The arm of a model with its payload, friction, rotors and springs, and what no bodies have, a phrase each."""
     servo = model.model.servo
-    links = model.model.bodies.links
     stiff = np.maximum(servo.spring, 0.0)
     fields: dict[str, Array] = {
         "viscous_friction": servo.viscous,
@@ -135,18 +134,7 @@ def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:
         spring_rest = np.divide(-servo.spring_torque, stiff, out=np.zeros_like(stiff), where=stiff > 0)
         fields |= {"spring_stiffness": stiff, "spring_rest": spring_rest}
     arm = replace(model.arm, dh=None, **{name: np.asarray(values, float) for name, values in fields.items()})
-    if not links.any():
-        return arm, ()
-    exact = True
-    if not is_consistent(links):
-        base = base_parameters(arm.kinematics, model.gravity, arm.sliding)
-        near = bodies_near(links)
-        try:
-            links, exact = consistent_links(base, base.values(links), near)
-        except np.linalg.LinAlgError:  # far from any bodies
-            links = near
-            exact = False
-    return set_link_parameters(arm, links), () if exact else ("inertial numbers that no bodies have",)
+    return with_bodies(arm, model.model.bodies.links, model.gravity)
 
 
 # ------------------------------------------------------------------ what a form does not hold
