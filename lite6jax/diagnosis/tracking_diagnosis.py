@@ -233,6 +233,8 @@ _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _COMPARED = 0.2
 """`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
+_ROUGHLY = 4
+"""One in so many samples, in which names are looked for before the grip beside declared servos is known."""
 _MEMORY = 0.3
 """s, `EngineOptions.longest_memory`: whitening by a longer one leaves velocities alone."""
 _DAMPING = (1e-4, 1e-2, 1.0, 100.0)
@@ -246,25 +248,25 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> tuple[TrackingPr
     comes nearest to a joint with a limit, processes of any kind explain more than the limit does: names come first.
     """
     likely = with_likely_grip(problem)
-    if follows_as_described(likely) and not problem.unknowns:
-        return _with_discrepancy(likely), None
+    if not problem.unknowns:
+        if likely is problem or follows_as_described(likely):
+            return likely, None
+        fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
+        return with_likely_grip(problem, fit.terms, fit.values), None
     named = search(_with_discrepancy(likely), options, thorough=False, among=frozenset())
     fit = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)
     gripped = with_likely_grip(there.relinearised(fit.nuisance), fit.terms, fit.values)
-    gripped = replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))
-    return _with_discrepancy(gripped), named if problem.unknowns else None
+    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
-    """The problem with noise by which effects that move a joint of an unknown servo far are described.
+    """The problem of unknown servos with noise by which effects that move a joint far are described.
 
     Simulators switch limits and friction at their own steps: what such an effect moves they share to some thousandths.
     In noise that is far below, the rest would be taken for further physics.
     """
-    if not problem.unknowns:
-        return problem
     residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0)) * problem.sigma
     moved = np.sqrt(np.mean(residual[:, problem.valid] ** 2, 1))
     noise = np.hypot(problem.noise, _DISCREPANCY * moved)
@@ -309,6 +311,9 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     explained = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
     significant = []
     for tested in state.tested:
+        if not (problem.unknowns or tested.term.nonparametric):
+            significant.append(tested)
+            continue
         others = fit.terms.part(fit.values, [term != tested.term for term in terms])
         moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
         if problem.unknowns and np.all(moved < _DISCREPANCY**2 * explained):
@@ -342,7 +347,7 @@ def diagnose_tracking(
     options = (options or Options()).of(recording.settings)
     # A rollout takes as long whether few or all of its samples are compared; and it is iterated until what is left
     # moves log-likelihoods by some hundredths, which shorter steps do not overcome.
-    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED, damping=_DAMPING)
+    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED)
     payload = 0.0
     if simulator is not None:
         arm = simulator.arm
@@ -356,8 +361,8 @@ def diagnose_tracking(
             problem = tracking_problem(screened.data)
             problem = replace(problem, valid=problem.valid & ~screened.stale)
             if problem.unknowns:
-                engine = replace(engine, longest_memory=_MEMORY / problem.data.commands.period)
-            if problem.unknowns:
+                memory = _MEMORY / problem.data.commands.period
+                engine = replace(engine, longest_memory=memory, damping=_DAMPING)
                 entered("linearising")
                 problem = relinearise(problem, engine, problem.valid, _STARTS)
             problem, named = _begun(problem, engine)
