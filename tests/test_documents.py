@@ -58,12 +58,13 @@ def test_the_faults_of_poses_are_documented_in_their_order():
 def test_the_verdicts_of_a_diagnosis_and_the_keys_of_its_model_are_documented():
     from typing import get_args
 
-    from lite6jax.diagnosis.document import PoseModel, Verdict
+    from lite6jax.diagnosis.document import Verdict
+    from lite6jax.domains.pose.entry import PoseModelEntry
 
     text = (ROOT / "docs/reference/results.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in re.split("\n##+ ", text)[1:]}
     keys = {key for row in sections["The model in it"] for key in row[0].replace("`", "").split(", ")}
-    assert keys == set(PoseModel.__struct_fields__) - {"prismatic_joints"}
+    assert keys == set(PoseModelEntry.__struct_fields__) - {"prismatic_joints"}
     verdicts = {row[0].strip("*").replace(" ", "_") for row in sections["The verdicts"]}
     assert verdicts == set(get_args(Verdict))
 

@@ -165,7 +165,7 @@ class Diagnose:
             with screen.stages() as follow:
                 return recording, search(progress=follow)
 
-    def _domain(self, recording: "recordings.Recording") -> "diagnosis_file.Domain | None":
+    def _domain(self, recording: "recordings.Recording") -> str | None:
         """What is diagnosed of a recording, None for all: of a fleet poses, or of what has none the torques."""
         if self.torques:
             return "torques"

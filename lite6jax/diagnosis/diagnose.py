@@ -23,7 +23,7 @@ from lite6jax.design.candidates import candidates
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.design.sensor import Sensor
-from lite6jax.diagnosis.document import Domain, model_entry, require_domain
+from lite6jax.diagnosis.document import require_domain
 from lite6jax.diagnosis.estimates import Agreement, compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
@@ -31,6 +31,7 @@ from lite6jax.diagnosis.heldout import (
     errors_of_search,
     fold_count,
     held_out_folds,
+    judge_poses,
     refitted_errors,
     verify,
 )
@@ -39,6 +40,8 @@ from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, SeparatingPos
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis, diagnose_tracking
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
+from lite6jax.domains.base import DomainName
+from lite6jax.domains.pose.entry import model_entry
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.problem import PoseProblem
@@ -83,7 +86,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         torques_refused: why the torques cannot be diagnosed, with the remedy; None where they are, or there are none.
     """
 
-    domain: ClassVar[Domain] = "poses"
+    domain: ClassVar[DomainName] = "poses"
 
     torques: TorqueDiagnosis | None = None
     shared: tuple[Agreement, ...] = ()
@@ -377,7 +380,13 @@ def diagnose_poses(
         of_all = selection
         inliers = ~_outliers(of_all, options)
         verified = verify(
-            of_all, errors, folds, inliers, options, lambda spread: refitted_errors(of_all, spread, options)
+            of_all,
+            errors,
+            folds,
+            inliers,
+            options,
+            lambda spread: refitted_errors(of_all, spread, options),
+            judge_poses,
         )
         selection = verified.selection
         with part(len(verified.folds) + 1, len(verified.folds) + 1):
@@ -483,7 +492,7 @@ def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bo
 # ------------------------------------------------------------------ of either domain, or of both
 
 
-def domains_of(recording: Recording, domain: Domain | None = None) -> tuple[Domain, ...]:
+def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[DomainName, ...]:
     """The domains of a recording that are diagnosed, of all or of the one that is asked for.
 
     Commands are diagnosed where nothing else was measured beside the joints, or where they are asked for.
@@ -536,13 +545,13 @@ def diagnose(
 ) -> TrackingDiagnosis: ...
 @overload
 def diagnose(
-    recording: Source, arm: Nominal = None, *, domain: Domain | None = None, **given: Unpack[_Given]
+    recording: Source, arm: Nominal = None, *, domain: DomainName | None = None, **given: Unpack[_Given]
 ) -> Diagnosis | TorqueDiagnosis | TrackingDiagnosis: ...
 def diagnose(
     recording: Source,
     arm: Nominal = None,
     *,
-    domain: Domain | None = None,
+    domain: DomainName | None = None,
     reference: Source | None = None,
     simulator: Simulator | str | Path | None = None,
     geometry: Geometry = "declared",

@@ -12,7 +12,7 @@ another model of the same effect; neither says that the effect is not there.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,8 @@ from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding, HeldOut, SearchedAgain, Withdrawn
-from lite6jax.domains.pose.kinematics import unwhitened
+from lite6jax.domains.base import DomainProblem
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.domains.tracking.problem import TrackingProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
@@ -102,14 +100,8 @@ def errors_of_selection(selection: Selection, held: Mask) -> HeldOut:
 
 
 def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:
-    """`(group, sample)` each: in SI units, and over their noise; zero of an orientation that was not measured."""
-    rows = problem.residual(fit.nuisance, fit.terms, fit.values)
-    if isinstance(problem, TorqueProblem | TrackingProblem):
-        return rows * problem.sigma, rows
-    assert isinstance(problem, PoseProblem)
-    scaled_rows = (unwhitened(rows, problem.measured.whitener), rows)
-    lengths, over_noise = (np.stack([np.linalg.norm(part, axis=0) for part in (of[:3], of[3:])]) for of in scaled_rows)
-    return lengths, over_noise
+    """As `DomainProblem.errors`, of a fit."""
+    return cast(DomainProblem, problem).errors(fit.nuisance, fit.terms, fit.values)
 
 
 # ------------------------------------------------------------------ which findings hold
@@ -120,6 +112,16 @@ class Judgement(NamedTuple):
 
     rejects: bool
     ratio: float
+
+
+class Judge(Protocol):
+    """How a domain judges effects."""
+
+    def __call__(
+        self, errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
+    ) -> Judgement:
+        """Whether the errors of folds reject the effects of a selection; `kept` `(sample,)` are the rows that count."""
+        ...
 
 
 class Verification(NamedTuple):
@@ -140,6 +142,7 @@ def verify(
     kept: Mask,
     options: Options,
     refitted: Callable[[Sequence[Mask]], HeldOut],
+    judge: Judge,
 ) -> Verification:
     """The findings of a selection of all rows, unless both a search and a fit without some rows reject them.
 
@@ -150,6 +153,7 @@ def verify(
         kept: `(sample,)`, the rows that count.
         options: thresholds.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
+        judge: of the domain.
     """
     state = selection.state
     findings = []
@@ -172,20 +176,24 @@ def verify(
     return Verification(selection, again, spread, selected_findings, None, SearchedAgain(len(folds), searched.ratio))
 
 
-def judge(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> Judgement:
-    """Of poses by whether effects raise the errors of rows that were not used, or describe none but those that were.
+def judge_by_folds(
+    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
+) -> Judgement:
+    """By the geometric mean over folds of the errors with effects over those without.
 
-    Of torques and of rollouts by the geometric mean over folds of the errors with effects over those without. The
-    variance of errors is unknown and differs between folds, so each ratio is one of likelihoods, and no fold decides
-    alone.
+    The variance of errors is unknown and differs between folds, so each ratio is one of likelihoods, and no fold
+    decides alone.
     """
-    if isinstance(selection.problem, TorqueProblem | TrackingProblem):
-        pairs = [
-            (errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)
-        ]
-        logs = [[np.log(max(float(np.linalg.norm(fold_errors)), 1e-150)) for fold_errors in pair] for pair in pairs]
-        ratio = float(np.exp(np.mean([after - before for before, after in logs])))
-        return Judgement(ratio > options.heldout_rise, ratio)
+    pairs = [(errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)]
+    logs = [[np.log(max(float(np.linalg.norm(fold_errors)), 1e-150)) for fold_errors in pair] for pair in pairs]
+    ratio = float(np.exp(np.mean([after - before for before, after in logs])))
+    return Judgement(ratio > options.heldout_rise, ratio)
+
+
+def judge_poses(
+    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
+) -> Judgement:
+    """By whether effects raise the errors of rows that were not used, or describe none but those that were."""
     numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
     rejects = raises(errors, kept, numbers, options) or is_overfitted(errors, selection, kept, folds, options)
     return Judgement(rejects, _ratio(errors.before[0, kept], errors.after[0, kept]))

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from lite6jax.diagnosis.document import SCHEMA, Domain, Verdict, effect_entry
+from lite6jax.diagnosis.document import SCHEMA, Verdict
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.domains.tracking.problem import TrackingProblem
+from lite6jax.domains.base import DomainName, DomainProblem
+from lite6jax.domains.entries import effect_entry
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.uncertainty import ReferenceOrigin
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
@@ -28,7 +28,7 @@ from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
 Array = NDArray[np.floating]
-P = TypeVar("P", PoseProblem, TorqueProblem, TrackingProblem)
+P = TypeVar("P", bound=DomainProblem)
 
 STATISTICS: Mapping[str, Callable[[Array], Any]] = {
     "mean": np.mean,
@@ -37,10 +37,6 @@ STATISTICS: Mapping[str, Callable[[Array], Any]] = {
     "max": np.max,
 }
 """Of errors, none of which is missing."""
-
-
-_SOURCES: Mapping[Domain, str] = {"poses": "pose_source", "torques": "torque_source", "tracking": "joint_source"}
-"""The key of the sidecar that says from where the numbers of a domain are."""
 
 
 @final
@@ -196,7 +192,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         separating: poses that separate findings from their alternatives.
     """
 
-    domain: ClassVar[Domain]
+    domain: ClassVar[DomainName]
 
     problem: P
     selection: Selection
@@ -373,7 +369,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "quick": self.options.quick,
             "date": settings.date,
             "instrument": settings.instrument,
-            "source": getattr(settings, _SOURCES[self.domain]),
+            "source": getattr(settings, DOMAINS[self.domain].source),
             "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
             "before": self._statistics(self.errors.before, inliers),

@@ -14,12 +14,13 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.document import Domain, model_entry
 from lite6jax.diagnosis.estimates import compare_effects
-from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, verify
+from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
+from lite6jax.domains.base import DomainName
+from lite6jax.domains.torque.entry import model_entry
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem, torque_problem
 from lite6jax.domains.torque.reference import compare_rows
@@ -56,7 +57,7 @@ Array = NDArray[np.floating]
 class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     """The diagnosis of torques."""
 
-    domain: ClassVar[Domain] = "torques"
+    domain: ClassVar[DomainName] = "torques"
 
     @property
     def recording(self) -> Recording:
@@ -323,7 +324,7 @@ def _diagnose_alone(
         def refitted(spread: Sequence[Mask]) -> HeldOut:
             return errors_of_folds(errors_without, (unlinearised, options, frozenset(), selection.state), spread, False)
 
-        verified = verify(selection, errors, folds, problem.valid, options, refitted)
+        verified = verify(selection, errors, folds, problem.valid, options, refitted, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
     return TorqueDiagnosis(

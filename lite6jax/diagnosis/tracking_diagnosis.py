@@ -15,10 +15,11 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.document import Domain, model_entry
-from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, verify
+from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
+from lite6jax.domains.base import DomainName
+from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.peers import fit_peers
 from lite6jax.domains.tracking.predict import DiagnosedServos, run_ends
 from lite6jax.domains.tracking.problem import (
@@ -62,7 +63,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
             ones.
     """
 
-    domain: ClassVar[Domain] = "tracking"
+    domain: ClassVar[DomainName] = "tracking"
 
     peers: dict[str, Array] = field(default_factory=dict)
     simulator: SimulatorComparison | None = None
@@ -374,7 +375,7 @@ def diagnose_tracking(
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_without, (selection, engine), anywhere=False)
-        verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out)
+        verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
         problem = verified.selection.problem

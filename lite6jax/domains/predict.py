@@ -9,15 +9,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.predict import DiagnosedArm, Prediction, predicted_poses
-from lite6jax.domains.torque.predict import DiagnosedMotors, TorquePrediction, predicted_torques
-from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion, predicted_joints
+from lite6jax.domains.base import DomainModel
+from lite6jax.domains.pose.predict import DiagnosedArm, Prediction
+from lite6jax.domains.torque.predict import DiagnosedMotors, TorquePrediction
+from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion
 from lite6jax.errors import InputError, wrong_type
-from lite6jax.recordings import Recording, assemble_motion, read_motion
-from lite6jax.recordings.files import read_commands
+from lite6jax.recordings import Recording, assemble_motion
 
 Motion = Recording | str | Path | ArrayLike
-_MODELS = (DiagnosedArm, DiagnosedMotors, DiagnosedServos)
 
 
 def predict(
@@ -42,11 +41,8 @@ def predict(
         InputError: another number of joints, degrees, no times, more gaps than motion, or the motion lacks what an
             effect needs, by name.
     """
-    bare = replace(model, uncertainty=None) if isinstance(model, _MODELS) else model
-    prediction = predicted(bare, motion, **circumstances)
-    if isinstance(prediction, TrackedMotion):
-        return prediction.position
-    return prediction.poses if isinstance(prediction, Prediction) else prediction.torque
+    bare = replace(model, uncertainty=None) if isinstance(model, DomainModel) else model
+    return predicted(bare, motion, **circumstances).shown
 
 
 @overload
@@ -74,10 +70,10 @@ def predicted(
     Raises:
         InputError: as `predict`.
     """
-    if not isinstance(model, _MODELS):
+    if not isinstance(model, DomainModel):
         raise wrong_type("model", model, "lite6jax.read_model('diagnosis.json'), or the `model` of a diagnosis")
     if isinstance(motion, str | Path):
-        motion = read_commands(motion, model) if isinstance(model, DiagnosedServos) else read_motion(motion, model)
+        motion = model.read_motion(motion)
     if isinstance(motion, Recording):
         if circumstances:
             names = ", ".join(circumstances)
@@ -88,10 +84,4 @@ def predicted(
             raise wrong_type("motion", motion, "a Recording, the path of its file, or an array of joint positions")
         motion = assemble_motion(model, motion, **circumstances)
         remedy = "give time=…"
-    if isinstance(model, DiagnosedServos):
-        return predicted_joints(model, motion)
-    if isinstance(model, DiagnosedArm):
-        return predicted_poses(model, motion)
-    if motion.time is None and motion.motion != "static":
-        raise InputError(f"{motion.source}: torques of a motion need times; {remedy}")
-    return predicted_torques(model, motion)
+    return model.predicted(motion, remedy)

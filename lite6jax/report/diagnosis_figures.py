@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.document import Domain
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
+from lite6jax.domains.base import DomainName
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking
@@ -62,7 +62,7 @@ _LOWEST = 1e-4
 """Nm, the shortest bar."""
 
 
-def figure_names(domains: Sequence[Domain]) -> list[str]:
+def figure_names(domains: Sequence[DomainName]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
     first, *other_domains = ([*_DRAWN[domain], *([] if domain == "tracking" else ["findings"])] for domain in domains)
     return [*first, *(PREFIX + name for names in other_domains for name in names)]
@@ -445,7 +445,7 @@ def tracking_over_time(diagnosis: TrackingDiagnosis, title: str) -> Figure:
     return titled(figure, f"{title}: errors of held-out rollouts")
 
 
-_DRAWN: Mapping[Domain, Mapping[str, Callable[[Any, str], Figure]]] = {
+_DRAWN: Mapping[DomainName, Mapping[str, Callable[[Any, str], Figure]]] = {
     "poses": {"error_by_joint": error_by_joint, "where": explained_map, "orders": order_spectrum},
     "torques": {
         "error_by_joint": torque_error_by_joint,

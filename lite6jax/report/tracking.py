@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lite6jax.diagnosis.document import Domain
+from lite6jax.domains.base import DomainName
 from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
@@ -19,7 +19,7 @@ Entry = Mapping[str, Any]
 Part = tuple[str, list[tuple[str, Any]]]
 """The heading of a section and its blocks."""
 
-DOMAIN: Domain = "tracking"
+DOMAIN: DomainName = "tracking"
 _TEXTS = read_texts("tracking.yaml")
 _MRAD = 1e3
 _ERROR = "heldout_rollout_rms_rad"

@@ -13,8 +13,9 @@ from typed import flat, refused, run
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm, write_urdf
-from lite6jax.diagnosis.document import SCHEMA, model_entry
+from lite6jax.diagnosis.document import SCHEMA
 from lite6jax.diagnosis.servo_export import convert_servos, numpy_rollout
+from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
 from lite6jax.effects.dynamic import (
     BaseTilt,

@@ -6,6 +6,7 @@ Those are of the true pose from the predicted one. The sensor's noise is no part
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any, final
 
 import jax
@@ -36,7 +37,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import Recording, require_radians
+from lite6jax.recordings import Recording, read_motion, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
@@ -111,6 +112,24 @@ class DiagnosedArm:
     def __repr__(self) -> str:
         effects = ", ".join(effect.label for effect in self.physics.effects) or "no effects"
         return f"model of a {self.arm} with {effects}"
+
+    def read_motion(self, path: str | Path) -> Recording:
+        """A motion to predict; as `recordings.read_motion`."""
+        return read_motion(path, self)
+
+    def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> "Prediction":
+        """The poses that the sensor shows in a motion, with their standard deviations.
+
+        Raises:
+            InputError: another number of joints, or the motion lacks what an effect needs, by name.
+        """
+        instants = self.motion_of(motion)
+        poses = shown_poses(self, instants)
+        bars = predict_deviations(self, instants)
+        for std in bars[:2]:
+            if std is not None:
+                std[np.isnan(poses[:, 0, 0])] = np.nan
+        return Prediction(poses, *bars, self.orientation)
 
     @property
     def dof(self) -> int:
@@ -246,6 +265,11 @@ class Prediction(PublicResult):
     orientation: bool = True
 
     @property
+    def shown(self) -> Array:
+        """The poses."""
+        return self.poses
+
+    @property
     def empty(self) -> Flags:
         """`(sample,)`, rows of which nothing is predicted."""
         return np.isnan(self.poses[:, 0, 0])
@@ -256,17 +280,6 @@ class Prediction(PublicResult):
         if self.orientation:
             columns |= zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(self.poses[:, :3, :3])).T, strict=True)
         return columns | deviation_columns(self)
-
-
-def predicted_poses(model: DiagnosedArm, recording: Recording) -> Prediction:
-    """The poses that the sensor shows in a motion, with their standard deviations, as `predicted`."""
-    motion = model.motion_of(recording)
-    poses = shown_poses(model, motion)
-    bars = predict_deviations(model, motion)
-    for std in bars[:2]:
-        if std is not None:
-            std[np.isnan(poses[:, 0, 0])] = np.nan
-    return Prediction(poses, *bars, model.orientation)
 
 
 def require_model(model: object) -> None:

@@ -322,6 +322,18 @@ class PoseProblem(RigidArm):
         """Predicted minus measured positions `(3, sample)` m; of touches what is read, `(row, sample)` m."""
         return unwhitened(self.residual(nuisance, terms, values), self.measured.whitener)[:3]
 
+    def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
+        """Of position and of orientation `(2, sample)`, lengths in m and rad, and over the noise of each row.
+
+        Errors of an orientation that was not measured are zero.
+        """
+        rows = self.residual(nuisance, terms, values)
+        raw = unwhitened(rows, self.measured.whitener)
+        lengths, over_noise = (
+            np.stack([np.linalg.norm(part, axis=0) for part in (numbers[:3], numbers[3:])]) for numbers in (raw, rows)
+        )
+        return lengths, over_noise
+
     def once_per_turn(self, nuisance: Array) -> Array:
         """The sine and cosine of each joint's error once a turn, `(joint, 2)` rad, by the nuisance `(unknown,)`."""
         amplitudes = np.zeros((self.motion.dof, 2))

@@ -4,6 +4,7 @@ Those follow as of predicted poses, but are of what a sensor shows: its noise is
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -36,7 +37,7 @@ from lite6jax.effects.dynamic import (
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, read_motion
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
@@ -206,6 +207,38 @@ class DiagnosedMotors(JointModel):
         effects = ", ".join(effect.label for effect, _ in pairs(self.terms)) or "no effects"
         return f"model of the motors of a {self.arm.name} with {effects}"
 
+    def read_motion(self, path: str | Path) -> Recording:
+        """A motion to predict; as `recordings.read_motion`."""
+        return read_motion(path, self)
+
+    def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> "TorquePrediction":
+        """The torques that the sensors show in a motion, with their standard deviations.
+
+        Raises:
+            InputError: another number of joints, no times of a moving arm, or the motion lacks what an effect needs, by
+                name.
+        """
+        if motion.time is None and motion.motion != "static":
+            raise InputError(f"{motion.source}: torques of a motion need times; {time_remedy}")
+        if motion.dof != self.dof:
+            raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {self.dof}")
+        # filters need even times
+        even = motion if motion.motion == "static" else evenly_timed(motion).recording
+        bodies, chosen, _ = bodies_of(even, self.arm)
+        runs = chosen.runs
+        for driver in (driver for effect, _ in pairs(self.terms) for driver in effect.drivers):
+            if not driver.loaded and not driver.known(bodies.motion, None):
+                raise InputError(f"{even.source}: has no {driver.phrase}; give {driver.remedy}")
+        bodies = replace(bodies, links=self.links, payload_center=self.payload_center, gravity=self.gravity)
+        dynamics = bodies.dynamics(self.links)
+        time = np.asarray(bodies.motion.time)
+        torque = _at_rows(shown_torques(self.terms, self.values, dynamics, time, runs).T, even, motion)
+        if self.uncertainty is None:
+            return TorquePrediction(torque, None, None, self.sliding)
+        std, outside = _bars(self, self.uncertainty, bodies, dynamics, runs)
+        flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
+        return TorquePrediction(torque, _at_rows(std, even, motion), flags, self.sliding)
+
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
@@ -227,6 +260,11 @@ class TorquePrediction(PublicResult):
     sliding: tuple[int, ...] = ()
 
     @property
+    def shown(self) -> Array:
+        """The torques."""
+        return self.torque
+
+    @property
     def empty(self) -> Flags:
         """`(sample,)`, rows of which nothing is predicted."""
         return np.isnan(self.torque[:, 0])
@@ -243,28 +281,6 @@ class TorquePrediction(PublicResult):
             for j, row in enumerate(values.T)
         }
         return columns if self.outside is None else columns | {"outside": self.outside.astype(int)}
-
-
-def predicted_torques(model: DiagnosedMotors, motion: Recording) -> TorquePrediction:
-    """The torques that the sensors show in a motion, with their standard deviations, as `predicted`."""
-    if motion.dof != model.dof:
-        raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
-    # filters need even times
-    even = motion if motion.motion == "static" else evenly_timed(motion).recording
-    bodies, chosen, _ = bodies_of(even, model.arm)
-    runs = chosen.runs
-    for driver in (driver for effect, _ in pairs(model.terms) for driver in effect.drivers):
-        if not driver.loaded and not driver.known(bodies.motion, None):
-            raise InputError(f"{even.source}: has no {driver.phrase}; give {driver.remedy}")
-    bodies = replace(bodies, links=model.links, payload_center=model.payload_center, gravity=model.gravity)
-    dynamics = bodies.dynamics(model.links)
-    time = np.asarray(bodies.motion.time)
-    torque = _at_rows(shown_torques(model.terms, model.values, dynamics, time, runs).T, even, motion)
-    if model.uncertainty is None:
-        return TorquePrediction(torque, None, None, model.sliding)
-    std, outside = _bars(model, model.uncertainty, bodies, dynamics, runs)
-    flags = _at_rows(outside[:, None].astype(float), even, motion)[:, 0] != 0  # and where nothing is interpolated
-    return TorquePrediction(torque, _at_rows(std, even, motion), flags, model.sliding)
 
 
 def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:

@@ -354,6 +354,11 @@ class TorqueProblem:
         """Residuals `(joint, sample)` over `sigma`, predicted minus measured."""
         return (self.torque(nuisance, terms, values) - self.measured) / self.sigma
 
+    def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
+        """`(joint, sample)` in Nm, N of prismatic joints, and over `sigma`."""
+        rows = self.residual(nuisance, terms, values)
+        return rows * self.sigma, rows
+
     @property
     def measured(self) -> Array:
         """`(joint, sample)` Nm, filtered."""

@@ -4,6 +4,7 @@ them where they are wanted.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -24,6 +25,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
+from lite6jax.recordings.files import read_commands
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
@@ -51,6 +53,11 @@ class TrackedMotion(PublicResult):
 
     position: Array
     outside: Mask
+
+    @property
+    def shown(self) -> Array:
+        """The positions."""
+        return self.position
 
     @property
     def empty(self) -> Mask:
@@ -173,6 +180,18 @@ class DiagnosedServos(JointModel):
     def __repr__(self) -> str:
         effects = ", ".join(term.label for term in self.terms.terms) or "no effects"
         return f"model of the servos of a {self.arm.name} with {effects}"
+
+    def read_motion(self, path: str | Path) -> Recording:
+        """Commands whose joints are to be predicted; as `recordings.files.read_commands`."""
+        return read_commands(path, self)
+
+    def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> TrackedMotion:
+        """The joints that follow the commands of a motion.
+
+        Raises:
+            InputError: another number of joints, no commands or no times, or as `predict`.
+        """
+        return self.predict(*_commands_in(self, motion))
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -364,20 +383,11 @@ def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints:
     return t, u, runs
 
 
-def predicted_joints(model: DiagnosedServos, motion: Recording) -> TrackedMotion:
-    """The joints that follow the commands of a motion.
-
-    Raises:
-        InputError: another number of joints, no commands or no times, or as `DiagnosedServos.predict`.
-    """
-    return model.predict(*_commands_in(model, motion))
-
-
 def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCommands:
     """Commands by which the joints are where the commands of a motion want them.
 
     Raises:
-        InputError: as `predicted_joints`.
+        InputError: as `DiagnosedServos.predicted`.
     """
     return model.commands_for(*_commands_in(model, motion))
 

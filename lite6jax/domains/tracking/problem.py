@@ -265,6 +265,11 @@ class TrackingProblem:
         """`(joint, sample)` over `sigma`, rolled out minus measured."""
         return (self.readouts(nuisance, terms, values)[:, self.chosen] - self.measured) / self.sigma
 
+    def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
+        """`(joint, sample)` rad of the rollout, and over `sigma`."""
+        rows = self.residual(nuisance, terms, values)
+        return rows * self.sigma, rows
+
     # ------------------------------------------------------------------ columns
 
     def columns(

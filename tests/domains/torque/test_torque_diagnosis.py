@@ -255,7 +255,7 @@ def test_effects_are_withdrawn_where_searches_and_refits_without_them_reject_the
         ratio = 1.2 if block_count(folds) == 2 else again
         return Judgement(ratio > 1, ratio)
 
-    monkeypatch.setattr("lite6jax.diagnosis.heldout.judge", judge)
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.judge_by_folds", judge)
     found = diagnose_torques(*recorded(FRICTION, seed=1), options=FEW)
     effects = {ViscousFriction(2), CoulombFriction(2)}
     assert {finding.effect for finding in found.findings} == (effects if kept else set())

@@ -11,7 +11,8 @@ from test_servo_fit import PENDULUM, PERIOD, SERVO, TRUE, commands_of, record
 from typed import flat, refused, run
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.document import SCHEMA, model_entry
+from lite6jax.diagnosis.document import SCHEMA
+from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.fit import fit_servos
 from lite6jax.effects.dynamic import CoulombFriction
 from lite6jax.effects.servo import CommandDelay, CommandTimeOffset, ServoStiffness

@@ -1,0 +1,109 @@
+"""The model of servos in a diagnosis file."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.entries import (
+    Document,
+    Gravity,
+    Link,
+    Mass,
+    ModelEntry,
+    Point,
+    Ranges,
+    Transform,
+    shared_fields,
+)
+from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
+from lite6jax.effects.catalogue import TRACKING_EFFECTS
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.servo import Servo
+from lite6jax.estimation.terms import Terms, join
+
+Array = NDArray[np.floating]
+
+
+class TrackingModelEntry(ModelEntry, kw_only=True):
+    """What predictions of joints from commands need; `servo` has the numbers of each joint, without the effects."""
+
+    T_joint_flange: Transform
+    links: list[Link]
+    payload_center: Point
+    payload_kg: Mass
+    gravity: Gravity
+    compensated: bool
+    servo: dict[str, list[float]]
+    step_s: Annotated[float, Meta(gt=0.0, le=1.0)]
+    interpolated: bool
+    velocity_range_rad_per_s: Ranges
+    weight_range_Nm: Ranges  # noqa: N815 (the key)
+
+    def __post_init__(self) -> None:
+        """Checks that every servo has all numbers of each joint."""
+        joints = self.joints
+        if set(self.servo) != set(Servo._fields) or any(len(numbers) != joints for numbers in self.servo.values()):
+            raise ValueError("servo does not have a number of each kind for each joint")
+        lists = (self.links, self.velocity_range_rad_per_s, self.weight_range_Nm)
+        if any(len(part) != joints for part in lists):
+            raise ValueError(f"it has {joints} joints, but other numbers of links or ranges")
+
+
+class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
+    """What is read of a diagnosis of commands and joints beside its report."""
+
+    catalogue: ClassVar[Mapping[str, type[Effect]]] = TRACKING_EFFECTS
+
+    def restored(self, effects: Sequence[Effect]) -> DiagnosedServos:
+        """The model; `effects` are a user's own."""
+        model = self.model
+        model_effects, numbers = self.restored_effects(effects)
+        velocity = np.asarray(model.velocity_range_rad_per_s, float)
+        weight = np.asarray(model.weight_range_Nm, float)
+        return DiagnosedServos(
+            arm=Arm(
+                model.arm,
+                np.asarray(model.kinematics, float),
+                sliding=model.sliding,
+                T_joint_flange=np.asarray(model.T_joint_flange, float),
+                joint_limits=np.asarray(model.joint_limits, float),
+            ),
+            servo=Servo(**{name: np.asarray(by_joint, float) for name, by_joint in model.servo.items()}),
+            links=np.asarray(model.links, float),
+            payload_center=np.asarray(model.payload_center, float),
+            payload=model.payload_kg,
+            gravity=np.asarray(model.gravity, float),
+            compensated=model.compensated,
+            terms=Terms(model_effects),
+            values=join(numbers),
+            step=model.step_s,
+            interpolated=model.interpolated,
+            ranges=FittedRange(velocity, weight),
+            reference_temperature=model.reference_temperature_degC,
+        )
+
+
+def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[str, Any]:
+    """A model as values that JSON can hold, with covariances of the numbers of each effect."""
+    parts: list[tuple[Any, slice]] = list(zip(model.terms.terms, model.terms.slices, strict=True))
+    return {
+        "arm": model.arm.name,
+        "kinematics": np.asarray(model.arm.kinematics).tolist(),
+        "T_joint_flange": model.arm.T_joint_flange.tolist(),
+        "links": model.links.tolist(),
+        "payload_center": model.payload_center.tolist(),
+        "payload_kg": model.payload,
+        "gravity": model.gravity.tolist(),
+        "compensated": model.compensated,
+        "servo": {name: np.asarray(by_joint).tolist() for name, by_joint in model.servo._asdict().items()},
+        "step_s": model.step,
+        "interpolated": model.interpolated,
+        "velocity_range_rad_per_s": model.ranges.velocity.tolist(),
+        "weight_range_Nm": model.ranges.weight.tolist(),
+        "joint_limits": model.arm.joint_limits.tolist(),
+        **shared_fields(model, parts, covariances),
+    }
