@@ -27,6 +27,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.noise import NoiseModel
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection, at_estimate
@@ -97,6 +98,14 @@ def errors_of_selection(selection: Selection, held: Mask) -> HeldOut:
     pairs = zip(_errors(selection.reference, state.baseline), _errors(selection.problem, state.fit), strict=True)
     errors = HeldOut(*(size for pair in pairs for size in pair), with_effects=np.full(held.size, bool(state.tested)))
     return HeldOut._make(of_all[..., held] for of_all in errors)
+
+
+def errors_of_refit(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:
+    """The errors on the rows `(sample,)` of a fold, by the terms of a selection fitted to the others."""
+    problem = selection.problem
+    training = problem.valid & ~held
+    again = fitted_again(problem, problem, selection.state, training, options)
+    return errors_of_selection(Selection(problem, problem, again), held)
 
 
 def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:

@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, judge_by_folds, verify
+from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
+from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.peers import fit_peers
@@ -41,7 +41,7 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import SelectedTerm, fitted_again, refitted
+from lite6jax.search.state import SelectedTerm, refitted
 
 Array = NDArray[np.floating]
 
@@ -201,15 +201,6 @@ def interleaved_folds(run: NDArray[np.integer]) -> list[Mask]:
         for block in range(1, _BLOCKS, 2):
             first[edges[block] : edges[block + 1]] = True
     return [first, ~first]
-
-
-def errors_without(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:
-    """The errors on the samples of a fold `(sample,)`, by the terms of a selection fitted to the others."""
-    problem = selection.problem
-    assert isinstance(problem, TrackingProblem)
-    training = problem.valid & ~held
-    again = fitted_again(problem, problem, selection.state, training, options)
-    return errors_of_selection(Selection(problem, problem, again), held)
 
 
 def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, Array]:
@@ -374,7 +365,7 @@ def diagnose_tracking(
             selection = _with_gaps_of_rollouts(_without_negligible(selection, engine), engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
-        held_out = partial(errors_of_folds, errors_without, (selection, engine), anywhere=False)
+        held_out = partial(errors_of_folds, errors_of_refit, (selection, engine), anywhere=False)
         verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())

@@ -662,6 +662,8 @@ class Weighed:
 
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
         """Processes of two quantities: of a short list, the likeliest as every kernel, where one exceeds `least`."""
+        if self._scan.drivers < 2:
+            return []
         plain = [self._plain(k) for k in range(self._scan.drivers)]
         short = [(component, (a, b), f"{plain[a]}*{plain[b]}") for component, a, b in self._shortlist(singles)]
         first = sorted(
