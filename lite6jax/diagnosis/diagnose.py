@@ -48,6 +48,7 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.reference import compare
 from lite6jax.domains.pose.rigid_arm import require_determined
 from lite6jax.domains.pose.screening.screen import screen, screen_rows
+from lite6jax.domains.registry import DOMAINS, POSES, TRACKING
 from lite6jax.domains.tracking.simulator import naming_the_chain
 from lite6jax.effects.composition import Physics, missing
 from lite6jax.effects.effect import Effect, Estimate
@@ -502,21 +503,16 @@ def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[
             there are none.
     """
     require_domain(domain)
-    if domain == "tracking" and recording.commanded_position is None:
+    recorded = [candidate for candidate in DOMAINS.values() if candidate.is_recorded(recording)]
+    measured = [candidate for candidate in recorded if not candidate.is_last_resort] or recorded
+    if domain is None:
+        return tuple(candidate.name for candidate in measured) or (POSES.name,)
+    if DOMAINS[domain] is TRACKING and TRACKING not in recorded:
         raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
-    alone = not recording.numbers_per_sample and not recording.has_torques
-    if domain == "tracking" or (alone and recording.commanded_position is not None and domain is None):
-        return ("tracking",)
-    if alone and recording.commanded_position is not None:
-        domain_option = "--poses or domain='poses'" if domain == "poses" else "--torques or domain='torques'"
-        raise InputError(f"{recording.source}: has commands and no {domain}; leave {domain_option} out")
-    if not recording.numbers_per_sample and recording.has_torques:
-        if domain == "poses":
-            raise InputError(f"{recording.source}: has torques and no poses; leave --poses or domain='poses' out")
-        return ("torques",)
-    if domain is not None:
-        return (domain,)
-    return ("poses", "torques") if recording.has_torques else ("poses",)
+    if DOMAINS[domain] not in recorded and measured and POSES not in measured:
+        option = f"--{domain} or domain={domain!r}"
+        raise InputError(f"{recording.source}: has {measured[0].measured} and no {domain}; leave {option} out")
+    return (domain,)
 
 
 class _Given(TypedDict, total=False):

@@ -251,7 +251,10 @@ def _gravity(model: DiagnosedServos) -> Array:
 
 
 def _dampings(servo: Servo) -> tuple[Array, Array]:
-    """`(joint,)` Nm·s/rad, of actuators and of joints: simulators limit the sum of a drive, we but its stiffness."""
+    """`(joint,)` Nm·s/rad, of actuators and of joints.
+
+    Simulators limit the whole torque of a drive; here its damping is outside the limit, and friction of the joint there.
+    """
     limited = _present(servo, "torque_limit")
     return np.where(limited, 0.0, servo.damping), servo.viscous + np.where(limited, servo.damping, 0.0)
 

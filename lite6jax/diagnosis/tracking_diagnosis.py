@@ -128,7 +128,10 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @cached_property
     def moves(self) -> tuple[dict[str, Any], ...]:
-        """What each finding moves, RMS in rad at the joint that it moves most, and its joints, from 1."""
+        """What each finding moves: RMS in rad over its joints, and these, from 1.
+
+        Its joints are those that it moves by more than a tenth of what it moves the one that moves most.
+        """
         moved = []
         for added in self._added:
             sizes = np.sqrt(np.mean(added[:, ~self.outliers] ** 2, 1))
@@ -220,7 +223,7 @@ def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, A
 
 
 _IDLE = 0.03
-"""By which a nonparametric effect lowers the errors of its joint at least: it has no name to say what else it does."""
+"""Share by which a nonparametric effect must lower the RMS error of some joint; else it is left out."""
 _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _COMPARED = 0.2
@@ -300,7 +303,7 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     valid = problem.valid
     whole = problem.residual(fit.nuisance, fit.terms, fit.values)
     remaining = np.mean(whole[:, valid] ** 2, 1)
-    explained = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
+    before = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
     significant = []
     for tested in state.tested:
         if not (problem.unknowns or tested.term.nonparametric):
@@ -308,7 +311,7 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
             continue
         others = fit.terms.part(fit.values, [term != tested.term for term in terms])
         moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
-        if problem.unknowns and np.all(moved < _DISCREPANCY**2 * explained):
+        if problem.unknowns and np.all(moved < _DISCREPANCY**2 * before):
             continue
         if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:
             continue

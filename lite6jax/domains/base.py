@@ -3,6 +3,7 @@
 The search, the verification and the documents know a domain by these members alone.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -32,7 +33,9 @@ class DomainProblem(Problem, Protocol):
     def untestable(self) -> tuple[Any, ...]: ...
 
     def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
-        """The errors of a model, by which it is judged on rows that were not used, by group of channels.
+        """The errors of a model, by which it is judged on samples that were not fitted.
+
+        A group is what is reported as one error: the position and the orientation of a pose, or one joint.
 
         Args:
             nuisance: `(number,)`.
@@ -40,7 +43,7 @@ class DomainProblem(Problem, Protocol):
             values: `(terms.size,)`.
 
         Returns:
-            `(group, sample)` each: in SI units, and over the noise of each row.
+            `(group, sample)` each: in SI units, and over the noise of each sample.
         """
         ...
 
@@ -56,20 +59,23 @@ class Shown(Protocol):
 
 @runtime_checkable
 class DomainModel(Protocol):
-    """An arm with the effects that were found in a recording of one domain.
+    """An arm with the effects that were found in a recording of one domain: a frozen dataclass, with these members.
 
     Attributes:
         dof: number of joints.
         sliding: the prismatic joints, counted from 0.
+        joint_limits: `(joint, 2)` rad, m of prismatic joints; None where there are none.
         motion: of the recording, "static" or "trajectory".
         reference_temperature: °C.
-        uncertainty: from which standard deviations of predictions follow; None where none are known.
+        uncertainty: from which standard deviations of predictions follow; None where none are known. A field.
     """
 
     @property
     def dof(self) -> int: ...
     @property
     def sliding(self) -> tuple[int, ...]: ...
+    @property
+    def joint_limits(self) -> Any: ...
     @property
     def motion(self) -> str: ...
     @property
@@ -104,10 +110,16 @@ class Domain:
 
     Attributes:
         name: by which it is asked for, such as "poses".
+        measured: what is measured, in a word for messages.
         source: the key of the sidecar that says from where its numbers are.
         document: what is read of its diagnosis.
+        is_recorded: whether a recording holds what is measured.
+        is_last_resort: whether it is diagnosed unasked only where no other domain is recorded.
     """
 
     name: str
+    measured: str
     source: str
     document: type[Document[Any]]
+    is_recorded: Callable[[Recording], bool]
+    is_last_resort: bool = False

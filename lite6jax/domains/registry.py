@@ -5,9 +5,16 @@ from lite6jax.domains.pose.entry import PoseDocument
 from lite6jax.domains.torque.entry import TorqueDocument
 from lite6jax.domains.tracking.entry import TrackingDocument
 
-POSES = Domain("poses", "pose_source", PoseDocument)
-TORQUES = Domain("torques", "torque_source", TorqueDocument)
-TRACKING = Domain("tracking", "joint_source", TrackingDocument)
+POSES = Domain("poses", "poses", "pose_source", PoseDocument, lambda recording: recording.numbers_per_sample > 0)
+TORQUES = Domain("torques", "torques", "torque_source", TorqueDocument, lambda recording: recording.has_torques)
+TRACKING = Domain(
+    "tracking",
+    "commands",
+    "joint_source",
+    TrackingDocument,
+    lambda recording: recording.commanded_position is not None,
+    is_last_resort=True,
+)
 
 DOMAINS: dict[str, Domain] = {domain.name: domain for domain in (POSES, TORQUES, TRACKING)}
 """By name; a domain that is added here is saved, read and predicted like these."""

@@ -91,7 +91,8 @@ class Effect(ABC):
 
     name: ClassVar[str]
     domain: ClassVar[str] = "kinematic"
-    """What it acts on: `kinematic` effects move the tool, `dynamic` ones add to the motors' torques."""
+    """The list that it is in: `kinematic` effects move the tool, `dynamic` ones add to the motors' torques, `tracking`
+    ones are of servos and encoders."""
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
     common: ClassVar[bool] = False

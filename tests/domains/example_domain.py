@@ -1,4 +1,4 @@
-"""A third domain, in one file: a mass on a spring and a damper. Force in, position out; it may be rubbed by friction.
+"""A domain of its own, in one file: a mass on a spring and a damper. Force in, position out; it may be rubbed by friction.
 
 m ẍ + d ẋ + k x + c sign ẋ = u(t), with the position in `q1_rad`, and the force in `tau1_Nm`, of a recording.
 """
@@ -29,6 +29,7 @@ class Rubbing(Effect):
     """A friction that has one size at every speed."""
 
     name: ClassVar[str] = "rubbing"
+    domain: ClassVar[str] = "oscillators"
     at: ClassVar[str] = "joint"
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (Coordinate("friction_N", "N", 0.1, lower=0.0, upper=5.0),)
@@ -41,6 +42,7 @@ class Softening(Effect):
     """A spring that is softer by a share."""
 
     name: ClassVar[str] = "softening"
+    domain: ClassVar[str] = "oscillators"
     at: ClassVar[str] = "joint"
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (Coordinate("share", "1", 0.1, lower=-0.9, upper=0.9),)
@@ -181,7 +183,7 @@ class OscillatorDocument(Document[OscillatorEntry], kw_only=True):
         return DiagnosedOscillator(Oscillator(*self.model.oscillator), Terms(terms), join(values))
 
 
-OSCILLATORS = Domain("oscillators", "joint_source", OscillatorDocument)
+OSCILLATORS = Domain("oscillators", "positions", "joint_source", OscillatorDocument, lambda recording: False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,8 +12,8 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import RecordingSettings
-from tests.domains import third_domain
-from tests.domains.third_domain import OSCILLATORS, Oscillator, Rubbing, Softening, diagnose_oscillator
+from tests.domains import example_domain
+from tests.domains.example_domain import OSCILLATORS, Oscillator, Rubbing, Softening, diagnose_oscillator
 
 NOISE = 1e-4
 TIME = np.arange(0.0, 8.0, 0.01)
@@ -59,4 +59,4 @@ def test_a_domain_that_is_not_known_is_refused_with_the_known_ones(tmp_path):
 
 
 def test_it_is_one_file_of_at_most_250_lines():
-    assert len(Path(third_domain.__file__).read_text().splitlines()) <= 250
+    assert len(Path(example_domain.__file__).read_text().splitlines()) <= 250
