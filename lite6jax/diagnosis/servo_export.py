@@ -253,7 +253,7 @@ def _gravity(model: DiagnosedServos) -> Array:
 def _dampings(servo: Servo) -> tuple[Array, Array]:
     """`(joint,)` Nm·s/rad, of actuators and of joints.
 
-    Simulators limit the whole torque of a drive; here its damping is outside the limit, and friction of the joint there.
+    Simulators limit the whole torque of a drive. Here its damping is outside the limit, and becomes friction there.
     """
     limited = _present(servo, "torque_limit")
     return np.where(limited, 0.0, servo.damping), servo.viscous + np.where(limited, servo.damping, 0.0)

@@ -1,4 +1,4 @@
-"""A domain of its own, in one file: a mass on a spring and a damper. Force in, position out; it may be rubbed by friction.
+"""A domain in one file: a mass on a spring and a damper. Force in, position out; it may be rubbed by friction.
 
 m ẍ + d ẋ + k x + c sign ẋ = u(t), with the position in `q1_rad`, and the force in `tau1_Nm`, of a recording.
 """
