@@ -262,7 +262,7 @@ class Emulate:
             for body in [self._body(i)]
         ]
 
-    def _body(self, index: int) -> "emulator.Body":
+    def _body(self, index: int) -> "emulator.EmulatedArm":
         import numpy as np
 
         kinds = {**catalogue.TORQUE_EFFECTS, **catalogue.kinds_of(command.load_own_effects(self.effects))}
@@ -280,7 +280,7 @@ class Emulate:
             kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
         values = physics.join([values for _, values in parsed])
-        return emulator.Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
+        return emulator.EmulatedArm(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
 
     def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""

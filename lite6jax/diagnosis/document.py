@@ -94,7 +94,7 @@ class UncertaintyEntry(Strict):
     typical: list[NonNegative] | None = None
 
 
-class Inertia(Strict):
+class EstimatedInertia(Strict):
     """Masses and their centres as estimated, with the payload's centre and gravity."""
 
     mass: list[_Mass]
@@ -121,7 +121,7 @@ class PoseModel(Model, kw_only=True):
     T_sensor_base: _Transform
     T_flange_tool: _Transform
     orientation: bool
-    inertia: Inertia | None
+    inertia: EstimatedInertia | None
     motion: Literal["static", "trajectory"]
     accelerated: bool = False
 
