@@ -115,8 +115,8 @@ class ChunkSolution(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """What is kept of arms, a row each: as of `ChunkSolution`, and the covariance, the number of samples that were used,
-    and root-mean-square errors, m and rad."""
+    """What is kept of arms, a row each: as of `ChunkSolution`, and the covariance, the number of samples that were
+    used, and root-mean-square errors, m and rad."""
 
     model: ArmModel
     covariance: Array

@@ -41,7 +41,7 @@ Address = Annotated[
 
 
 @dataclass(frozen=True)
-class Read:
+class ReadCommand:
     """Read an arm's factory calibration from its controller. One request that changes nothing; the arm does not move.
 
     For example:
@@ -75,7 +75,7 @@ class Read:
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordCommand:
     """Record a live arm at 250 Hz, or what its controller computes for given joints. It never moves the arm.
 
     For example:
@@ -156,7 +156,7 @@ _REFRESH_S = 0.25
 
 
 @dataclass(frozen=True)
-class Emulate:
+class EmulateCommand:
     """Run an emulated UFACTORY controller on this machine until Ctrl-C. xarm-python-sdk and the commands read, verify
     and record it like an arm.
 

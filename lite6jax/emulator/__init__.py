@@ -6,8 +6,8 @@ from lite6jax.emulator.server import Controller
 from lite6jax.simulation.motions import draw_sines, interpolate, read_path, visit
 
 __all__ = [
-    "EmulatedArm",
     "Controller",
+    "EmulatedArm",
     "Faults",
     "describe_faults",
     "draw_sines",

@@ -55,7 +55,7 @@ _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
 
 
 class ArmAgreement(NamedTuple):
-    """The readings that agree with an arm.
+    """How the readings of a table agree with an arm.
 
     Attributes:
         units: of joints, positions and three numbers of a rotation, by `Block.key`, where they are distinguished.
