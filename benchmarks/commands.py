@@ -31,7 +31,7 @@ from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import read_model
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, Controller, draw_sines
+from lite6jax.emulator import Controller, EmulatedArm, draw_sines
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from lite6jax.simulation import draw_calibration, draw_sensor_frame, simulate
 
@@ -253,5 +253,5 @@ def _in_real_time() -> Iterator[Address]:
 def _compressed() -> Iterator[Address]:
     arm = load_bundled("lite6")
     path = draw_sines(arm)
-    with Controller(Body(arm, arm.kinematics), path=path, address=HOST, control_port=PORT, speed=SPEED):
+    with Controller(EmulatedArm(arm, arm.kinematics), path=path, address=HOST, control_port=PORT, speed=SPEED):
         yield Address(HOST, PORT)

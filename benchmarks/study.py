@@ -15,7 +15,7 @@ from lite6jax.arms import dynamics
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.calibration.quality import CONVERGED
-from lite6jax.calibration.solve import Known, fit_chunks
+from lite6jax.calibration.solve import FitConditions, fit_chunks
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.design.poses import Criterion, Design, Pool, choose
 from lite6jax.design.sensor import Sensor
@@ -167,7 +167,7 @@ def models(arms: int = 200, samples: int = 300, fresh: int = 1000) -> Iterator[R
             whole = ModelForm(form)
             movable = np.isin(np.arange(whole.size), free).astype(float)
             scale, weight = np.array([1.0, LEVER]), np.ones(pose.shape[:2])
-            known = Known(movable, start, np.zeros(whole.size))
+            known = FitConditions(movable, start, np.zeros(whole.size))
             own = fit_chunks(whole, arm_model(start), sampled, pose, weight, scale, prior=known)
             geometry = np.asarray(own.model.geometry)
             worse = np.where(np.asarray(own.status) == CONVERGED, error(form, geometry) - reached, 0.0)

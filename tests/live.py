@@ -101,7 +101,7 @@ def reply(rows=KINEMATICS, valid=1, dof=6, kind=9, transaction=1, proto=2, regis
     """A reply to the calibration read, right where nothing else is given."""
     if payload is None:
         payload = protocol.Calibration(valid, dof, kind, np.asarray(rows)).encode()
-    return protocol.Frame(register, bytes([status]) + payload, transaction, proto).encode()
+    return protocol.Message(register, bytes([status]) + payload, transaction, proto).encode()
 
 
 def read_reports(controller, port, count, chunk=1 << 16):
@@ -140,7 +140,7 @@ class Line:
 
     def ask(self, register):
         """The bytes of the reply to a request of nothing but a register."""
-        return self.send(protocol.Frame(register))
+        return self.send(protocol.Message(register))
 
     def _exactly(self, count):
         received = b""

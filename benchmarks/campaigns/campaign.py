@@ -69,12 +69,12 @@ def schema_of(moved: str, kinds: dict[str, pa.DataType]) -> pa.Schema:
 def diagnose_and_predict(given: Path) -> None:
     """As the command line does, in the folder of a trial's files: the diagnosis, and what it predicts of `unseen`."""
     from lite6jax.calibration.compiled import keep_compiled_code
-    from lite6jax.cli.diagnose import Diagnose, Predict
+    from lite6jax.cli.diagnose import DiagnoseCommand, PredictCommand
 
     keep_compiled_code()
     diagnosis = given / "diagnosis.json"
-    Diagnose(given / "recording.csv", out=diagnosis, force=True).run()
-    Predict(diagnosis, given / "unseen.csv", out=given / "predicted.csv", force=True).run()
+    DiagnoseCommand(given / "recording.csv", out=diagnosis, force=True).run()
+    PredictCommand(diagnosis, given / "unseen.csv", out=given / "predicted.csv", force=True).run()
 
 
 @dataclass(frozen=True)

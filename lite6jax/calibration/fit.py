@@ -17,14 +17,14 @@ from lite6jax.arms.factory import FactoryCalibration, recognise
 from lite6jax.calibration.problem import (
     TOLERANCE,
     UNDECLARED_NOISE,
+    CalibrationProblem,
     Geometry,
-    Problem,
     recording_problem,
 )
 from lite6jax.calibration.quality import NOISES, Result, spread_of
 from lite6jax.calibration.residual import POSE, POSITION
-from lite6jax.calibration.solution import Errors, Held, Noise, Solution, prediction_errors
-from lite6jax.calibration.solve import MAX_STEPS, Estimate, Solver, invert, solve
+from lite6jax.calibration.solution import Errors, FixedParameter, Noise, Solution, prediction_errors
+from lite6jax.calibration.solve import MAX_STEPS, ArmEstimate, Solver, invert, solve
 from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positions, sample_within_limits
 from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
@@ -76,7 +76,7 @@ def fit_calibration(
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
     nothing, all_free = np.zeros(form.size), np.ones(form.size, bool)
-    problem = Problem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, all_free)
+    problem = CalibrationProblem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, all_free)
     estimate = solve(problem, solver=solver, max_steps=max_steps)
     errors = prediction_errors(form, estimate.model, q, pose)
     return Solution(
@@ -200,7 +200,7 @@ def fit_recording(
     )
 
 
-def _information(problem: Problem, source: str) -> Array:
+def _information(problem: CalibrationProblem, source: str) -> Array:
     """Of the data and the declared prior on the movable entries of a step `(size, size)`, at the start."""
     information = solve(problem, max_steps=0).information
     if not np.isfinite(information).all():
@@ -208,7 +208,9 @@ def _information(problem: Problem, source: str) -> Array:
     return np.where(np.outer(problem.movable, problem.movable), information, 0.0)
 
 
-def _free_of_frames(problem: Problem, information: Array) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
+def _free_of_frames(
+    problem: CalibrationProblem, information: Array
+) -> tuple[NDArray[np.bool_], tuple[FixedParameter, ...]]:
     """The entries of a step that can be estimated beside the sensor's frame and the tool, and those held at nominal.
 
     Nothing is known of an unknown frame or tool beforehand. So a number of the geometry that does what they do is held,
@@ -222,7 +224,7 @@ def _free_of_frames(problem: Problem, information: Array) -> tuple[NDArray[np.bo
     largest = np.array([np.max(np.diagonal(information)[units == unit], initial=0.0) for unit in units])
     observed = np.diagonal(information) > _OBSERVED * largest
     free = movable.copy()
-    held_parameters = list[Held]()
+    held_parameters = list[FixedParameter]()
     frame_columns = list[int]()
     for k in (k for k in (*range(geometry, size), *range(geometry)) if movable[k]):
         share = (
@@ -237,14 +239,14 @@ def _free_of_frames(problem: Problem, information: Array) -> tuple[NDArray[np.bo
             free[k] = False
             strong = np.abs(share) > _CONFOUNDED * max(float(np.abs(share).max(initial=0.0)), 1e-6)
             held_parameters.append(
-                Held(form.names[k], tuple(form.names[frame_columns[i]] for i in np.flatnonzero(strong)))
+                FixedParameter(form.names[k], tuple(form.names[frame_columns[i]] for i in np.flatnonzero(strong)))
             )
     return free, tuple(sorted(held_parameters, key=lambda h: form.names.index(h.name)))
 
 
 def _without_scale(
-    problem: Problem, free: NDArray[np.bool_], held_parameters: tuple[Held, ...]
-) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
+    problem: CalibrationProblem, free: NDArray[np.bool_], held_parameters: tuple[FixedParameter, ...]
+) -> tuple[NDArray[np.bool_], tuple[FixedParameter, ...]]:
     """The same with the longest length held, where the data set no scale, and noise alone would shrink the chain.
 
     That is so where the measured positions are one point of an unknown frame and no length is known: any chain that
@@ -261,10 +263,10 @@ def _without_scale(
     longest = int(np.argmax(lengths))
     comparable = np.flatnonzero(lengths > _CONFOUNDED * lengths.max())
     scaled = tuple(form.names[k] for k in comparable if k != longest)
-    return free & (np.arange(free.size) != longest), (*held_parameters, Held(form.names[longest], scaled))
+    return free & (np.arange(free.size) != longest), (*held_parameters, FixedParameter(form.names[longest], scaled))
 
 
-def _with_noise(problem: Problem, residual: Errors) -> Problem:
+def _with_noise(problem: CalibrationProblem, residual: Errors) -> CalibrationProblem:
     """With the noise that the residuals of a first fit show.
 
     Noise that is not declared is what they have; variance by which they clearly exceed the declared noise is added to
@@ -296,7 +298,7 @@ def _noise_level(errors: Errors) -> tuple[float, float | None]:
     return position, max(t_scale(errors.orientation**2, POSITION, FREEDOM) / unit, ROUNDING)
 
 
-def _held_out_errors(problem: Problem, folds: list[Estimate], weight: Array) -> Errors:
+def _held_out_errors(problem: CalibrationProblem, folds: list[ArmEstimate], weight: Array) -> Errors:
     """Each sample's error under the fit that did not use it; `weight` `(fold, sample)` is zero where held out."""
     samples = len(problem.pose)
     position = np.empty(samples)
@@ -311,7 +313,7 @@ def _held_out_errors(problem: Problem, folds: list[Estimate], weight: Array) -> 
 
 
 def _covariance(
-    problem: Problem, free: NDArray[np.bool_], estimate: Estimate, freedom: float | None, fitted: float
+    problem: CalibrationProblem, free: NDArray[np.bool_], estimate: ArmEstimate, freedom: float | None, fitted: float
 ) -> Array:
     """The covariance of the entries of a step; the prior's precision is added to the data's information."""
     inside, prior = np.ix_(free, free), np.diag(problem.precision[free])

@@ -43,7 +43,7 @@ DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
 
 
 @dataclass(frozen=True)
-class Problem:
+class CalibrationProblem:
     """One arm's fit, ready to solve.
 
     Attributes:
@@ -99,7 +99,7 @@ class Problem:
             return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
         return np.linalg.inv(np.linalg.cholesky(covariance))
 
-    def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "Problem":
+    def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "CalibrationProblem":
         """With some of the samples."""
         by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
         q, pose = self.joint_position[samples], self.pose[samples]
@@ -201,7 +201,7 @@ def declared_geometry(
 
 def recording_problem(
     recording: Recording, arm: Arm | None, geometry: Geometry, factory: FactoryCalibration | None = None
-) -> Problem:
+) -> CalibrationProblem:
     """What a recording of poses and its sidecar say is to be fitted.
 
     Frames that the sidecar calls unknown start where a closed form puts them.
@@ -246,7 +246,7 @@ def recording_problem(
             parts.append(_residual_by_joints(prior_calibration, q, T_sensor_base, T_flange_tool, turned))
         J = np.concatenate(parts)
         by_joints = settings.joint_noise_rad**2 * J @ np.swapaxes(J, 1, 2)
-    return Problem(
+    return CalibrationProblem(
         arm=arm,
         form=form,
         start=ArmModel(values, T_sensor_base, T_flange_tool),  # type: ignore[arg-type]

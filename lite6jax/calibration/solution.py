@@ -52,7 +52,7 @@ class Errors:
         return float(np.sqrt(np.mean(self.position**2)))
 
 
-class Place(NamedTuple):
+class GeometricElement(NamedTuple):
     """A point, plane, anchor or axis, in the arm's base frame.
 
     Attributes:
@@ -137,7 +137,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Held:
+class FixedParameter:
     """A parameter that the data does not identify, held at its nominal value.
 
     Attributes:
@@ -184,7 +184,7 @@ class Solution(PublicResult):
     steps: int
     covariance: Array | None
     free: NDArray[np.bool_]
-    held: tuple[Held, ...]
+    held: tuple[FixedParameter, ...]
     errors: Errors
     nominal_errors: Errors
     checked: Errors
@@ -195,7 +195,7 @@ class Solution(PublicResult):
     recording: Recording | None = None
     faults: tuple[DataFault, ...] = ()
     ruled_out: tuple[DataFault, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[GeometricElement, ...] = ()
 
     @property
     def parameters(self) -> Array:

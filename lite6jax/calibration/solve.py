@@ -41,7 +41,7 @@ from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.model import ArmModel, ModelForm
 
 if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
-    from lite6jax.calibration.problem import Problem
+    from lite6jax.calibration.problem import CalibrationProblem
 
 Numbers = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
@@ -78,7 +78,7 @@ _RECORD = 1e-12, 1e-13
 """Relative and absolute tolerance of the solver of record."""
 
 
-class Known(NamedTuple):
+class FitConditions(NamedTuple):
     """What a fit has besides its samples.
 
     Attributes:
@@ -96,7 +96,7 @@ class Known(NamedTuple):
     share: Any = 1.0
 
 
-class Solved(NamedTuple):
+class ChunkSolution(NamedTuple):
     """What a solver returns of a chunk of arms, a leading arm axis on each leaf.
 
     Attributes:
@@ -115,8 +115,8 @@ class Solved(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """What is kept of arms, a row each: as of `Solved`, and the covariance, the number of samples that were used, and
-    root-mean-square errors, m and rad."""
+    """What is kept of arms, a row each: as of `ChunkSolution`, and the covariance, the number of samples that were
+    used, and root-mean-square errors, m and rad."""
 
     model: ArmModel
     covariance: Array
@@ -137,7 +137,7 @@ def fit_chunks(
     whitener: np.ndarray,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
-    prior: Known | None = None,
+    prior: FitConditions | None = None,
 ) -> Fits:
     """Fits arms by least squares, chunk by chunk and on every core.
 
@@ -192,7 +192,7 @@ def _fit_chunk(
     weight: Array,
     whitener: Array,
     max_steps: ArrayLike,
-    prior: Known | None,
+    prior: FitConditions | None,
 ) -> Fits:
     prepare = jax.vmap(
         partial(observe, form, block=block), in_axes=(0 if joint_position.ndim == 3 else None, 0, 0, None)
@@ -220,7 +220,7 @@ def _fit_chunk(
     return Fits(solved.model, covariance, solved.cost, status, solved.steps, used, *rms)
 
 
-class _State(NamedTuple):
+class _FitState(NamedTuple):
     model: ArmModel
     candidate: ArmModel
     cost: Array
@@ -236,8 +236,8 @@ class _State(NamedTuple):
 
 
 def solve_chunk(
-    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, prior: Known | None = None
-) -> Solved:
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: ArrayLike, prior: FitConditions | None = None
+) -> ChunkSolution:
     """Fits a chunk of arms; the arm, and of what is observed then the block, are leading axes.
 
     With no steps only cost and curvature at the start are evaluated. The curvature contains that of the prior, and is
@@ -274,7 +274,7 @@ def solve_chunk(
         """The leaves of one tree or of the other, arm by arm."""
         return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
 
-    def body(state: _State) -> _State:
+    def body(state: _FitState) -> _FitState:
         renewed = jnp.any(state.renew)
         cost, gradient, H = lax.cond(
             renewed, lambda: at(linearise, state.candidate), lambda: (*at(evaluate, state.candidate), state.curvature)
@@ -309,7 +309,7 @@ def solve_chunk(
         model = choose(arrived, candidate, model)
         cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
         slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
-        return _State(
+        return _FitState(
             model, candidate, cost, gradient, H, inverses, going & slow, damping, decrement,
             jnp.where(accepted, moved, state.moved), status, state.steps + (going | arrived),
         )  # fmt: skip
@@ -317,9 +317,9 @@ def solve_chunk(
     row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
     none, infinite, yes = jnp.zeros(arms), jnp.full(arms, jnp.inf), jnp.full(arms, True)
     status, steps = jnp.full(arms, RUNNING), jnp.zeros(arms, jnp.int32)
-    state = _State(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
+    state = _FitState(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
     state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)
-    return Solved(state.model, state.curvature, state.cost, state.status, state.steps)
+    return ChunkSolution(state.model, state.curvature, state.cost, state.status, state.steps)
 
 
 def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
@@ -345,7 +345,7 @@ def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
 # ------------------------------------------------------------------ one arm
 
 
-class Estimate(NamedTuple):
+class ArmEstimate(NamedTuple):
     """The solution of one problem.
 
     Attributes:
@@ -366,7 +366,7 @@ class Estimate(NamedTuple):
 
 
 def solve(
-    problem: "Problem",
+    problem: "CalibrationProblem",
     free: NDArray[np.bool_] | None = None,
     *,
     start: ArmModel | None = None,
@@ -374,7 +374,7 @@ def solve(
     freedom: float | None = None,
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
-) -> Estimate:
+) -> ArmEstimate:
     """The parameters that a problem's samples and its prior make likeliest, and the scale of the noise.
 
     Args:
@@ -410,7 +410,7 @@ def solve(
     steps = 0
     result = Result.STEPS_EXHAUSTED
     scale = 1.0 if freedom is None else scale_of(squares)
-    prior = Known(free.astype(float), np.asarray(problem.start.geometry), problem.precision)
+    prior = FitConditions(free.astype(float), np.asarray(problem.start.geometry), problem.precision)
     for _ in range(_MAX_SCALES):
         robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
         # Student's loss curves less than its weighted squares, by a share that the residuals show
@@ -442,7 +442,7 @@ def solve(
         inflation = (np.diagonal(invert(information)) * np.diagonal(information))[free]
         if not ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)).all():
             result = Result.SINGULAR
-    return Estimate(model, information, squares, scale_of(squares), result, steps)
+    return ArmEstimate(model, information, squares, scale_of(squares), result, steps)
 
 
 def invert(H: Numbers) -> Numbers:
@@ -456,7 +456,9 @@ def invert(H: Numbers) -> Numbers:
             return np.full_like(H, np.nan)
 
 
-def _solve_arm(form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, prior: Known) -> Solved:
+def _solve_arm(
+    form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, prior: FitConditions
+) -> ChunkSolution:
     """Of one arm, without the axis of arms."""
     first, observations = jax.tree.map(lambda leaf: leaf[None], (start, observed))
     return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, observations, max_steps, prior))
@@ -486,7 +488,7 @@ _solve_one_of_few = KeptJit(_solve_arm, 1, **SINGLE_THREADED, xla_backend_optimi
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve_of_record(
-    form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, prior: Known
+    form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, prior: FitConditions
 ) -> tuple[ArmModel, Array, Array, Array]:
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s

@@ -23,7 +23,7 @@ with import_lazily():
 
 @final
 @dataclass(frozen=True)
-class Convert:
+class ConvertCommand:
     """Write one arm's file in another form; what the new form cannot hold is reported, or refused.
 
     For example:
@@ -117,7 +117,7 @@ class Convert:
 
 @final
 @dataclass(frozen=True)
-class Effects:
+class EffectsCommand:
     """List the effects that a diagnosis searches for: site, driver, unit and formula of each; or what each kind of
     explanation costs before any data.
 
@@ -151,7 +151,7 @@ class Effects:
 
 @final
 @dataclass(frozen=True)
-class Arms:
+class ArmsCommand:
     """List the bundled arms: name, maker, joints, reach, whether inertia is known, and the source of the numbers; or
     show how one arm is read: from which link to which, and its joints.
 

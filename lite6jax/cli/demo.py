@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from lite6jax.cli import command
-from lite6jax.cli.diagnose import Diagnose
-from lite6jax.cli.fit import Fit
+from lite6jax.cli.diagnose import DiagnoseCommand
+from lite6jax.cli.fit import FitCommand
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, command_line
 from lite6jax.storage import exists, write_atomically
@@ -36,7 +36,7 @@ POSES = 200
 
 
 @dataclass(frozen=True)
-class Demo:
+class DemoCommand:
     """See what the program does: simulate a Lite 6 with two hidden faults, diagnose it, write the page with the
     figures, and fit the arm's factory calibration. Takes less than a minute.
 
@@ -72,7 +72,7 @@ class Demo:
         )
         simulated.save(run, overwrite=self.force)
         screen.show(command.say("demo", poses=POSES, run=run))
-        diagnose_command = Diagnose(run, out=diagnosis, report=page, quick=True, force=self.force)
+        diagnose_command = DiagnoseCommand(run, out=diagnosis, report=page, quick=True, force=self.force)
         _, result = diagnose_command.search()
         document = diagnose_command.document(result)
         diagnose_command.write(result, document)
@@ -82,7 +82,7 @@ class Demo:
         screen.show(command.say("demo_fit"))
         _print_command("fit", factory, out=table)
         print()
-        Fit(factory, out=table, force=self.force).run()
+        FitCommand(factory, out=table, force=self.force).run()
         screen.show(_compare(result))
         print(f"  {page}")
         return command.DONE

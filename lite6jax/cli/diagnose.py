@@ -20,7 +20,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, name_options
-from lite6jax.fleet.place import Place, attempt, list_recordings, restore_url
+from lite6jax.fleet.place import StorageFolder, attempt, list_recordings, restore_url
 from lite6jax.storage import exists, file_sha256, write_atomically
 
 with import_lazily():
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Diagnose:
+class DiagnoseCommand:
     """Find which effects a recording shows beyond the model of the arm: their sites, names, numbers and significance.
 
     For example:
@@ -256,7 +256,7 @@ class Diagnose:
         command.check_processes(self.processes, self.scheduler)
         pooled = self.out / diagnoses.POOLED
         if self.fleet:
-            diagnoses.check_pooled(self.out, list_recordings(Place.of(self.source)), self.force)
+            diagnoses.check_pooled(self.out, list_recordings(StorageFolder.of(self.source)), self.force)
         with screen.progress(None, "diagnosing") as advance:
             table = diagnoses.diagnose_folder(
                 self.source,
@@ -306,7 +306,7 @@ def _is_folder(source: Path) -> bool:
     return os.path.isdir(source) and recordings.recording_file(source) is None
 
 
-def diagnose_names(names: Sequence[str], place: Place, asked: Diagnose) -> "pa.Table":
+def diagnose_names(names: Sequence[str], place: StorageFolder, asked: DiagnoseCommand) -> "pa.Table":
     """The rows of some recordings of a folder, with their documents and of a fleet with their reduced recordings.
 
     `asked` is the command as it was given, but for its source.
@@ -332,7 +332,7 @@ DiagnosisFile = Annotated[Positional[Path], arg(metavar="DIAGNOSIS", help="What 
 
 @final
 @dataclass(frozen=True)
-class Report:
+class ReportCommand:
     """Show a diagnosis again from its file, or write its certificate: accuracy before and after, findings, checksums.
 
     For example:
@@ -378,7 +378,7 @@ class Report:
 
 @final
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Show a diagnosis in the browser until Ctrl-C: the arm in motion, measured against predicted poses, the errors as
     arrows, and the places of what was found. Of torques, the joints are coloured by their errors.
 
@@ -429,7 +429,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Predict:
+class PredictCommand:
     """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
     Of a diagnosis of commands these are q1_rad …, the joints that follow the commands of a motion (time_s, cmd1_rad …),
@@ -531,7 +531,7 @@ class Predict:
 
 
 @dataclass(frozen=True)
-class Compensate:
+class CompensateCommand:
     """Compute the joint positions at which a diagnosed arm reaches given poses, or commands that its joints follow to
     where they are wanted.
 

@@ -26,7 +26,7 @@ with import_lazily():
 
 @final
 @dataclass(frozen=True)
-class Check:
+class CheckCommand:
     """Rule out the easy causes of a mismatch first: nominal table, tool offset, smooth or jumping error.
 
     For example:
@@ -62,7 +62,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FitCommand:
     """Fit one arm: from its factory calibration, or from a recording of measured poses.
 
     For example:
@@ -164,7 +164,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Compare:
+class CompareCommand:
     """Compare calibrations of arms of one type: the manufacturing tolerance made visible.
 
     For example:
@@ -194,7 +194,7 @@ class Compare:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class FleetCommand:
     """Fit every calibration and recording of a folder; a bad file becomes a row that says why.
 
     For example:

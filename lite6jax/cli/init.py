@@ -101,7 +101,7 @@ class _Table(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Init:
+class InitCommand:
     """Look at a recording, whatever its columns are called, and write the sidecar that says how to read it.
 
     Joints, poses, torques and times are recognised by the names; degrees, millimetres and the form of rotations by size
@@ -523,7 +523,7 @@ def _assign_roles(
 
 @final
 @dataclass(frozen=True)
-class Detect:
+class DetectCommand:
     """Find the corners of a board in images, by OpenCV, and write them as a recording of a camera.
 
     Joints are those of a table with a row an image, in the order of the images, or with a column `image` of their

@@ -41,7 +41,7 @@ Address = Annotated[
 
 
 @dataclass(frozen=True)
-class Read:
+class ReadCommand:
     """Read an arm's factory calibration from its controller. One request that changes nothing; the arm does not move.
 
     For example:
@@ -75,7 +75,7 @@ class Read:
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordCommand:
     """Record a live arm at 250 Hz, or what its controller computes for given joints. It never moves the arm.
 
     For example:
@@ -156,7 +156,7 @@ _REFRESH_S = 0.25
 
 
 @dataclass(frozen=True)
-class Emulate:
+class EmulateCommand:
     """Run an emulated UFACTORY controller on this machine until Ctrl-C. xarm-python-sdk and the commands read, verify
     and record it like an arm.
 
@@ -262,7 +262,7 @@ class Emulate:
             for body in [self._body(i)]
         ]
 
-    def _body(self, index: int) -> "emulator.Body":
+    def _body(self, index: int) -> "emulator.EmulatedArm":
         import numpy as np
 
         kinds = {**catalogue.TORQUE_EFFECTS, **catalogue.kinds_of(command.load_own_effects(self.effects))}
@@ -280,7 +280,7 @@ class Emulate:
             kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
         values = physics.join([values for _, values in parsed])
-        return emulator.Body(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
+        return emulator.EmulatedArm(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
 
     def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""

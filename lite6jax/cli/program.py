@@ -20,28 +20,46 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 
-from lite6jax.cli.arms import Arms, Convert, Effects
+from lite6jax.cli.arms import ArmsCommand, ConvertCommand, EffectsCommand
 from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
-from lite6jax.cli.demo import Demo
-from lite6jax.cli.diagnose import Compensate, Diagnose, Predict, Report, View
-from lite6jax.cli.fit import Check, Compare, Fit, Fleet
-from lite6jax.cli.init import Detect, Init
-from lite6jax.cli.live import Emulate, Read, Record
-from lite6jax.cli.simulate import Simulate
-from lite6jax.cli.study import Design, Identify, Sensitivity
+from lite6jax.cli.demo import DemoCommand
+from lite6jax.cli.diagnose import CompensateCommand, DiagnoseCommand, PredictCommand, ReportCommand, ViewCommand
+from lite6jax.cli.fit import CheckCommand, CompareCommand, FitCommand, FleetCommand
+from lite6jax.cli.init import DetectCommand, InitCommand
+from lite6jax.cli.live import EmulateCommand, ReadCommand, RecordCommand
+from lite6jax.cli.simulate import SimulateCommand
+from lite6jax.cli.study import DesignCommand, IdentifyCommand, SensitivityCommand
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, name_options
 
 with import_lazily():
     from lite6jax.calibration import compiled
 
-COMMANDS = {
-    command.__name__.lower(): command
-    for command in (
-        *(Init, Detect, Fit, Compare, Fleet, Identify, Sensitivity, Design, Diagnose, Report, View, Predict),
-        *(Compensate, Simulate, Emulate, Convert, Check, Read, Record, Effects, Arms, Demo),
-    )
-}
+_COMMANDS = (
+    InitCommand,
+    DetectCommand,
+    FitCommand,
+    CompareCommand,
+    FleetCommand,
+    IdentifyCommand,
+    SensitivityCommand,
+    DesignCommand,
+    DiagnoseCommand,
+    ReportCommand,
+    ViewCommand,
+    PredictCommand,
+    CompensateCommand,
+    SimulateCommand,
+    EmulateCommand,
+    ConvertCommand,
+    CheckCommand,
+    ReadCommand,
+    RecordCommand,
+    EffectsCommand,
+    ArmsCommand,
+    DemoCommand,
+)
+COMMANDS = {command.__name__.removesuffix("Command").lower(): command for command in _COMMANDS}
 DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
 calibrations: of a UFACTORY Lite 6, or of any serial arm.
 

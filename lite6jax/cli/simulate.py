@@ -30,13 +30,13 @@ _OF_POSES = (
     *("sensor", "motion", "effects", "warm_up", "factory", "tolerance", "factory_uncertainty", "geometry", "frame"),
     *("tool", "tool_at", "position_noise", "orientation_noise"),
 )
-"""Fields of `Simulate` that a log of commands has no use for."""
+"""Fields of `SimulateCommand` that a log of commands has no use for."""
 _OF_COMMANDS = ("stiffness", "damping", "servo", "joint_quantum")
 """Fields that are of such a log alone."""
 
 
 @dataclass(frozen=True)
-class Simulate:
+class SimulateCommand:
     """Write a recording of a simulated arm with chosen effects, and its sidecar.
 
     For example:

@@ -154,11 +154,13 @@ class TorqueSetup:
     acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
     """The greatest acceleration, likewise."""
 
-    def model(self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None) -> "torques.TorqueModel":
+    def model(
+        self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None
+    ) -> "torques.TorqueExperiment":
         """What is unknown of an arm, and the noise, of a recording as `declared`."""
         noise = self.torque_noise or (declared.torque_noise_Nm if declared else None) or None
         gravity = self.gravity or (declared.gravity_m_per_s2 if declared else torques.GRAVITY)
-        return torques.TorqueModel(arm, noise, gravity, self.inertial == "unknown")
+        return torques.TorqueExperiment(arm, noise, gravity, self.inertial == "unknown")
 
     def room(
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
@@ -190,7 +192,7 @@ def _refuse_torques(options: TorqueSetup) -> None:
 
 @final
 @dataclass(frozen=True)
-class Identify:
+class IdentifyCommand:
     """What poses determine of an arm's parameters, or torques (--torque) of its dynamics, and how well: before anything
     is measured, or of a recording. A recording with torques or currents and no poses is studied for its torques.
 
@@ -311,7 +313,7 @@ class Identify:
 
 @final
 @dataclass(frozen=True)
-class Sensitivity:
+class SensitivityCommand:
     """Which parameters move the flange, where, and which make up the error of an arm as assembled.
 
     For example:
@@ -350,7 +352,7 @@ class Sensitivity:
 
 @final
 @dataclass(frozen=True)
-class Design:
+class DesignCommand:
     """Which poses to record: those that determine an arm's parameters best, and how many are enough; or, with --torque,
     which motion to make: one from rest to rest whose torques determine an arm's dynamics best.
 

@@ -62,7 +62,7 @@ HEADER = struct.Struct(">HHH")
 """u16 transaction, u16 protocol, u16 length from the register on."""
 
 
-class Frame(NamedTuple):
+class Message(NamedTuple):
     """A message on port 502. `body` follows the register: parameters of a request, or status and payload of a reply."""
 
     register: int
@@ -74,12 +74,12 @@ class Frame(NamedTuple):
         """The bytes: header, u8 register, body."""
         return HEADER.pack(self.transaction, self.protocol, len(self.body) + 1) + bytes([self.register]) + self.body
 
-    def reply(self, payload: bytes, status: int = Status.OK) -> "Frame":
+    def reply(self, payload: bytes, status: int = Status.OK) -> "Message":
         """The reply to this request."""
         return self._replace(body=bytes([status]) + payload)
 
 
-def take_frames(received: bytearray) -> Iterator[Frame]:
+def take_frames(received: bytearray) -> Iterator[Message]:
     """Removes the complete frames from the start of `received` and yields them; an incomplete one remains.
 
     Raises:
@@ -94,7 +94,7 @@ def take_frames(received: bytearray) -> Iterator[Frame]:
             return
         register, *body = received[HEADER.size : end]
         del received[:end]
-        yield Frame(register, bytes(body), transaction, protocol)
+        yield Message(register, bytes(body), transaction, protocol)
 
 
 def encode_floats(values: ArrayLike) -> bytes:

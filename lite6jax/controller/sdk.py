@@ -201,7 +201,7 @@ FLOOR_M = 1.2e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Verification:
+class KinematicsCheck:
     """The differences between the controller's forward kinematics and the calibration's.
 
     Attributes:
@@ -243,7 +243,7 @@ def verify(
     samples: int = 1000,
     seed: int = 0,
     advance: Callable[[int], object] = lambda done: None,
-) -> Verification:
+) -> KinematicsCheck:
     """Compares a calibration's chain with the SDK's `get_forward_kinematics`.
 
     The tool offset is read from a report, because the cache of the SDK is zero until the first one. It must agree with
@@ -303,7 +303,7 @@ def verify(
             if candidate.dof == arm.dof and other_chain is None:
                 poses = frames.chain(candidate.links, q_sent) @ tools[tool]
                 other_chain = candidate.name if _agree(*compare_transforms(poses, computed)) else None
-    return Verification(
+    return KinematicsCheck(
         q,
         position,
         orientation,

@@ -21,7 +21,7 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.settings import LONGEST_OFFSET_M
 
-REQUEST = protocol.Frame(Register.CALIBRATION)
+REQUEST = protocol.Message(Register.CALIBRATION)
 """`00 01 00 02 00 01 08`, the only bytes sent."""
 _MODELS = {(6, 9): "lite6", (6, 12): "uf850"}
 """By the number of joints and the vendor's number of the model; all other pairs are xArms."""

@@ -58,7 +58,7 @@ _FEWEST = 20
 """Random motions of which one has to pass."""
 
 
-class Motion(NamedTuple):
+class JointTrajectory(NamedTuple):
     """Joint positions, velocities and accelerations, `(joint, sample)` each; rad, rad/s, rad/s², or with m for rad."""
 
     q: Numbers
@@ -66,7 +66,7 @@ class Motion(NamedTuple):
     ddq: Numbers
 
 
-def read_motion(recording: Recording) -> tuple[Motion, list[str]]:
+def read_motion(recording: Recording) -> tuple[JointTrajectory, list[str]]:
     """The motion of a recording, and what was assumed of it, a sentence each.
 
     Raises:
@@ -75,14 +75,14 @@ def read_motion(recording: Recording) -> tuple[Motion, list[str]]:
     recording = recording.sorted_by_time()
     q, dq = recording.joint_position.T, recording.velocities().T
     if recording.motion == "static":
-        return Motion(q, dq, np.zeros_like(q)), []
+        return JointTrajectory(q, dq, np.zeros_like(q)), []
     if recording.joint_acceleration is not None:
-        return Motion(q, dq, recording.joint_acceleration.T), []
+        return JointTrajectory(q, dq, recording.joint_acceleration.T), []
     if recording.time is None:
         raise InputError(f"{recording.source}: has no accelerations; add time_s, or ddq1_rad_per_s2 …")
     acceleration = accelerated(motion_of_recording(recording)).joint_acceleration
     note = "the accelerations were not recorded and come from differences of the velocities over 0.1 s"
-    return Motion(q, dq, np.asarray(acceleration)), [note]
+    return JointTrajectory(q, dq, np.asarray(acceleration)), [note]
 
 
 @final
@@ -146,11 +146,11 @@ class MotionRoom:
         """Of one period."""
         return round(self.duration * self.rate)
 
-    def move(self, free: ArrayLike, time: ArrayLike) -> Motion:
+    def move(self, free: ArrayLike, time: ArrayLike) -> JointTrajectory:
         """The motion of unbounded numbers `(joint, 2 harmonics)` at times `(sample,)` s; plain JAX."""
         return _move(free, time, self.position, self.velocity, self.acceleration, self.duration)
 
-    def move_evenly(self, free: ArrayLike, count: int) -> Motion:
+    def move_evenly(self, free: ArrayLike, count: int) -> JointTrajectory:
         """The motion at so many equidistant instants of a period; plain JAX."""
         return self.move(free, self.duration * np.arange(count) / count)
 
@@ -175,7 +175,7 @@ def per_joint(arm: Arm, numbers: ArrayLike, name: str, unit: str, number: str = 
 @jax.jit
 def _move(
     free: Array, time: Array, position: Array, velocity: Array, acceleration: Array, period: Array | float
-) -> Motion:
+) -> JointTrajectory:
     """A trigonometric polynomial of degree K is nowhere larger than 1/cos(πK/N) times its largest value at N
     equidistant points of a period (H. Ehlich, K. Zeller, 1964): with that factor the limits hold at every instant."""
     harmonics = free.shape[1] // 2
@@ -204,7 +204,7 @@ def _move(
     size = jax.nn.sigmoid(free[:, -1]) / jnp.max(jnp.stack(peaks), 0)
     middle = lower + size * half + jax.nn.sigmoid(free[:, -2]) * (upper - lower - 2 * size * half)
     q, dq, ddq = (size[:, None] * trajectory for trajectory in series(time))
-    return Motion(q + (middle - size * (high + low) / 2)[:, None], dq, ddq)
+    return JointTrajectory(q + (middle - size * (high + low) / 2)[:, None], dq, ddq)
 
 
 def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Matrix]:
@@ -242,7 +242,7 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Mat
 
 
 def ascend(
-    room: MotionRoom, height: Callable[[Motion], Array], starts: Sequence[Matrix], steps: int
+    room: MotionRoom, height: Callable[[JointTrajectory], Array], starts: Sequence[Matrix], steps: int
 ) -> tuple[Matrix, float, int]:
     """Moves uphill from motions that pass the filters, by Adam (D. Kingma, J. Ba, 2015) with a falling rate.
 

@@ -277,7 +277,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Chosen:
+class _PlannedPoses:
     """Poses to record.
 
     Attributes:
@@ -300,7 +300,7 @@ class _Chosen:
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(_Chosen, PublicResult):
+class Plan(_PlannedPoses, PublicResult):
     """Poses that determine an arm's parameters best.
 
     Attributes:
@@ -331,7 +331,7 @@ class Plan(_Chosen, PublicResult):
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class DiscriminationPlan(_Chosen, PublicResult):
+class DiscriminationPlan(_PlannedPoses, PublicResult):
     """Poses that discriminate between two rival models of the physics.
 
     Attributes:

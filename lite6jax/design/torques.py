@@ -23,7 +23,15 @@ from lite6jax.design.determination import (
     each_block,
     narrow_joints,
 )
-from lite6jax.design.motions import ACCELERATION, VELOCITY, Motion, MotionRoom, ascend, per_joint, random_motions
+from lite6jax.design.motions import (
+    ACCELERATION,
+    VELOCITY,
+    JointTrajectory,
+    MotionRoom,
+    ascend,
+    per_joint,
+    random_motions,
+)
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
 
@@ -59,7 +67,7 @@ _STATES = 300
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorqueModel:
+class TorqueExperiment:
     """What an arm's torques depend on, how well they are measured, and what any motion at all determines of it.
 
     Attributes:
@@ -115,7 +123,7 @@ class TorqueModel:
         """`(column,)` their typical sizes, SI."""
         return np.array([size for _, _, size in self.parameters])
 
-    def columns(self, motion: Motion) -> JaxArray:
+    def columns(self, motion: JointTrajectory) -> JaxArray:
         """Whitened torques per SI unit of the unknown parameters, `(joint, column, sample)`; plain JAX."""
         q, dq, ddq = map(jnp.asarray, motion)
         dof, samples = q.shape
@@ -128,11 +136,11 @@ class TorqueModel:
             columns = jnp.concatenate([links, columns], 1)
         return columns / self.noise[:, None, None]
 
-    def root(self, motion: Motion) -> Array:
+    def root(self, motion: JointTrajectory) -> Array:
         """`accumulate_root` of the torques of a motion, in typical sizes."""
 
         def rows(*parts: Array) -> Array:
-            return np.asarray(self.columns(Motion(*(part.T for part in parts)))).swapaxes(0, 1)
+            return np.asarray(self.columns(JointTrajectory(*(part.T for part in parts)))).swapaxes(0, 1)
 
         parts = [np.asarray(part).T for part in motion]
         return self.scale * accumulate_root(each_block(rows, parts, _BLOCK), len(self.names))
@@ -152,7 +160,7 @@ class TorqueModel:
         links = 10 * self.arm.dof if self.inertial else 0
         order = [*(first + i for first in range(0, links, 10) for i in _STANDING), *range(links, len(self.names))]
         units = [unit for _, unit, _ in self.parameters]
-        return determination_of(self.root(Motion(*states)), self.names, units, self.scale, _STATES, order)
+        return determination_of(self.root(JointTrajectory(*states)), self.names, units, self.scale, _STATES, order)
 
     @property
     def base(self) -> tuple[BaseParameter, ...]:
@@ -194,7 +202,7 @@ class TorqueIdentification:
         notes: what was assumed, a sentence each.
     """
 
-    model: TorqueModel
+    model: TorqueExperiment
     samples: int
     span: Array
     determined: NDArray[np.bool_]
@@ -249,7 +257,9 @@ class TorqueIdentification:
         }
 
 
-def identify_torques(model: TorqueModel, motion: Motion, *, notes: tuple[str, ...] = ()) -> TorqueIdentification:
+def identify_torques(
+    model: TorqueExperiment, motion: JointTrajectory, *, notes: tuple[str, ...] = ()
+) -> TorqueIdentification:
     """What a motion determines of an arm's base parameters and friction, and how well.
 
     Args:
@@ -314,7 +324,7 @@ class TorquePlan:
     room: MotionRoom
     free: Array
     time: Array
-    motion: Motion
+    motion: JointTrajectory
     identification: TorqueIdentification
     random: tuple[TorqueIdentification, ...]
 
@@ -329,15 +339,15 @@ class TorquePlan:
         return float(np.exp((self.identification.log_determinant - log_determinant) / (2 * count)))
 
 
-def record_motion(room: MotionRoom, free: Array) -> tuple[Array, Motion]:
+def record_motion(room: MotionRoom, free: Array) -> tuple[Array, JointTrajectory]:
     """The times `(sample,)` s of the recorded samples of one period, both ends among them, and the motion; NumPy."""
     time = np.arange(room.samples + 1) * room.duration / room.samples
-    return time, Motion(*(np.asarray(part) for part in room.move(free, time)))
+    return time, JointTrajectory(*(np.asarray(part) for part in room.move(free, time)))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # sums of products depend on the threads
 def plan_motion(
-    model: TorqueModel, room: MotionRoom, *, seed: int = 0, draws: int = 50, starts: int = 2, steps: int = 150
+    model: TorqueExperiment, room: MotionRoom, *, seed: int = 0, draws: int = 50, starts: int = 2, steps: int = 150
 ) -> TorquePlan:
     """The motion with the largest information determinant about base parameters and friction that the room allows.
 
@@ -358,7 +368,7 @@ def plan_motion(
 
     stands = np.flatnonzero(model.possible.free)
 
-    def log_determinant(motion: Motion) -> JaxArray:
+    def log_determinant(motion: JointTrajectory) -> JaxArray:
         columns = model.columns(motion)[:, stands] * model.base_scale[:, None]
         rows = jnp.moveaxis(columns, 1, 0).reshape(len(stands), -1)
         return jnp.linalg.slogdet(rows @ rows.T * (room.samples / motion.q.shape[1]))[1]

@@ -25,7 +25,7 @@ from lite6jax.estimation.evidence import Marginal, log_orders, of_process
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
-from lite6jax.search.scan import Scan, Weighed
+from lite6jax.search.scan import ModelScan, Scan
 from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]
@@ -137,7 +137,7 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         for k, share in zip(indices, weigh.of(component.column, functions), strict=True):
             if scan.may_act(component.site, k):
                 put(component.site, _column(component.site, scan.quantities[k].driver), share)
-    for candidate in Weighed(scan, test).ranked():
+    for candidate in ModelScan(scan, test).ranked():
         if len(candidate.process) and len(candidate.process[1]) == 2:
             component, indices, kernel, rolloff = candidate.process
             (share,) = weigh.of(component.column, scan.features(indices, kernel, rolloff)[None])

@@ -62,7 +62,7 @@ class Load(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class EmulatedArm:
     """An emulated arm.
 
     Attributes:

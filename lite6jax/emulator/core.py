@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.entries import suggestion
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Frame, Register, Status
-from lite6jax.emulator.body import SPACING_S, Body, Load, Sample
+from lite6jax.controller.protocol import Message, Register, Status
+from lite6jax.emulator.body import SPACING_S, EmulatedArm, Load, Sample
 from lite6jax.errors import InputError
 from lite6jax.simulation.motions import MAX_ACCELERATION, MAX_SPEED, Path, rest
 
@@ -161,7 +161,7 @@ BOOT_US: Final = 60_000_000
 """µs, the controller's clock at the start of the emulation."""
 
 
-class State(IntEnum):
+class ControllerState(IntEnum):
     """The state of the controller, as it is reported."""
 
     MOVING = 1
@@ -183,7 +183,7 @@ class Core:
         stopped: s, when an error began to stop the arm; infinite without one.
     """
 
-    body: Body
+    body: EmulatedArm
     faults: Faults = field(default_factory=Faults)
     path: Path | None = None
     tool: Array = field(default_factory=lambda: np.zeros(6))
@@ -212,16 +212,16 @@ class Core:
         self.time = time
 
     @property
-    def state(self) -> State:
+    def state(self) -> ControllerState:
         """Whether the arm moves, has moved, or neither did nor can."""
         if self.path is None or self.stopped < np.inf:
-            return State.STOPPED
-        return State.MOVING if self.time < self.path.duration else State.READY
+            return ControllerState.STOPPED
+        return ControllerState.MOVING if self.time < self.path.duration else ControllerState.READY
 
     @property
     def enabled(self) -> int:
         """The motors that are on, a bit each: all of an arm that can move, else none."""
-        return 0 if self.state == State.STOPPED else (1 << self.body.arm.dof) - 1
+        return 0 if self.state == ControllerState.STOPPED else (1 << self.body.arm.dof) - 1
 
     @property
     def identity(self) -> protocol.Identity:
@@ -236,7 +236,7 @@ class Core:
         return (
             (Status.ERROR if self.faults.error else 0)
             | (Status.WARNING if self.faults.warning else 0)
-            | (Status.CANNOT_MOVE if self.state == State.STOPPED else 0)
+            | (Status.CANNOT_MOVE if self.state == ControllerState.STOPPED else 0)
         )
 
     def read_commands(self, time: Array) -> tuple[Array, Array]:
@@ -296,7 +296,7 @@ AMPERE_PER_RAD_PER_S: Final = 0.05
 """The assumed motor: current per torque, and per velocity for friction."""
 
 
-def answer(core: Core, request: Frame) -> Frame | None:
+def answer(core: Core, request: Message) -> Message | None:
     """The reply to a request, or None for no reply.
 
     The reply to a request of a wrong size or of a register that is not emulated is invalid (an assumption).
@@ -318,7 +318,7 @@ def answer(core: Core, request: Frame) -> Frame | None:
     return request.reply(payload, invalid | core.status)
 
 
-def _read(core: Core, request: Frame) -> bytes | Array:
+def _read(core: Core, request: Message) -> bytes | Array:
     """The payload of the reply to a request, of kinematics and torques as numbers.
 
     Raises:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.controller import protocol
-from lite6jax.emulator.body import Body
+from lite6jax.emulator.body import EmulatedArm
 from lite6jax.emulator.core import Core, Faults, answer, report
 from lite6jax.errors import InputError
 from lite6jax.simulation.motions import Path
@@ -60,7 +60,7 @@ class Controller:
 
     def __init__(
         self,
-        body: Body,
+        body: EmulatedArm,
         *,
         path: Path | None = None,
         faults: Faults = Faults(),  # noqa: B008 (frozen)

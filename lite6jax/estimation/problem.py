@@ -71,7 +71,7 @@ class Component(NamedTuple):
     column: Array
 
 
-class Quantity(NamedTuple):
+class DriverValues(NamedTuple):
     """A driver of nonparametric effects.
 
     Attributes:
@@ -202,14 +202,14 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def components(self) -> tuple[Component, ...]: ...
     @property
-    def quantities(self) -> tuple[Quantity, ...]: ...
+    def quantities(self) -> tuple[DriverValues, ...]: ...
     @property
     def every_run(self) -> NDArray[np.integer]: ...
 
     def process(
         self,
         component: Component,
-        quantities: Sequence[Quantity],
+        quantities: Sequence[DriverValues],
         kernel: str,
         spread: float,
         rolloff: tuple[float, ...] = (),

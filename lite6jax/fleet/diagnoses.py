@@ -9,7 +9,7 @@ import pyarrow as pa
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.fleet.place import DIED, Place, list_recordings
+from lite6jax.fleet.place import DIED, StorageFolder, list_recordings
 from lite6jax.workers import Workers, run_batches
 
 with import_lazily():  # where a recording is diagnosed, or all are pooled
@@ -69,9 +69,10 @@ def diagnose_folder(
     number of recordings done since the last call, and of all; the other arguments are those of `run_batches`.
 
     Raises:
-        InputError: as `Place.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the recordings.
+        InputError: as `StorageFolder.of`, `list_recordings` and `run_batches`; `out` is no folder, or that of the
+            recordings.
     """
-    place = Place.of(folder)
+    place = StorageFolder.of(folder)
     names = list_recordings(place)
     table = _make_folder(out, place) / TABLE
     storage.check_writable(table, overwrite)
@@ -151,7 +152,7 @@ def _table(row: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> pa.T
     return table
 
 
-def _make_folder(out: Path, place: Place) -> Path:
+def _make_folder(out: Path, place: StorageFolder) -> Path:
     if not place.remote and out.exists() and out.samefile(place.root):
         raise InputError(f"{out}: is the folder of the recordings; write to another")
     try:

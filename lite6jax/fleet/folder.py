@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lite6jax import storage, suffixes
 from lite6jax.calibration.quality import Quality, Result, quality_of_calibration
 from lite6jax.deferred import import_lazily
-from lite6jax.fleet.place import DIED, Place, attempt, divide, guess_kind, list_fleet
+from lite6jax.fleet.place import DIED, StorageFolder, attempt, divide, guess_kind, list_fleet
 from lite6jax.workers import run_batches
 
 with import_lazily():  # a program that has others do this does not import what it takes
@@ -69,9 +69,9 @@ def fit_folder(
     are those of `run_batches`.
 
     Raises:
-        InputError: as `Place.of`, `list_fleet` and `run_batches`.
+        InputError: as `StorageFolder.of`, `list_fleet` and `run_batches`.
     """
-    place = Place.of(folder)
+    place = StorageFolder.of(folder)
     out = Path(out)
     names = list_fleet(place, out)
     return run_batches(
@@ -87,7 +87,7 @@ def fit_folder(
     )
 
 
-def fit_names(names: Sequence[str], place: Place, nominal: "Arm | None") -> "pa.Table":
+def fit_names(names: Sequence[str], place: StorageFolder, nominal: "Arm | None") -> "pa.Table":
     """The rows of some files of a folder, in their order."""
     with place.local_folder(names) as folder:
         rows = fit_files([folder / name for name in names], nominal, lambda message: place.show(message, folder))

@@ -57,7 +57,7 @@ def attempt(path: Path, work: Callable[[], T]) -> tuple[T | None, str]:
 
 @final
 @dataclass(frozen=True)
-class Place:
+class StorageFolder:
     """A folder, or what is like one in an object store.
 
     Attributes:
@@ -71,7 +71,7 @@ class Place:
     remote: bool
 
     @classmethod
-    def of(cls, folder: str | Path) -> "Place":
+    def of(cls, folder: str | Path) -> "StorageFolder":
         """The folder of a path or a URL; what is behind a URL is looked at when it is listed.
 
         Raises:
@@ -142,12 +142,12 @@ class Place:
         return message.replace(f"{folder}{os.sep}", before)
 
 
-def list_fleet(place: Place, out: Path) -> list[str]:
+def list_fleet(place: StorageFolder, out: Path) -> list[str]:
     """The calibrations and recordings of a folder, without its subfolders; a recording's sidecar belongs to it and is
     not listed, and neither is `out`, the table that is to be written.
 
     Raises:
-        InputError: none is there, the table would replace one of them, or as `Place.names`.
+        InputError: none is there, the table would replace one of them, or as `StorageFolder.names`.
     """
     listed = _without_growing(place.names())
     names = [
@@ -167,11 +167,11 @@ def list_fleet(place: Place, out: Path) -> list[str]:
     return names
 
 
-def list_recordings(place: Place) -> list[str]:
+def list_recordings(place: StorageFolder) -> list[str]:
     """The recordings of a folder: files, and folders that hold one.
 
     Raises:
-        InputError: there are none, or as `Place.names`.
+        InputError: there are none, or as `StorageFolder.names`.
     """
     kinds = (*suffixes.WRITTEN_TABLES, *suffixes.LOG_FILES)
 

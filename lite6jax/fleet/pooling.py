@@ -31,8 +31,8 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet.hierarchy import ArmLikelihoods, fitted
-from lite6jax.fleet.reduced import SCREENED, Evidence, ReducedArm, Scan, chi_squared, order_grid
-from lite6jax.fleet.terms import CUBICS, SPLINES, PooledTerm, PoolingOptions, Process, Tested, Tried
+from lite6jax.fleet.reduced import SCREENED, RecordingEvidence, RecordingScan, ReducedArm, chi_squared, order_grid
+from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm, PoolingOptions, Tested, Tried
 from lite6jax.workers import Workers
 
 Array = NDArray[np.floating]
@@ -47,7 +47,7 @@ _FINER = np.linspace(-1.0, 1.0, 9)
 
 @final
 @dataclass(frozen=True)
-class Weighed:
+class PooledEvidence:
     """What all arms say of one term.
 
     Attributes:
@@ -64,7 +64,7 @@ class Weighed:
     """
 
     term: Tested
-    evidence: tuple[Evidence | None, ...]
+    evidence: tuple[RecordingEvidence | None, ...]
     cost: float
     gain: float = 0.0
     likelihood: float = 0.0
@@ -100,7 +100,9 @@ class Weighed:
         return ArmLikelihoods(score, information, np.array(typical, float), self.variance)
 
 
-def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, cost: float = 0.0) -> Weighed:
+def weigh(
+    term: Tested, evidence: Sequence[RecordingEvidence | None], confounded: float, cost: float = 0.0
+) -> PooledEvidence:
     """The evidence of a term over all ways, of what each arm says, None of one that does not show it.
 
     `cost` is −ln of its prior probability. Eigenvalues over the largest that are below `confounded` are in the model's
@@ -108,7 +110,7 @@ def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, 
     """
     shown = [arm_evidence for arm_evidence in evidence if arm_evidence is not None]
     if len(shown) < 2:  # which a hierarchical model takes
-        return Weighed(term, tuple(evidence), cost)
+        return PooledEvidence(term, tuple(evidence), cost)
     b = np.array([arm_evidence.score for arm_evidence in shown])
     G = np.array([arm_evidence.information for arm_evidence in shown])
     spread = np.sum([arm_evidence.covariance for arm_evidence in shown], 0) * scaled_inverse(G.sum(0), _ROUNDING)
@@ -118,7 +120,7 @@ def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, 
 
     def of(score: Array, information: Array, residual_squares: float, freedom: float) -> tuple[float, float, float]:
         """Evidence, likelihood and variance of several scores `(several, number)` and their information."""
-        if not isinstance(term, Process):
+        if not isinstance(term, FleetProcess):
             statistic, size = np.sum(chi_squared(score, information), 1)
             gain = evidence_of_names(statistic, size, residual_squares, freedom)
             return float(gain), float(_log(statistic, residual_squares, freedom)), np.inf
@@ -143,7 +145,9 @@ def weigh(term: Tested, evidence: Sequence[Evidence | None], confounded: float, 
     )
     ways.append(((gain - float(np.log(len(evidence))), likelihood, variance), "one"))
     (gain, likelihood, variance), sharing = max(ways, key=lambda alternative: alternative[0])
-    return Weighed(term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, sharing, variance)
+    return PooledEvidence(
+        term, tuple(evidence), cost, gain - float(np.log(len(ways))), likelihood, scatter, sharing, variance
+    )
 
 
 def evidence_of_names(statistic: ArrayLike, size: ArrayLike, residual_squares: float, freedom: float) -> Array:
@@ -165,17 +169,19 @@ def _log(explained: ArrayLike, residual_squares: float, freedom: float) -> Array
 # ------------------------------------------------------------------ a search's scan
 
 
-def screen(scans: Iterable[Scan], confounded: float) -> tuple[dict[str, list[Evidence | None]], dict[str, Array]]:
+def screen(
+    scans: Iterable[RecordingScan], confounded: float
+) -> tuple[dict[str, list[RecordingEvidence | None]], dict[str, Array]]:
     """What all recordings say of all that is tested.
 
     Of processes that are others in each arm it is approximate: F. Satterthwaite's equal directions (Biometrics Bulletin
     2, 1946).
 
     Returns:
-        of each candidate by its key what each arm says; and by the keys of `Scan.groups`, the evidence of each group
-        `(group,)`.
+        of each candidate by its key what each arm says; and by the keys of `RecordingScan.groups`, the evidence of each
+        group `(group,)`.
     """
-    candidate_evidence = dict[str, list[Evidence | None]]()
+    candidate_evidence = dict[str, list[RecordingEvidence | None]]()
     total = dict[str, list[Array]]()
     alone = dict[str, Array]()
     arms, S, v = 0, 0.0, 0.0
@@ -218,11 +224,11 @@ class Reduced:
         """The files of `ReducedArm.to_bytes`, thresholds, and workers that are started; computes nothing."""
         self._stored, self.options, self._workers = tuple(stored), options, workers
 
-    def scans(self, beside: Sequence[Tested], candidate_terms: Tried) -> Iterator[Scan]:
+    def scans(self, beside: Sequence[Tested], candidate_terms: Tried) -> Iterator[RecordingScan]:
         """What each recording says of all that is tested, beside some terms, in order."""
         return self._answers(scan_beside, tuple(beside), (*candidate_terms.singles, *candidate_terms.pairs))
 
-    def evidence(self, requests: Sequence[Asked]) -> list[list[Evidence | None]]:
+    def evidence(self, requests: Sequence[Asked]) -> list[list[RecordingEvidence | None]]:
         """For each recording, what it says of each term that is asked for."""
         return list(self._answers(measure, tuple(requests)))
 
@@ -250,13 +256,13 @@ def answer(stored: Sequence[bytes], question: Callable[..., Any], *arguments: An
 
 
 def scan_beside(
-    arm: ReducedArm, options: PoolingOptions, beside: tuple[Tested, ...], processes: tuple[Process, ...]
-) -> Scan:
-    """The `Scan` of one recording beside some terms."""
+    arm: ReducedArm, options: PoolingOptions, beside: tuple[Tested, ...], processes: tuple[FleetProcess, ...]
+) -> RecordingScan:
+    """The `RecordingScan` of one recording beside some terms."""
     return arm.beside(beside, options).scan(processes, options)
 
 
-def measure(arm: ReducedArm, options: PoolingOptions, requests: tuple[Asked, ...]) -> list[Evidence | None]:
+def measure(arm: ReducedArm, options: PoolingOptions, requests: tuple[Asked, ...]) -> list[RecordingEvidence | None]:
     """What one recording says of each term that is asked for."""
     arm_beside = {beside: arm.beside(beside, options) for beside in {beside for _, beside in requests}}
     return [arm_beside[beside].evidence(term, options) for term, beside in requests]
@@ -283,9 +289,9 @@ class Search:
         """Computes nothing; `progress` is called with the number of effects at each round."""
         self._reduced, self._tried, self._progress = reduced, candidate_terms, progress
         self._options, self._least = reduced.options, -float(np.log(reduced.options.engine.level))
-        self._known: dict[frozenset[Tested], list[Weighed]] = {}
+        self._known: dict[frozenset[Tested], list[PooledEvidence]] = {}
 
-    def selected(self) -> list[Weighed]:
+    def selected(self) -> list[PooledEvidence]:
         """The effects, in the order in which they were found, each with its alternatives."""
         terms = self._grown([])
         for _ in range(self._options.engine.exchanges):
@@ -344,7 +350,7 @@ class Search:
                 return self._dropped([*remaining_terms, replacement.term])
         return None
 
-    def _reviewed(self, weighed: Weighed, other_terms: list[Tested]) -> Weighed:
+    def _reviewed(self, weighed: PooledEvidence, other_terms: list[Tested]) -> PooledEvidence:
         """With its rivals, and of a process the nearest name."""
         rivals = [
             rival
@@ -354,7 +360,7 @@ class Search:
         gaps = [(rival.term, max(weighed.net - rival.net, 0.0)) for rival in rivals[: self._options.engine.listed]]
         named_rivals = [(rival.likelihood, rival.term) for rival in rivals if isinstance(rival.term, PooledTerm)]
         nearest = None
-        if isinstance(weighed.term, Process) and named_rivals:
+        if isinstance(weighed.term, FleetProcess) and named_rivals:
             likelihood, term = max(named_rivals, key=lambda pair: pair[0])
             nearest = term, float(np.clip(likelihood / weighed.likelihood, 0.0, 1.0))
         return replace(
@@ -363,7 +369,7 @@ class Search:
 
     # -------------------------------------------------------------- what is likeliest
 
-    def _ranked(self, beside: Sequence[Tested]) -> list[Weighed]:
+    def _ranked(self, beside: Sequence[Tested]) -> list[PooledEvidence]:
         """All that is likely and possible beside some terms, the likeliest first; of processes the likeliest kernel."""
         key = frozenset(beside)
         if key not in self._known:
@@ -375,7 +381,7 @@ class Search:
                 *(self._weighed(PooledTerm(name), evidence) for name, evidence in candidate_evidence.items()),
                 *self._measured(requests),
             ]
-            likeliest_by_key: dict[str, Weighed] = {}
+            likeliest_by_key: dict[str, PooledEvidence] = {}
             for weighed in sorted(weighed_terms, key=lambda weighed: -weighed.net):
                 if weighed.gain > 0 and self._is_possible(weighed):
                     likeliest_by_key.setdefault(weighed.term.key, weighed)
@@ -409,19 +415,19 @@ class Search:
 
     # -------------------------------------------------------------- measured in every arm
 
-    def _beside_others(self, terms: Sequence[Tested]) -> list[Weighed]:
+    def _beside_others(self, terms: Sequence[Tested]) -> list[PooledEvidence]:
         return self._measured(
             [(term, tuple(other_term for other_term in terms if other_term != term)) for term in terms]
         )
 
-    def _measured(self, requests: Sequence[Asked]) -> list[Weighed]:
+    def _measured(self, requests: Sequence[Asked]) -> list[PooledEvidence]:
         columns = zip(*self._reduced.evidence(requests), strict=True) if requests else ()
         return [self._weighed(term, column) for (term, _), column in zip(requests, columns, strict=True)]
 
-    def _weighed(self, term: Tested, evidence: Sequence[Evidence | None]) -> Weighed:
+    def _weighed(self, term: Tested, evidence: Sequence[RecordingEvidence | None]) -> PooledEvidence:
         return weigh(term, evidence, self._options.engine.confounded, self._tried.cost(term))
 
-    def _is_possible(self, weighed: Weighed) -> bool:
+    def _is_possible(self, weighed: PooledEvidence) -> bool:
         """Whether the mean is not far outside what the named effect can be, as far as that matters."""
         candidate = self._tried.candidate(weighed.term)
         lower, upper = np.array(candidate.lower), np.array(candidate.upper)

@@ -12,8 +12,8 @@ from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet import FLEET
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
-from lite6jax.fleet.pooling import Reduced, Search, Weighed
-from lite6jax.fleet.terms import Candidate, PoolingOptions, Process, Tested, Tried
+from lite6jax.fleet.pooling import PooledEvidence, Reduced, Search
+from lite6jax.fleet.terms import Candidate, FleetProcess, PoolingOptions, Tested, Tried
 
 Array = NDArray[np.floating]
 
@@ -51,7 +51,7 @@ class TypeEffect:
         outliers: p-values of the arms that differ from the others, family-wise over arms and effects, by arm.
     """
 
-    selected: Weighed
+    selected: PooledEvidence
     candidate: Candidate
     hierarchy: Hierarchy
     outliers: Mapping[int, float]
@@ -127,7 +127,7 @@ class Population:
     def _named(self, term: Tested) -> dict[str, Any]:
         candidate = self.tried.candidate(term)
         further = dict[str, Any]()
-        if isinstance(term, Process):
+        if isinstance(term, FleetProcess):
             further = {"component": term.component, "kernel": term.kernel}
         elif term.order is not None:
             further = {"order": term.order}
@@ -148,7 +148,7 @@ class Population:
             },
             "between_p_value": hierarchy.between_p_value,
         }
-        if isinstance(selected.term, Process):
+        if isinstance(selected.term, FleetProcess):
             document |= _curve(selected.term, hierarchy)
         elif selected.term.order is not None:
             unit = names[0].rpartition("_")[2]
@@ -176,7 +176,7 @@ def _interval(hierarchy: Hierarchy, number: int) -> dict[str, Any]:
     return {"mean": value, "std": std, "interval_95": [value - half, value + half]}
 
 
-def _curve(process: Process, hierarchy: Hierarchy) -> dict[str, Any]:
+def _curve(process: FleetProcess, hierarchy: Hierarchy) -> dict[str, Any]:
     """The mean of a process of one driver, or of one and of a direction of motion, then forwards."""
     further = [driver_of(phrase).discrete for phrase in process.drivers[1:]]
     if not all(further):
@@ -215,7 +215,7 @@ def diagnose_population(
     return Population(arm, tuple(members), tuple(effects), candidate_terms, reduced.options)
 
 
-def _effect(selected: Weighed, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:
+def _effect(selected: PooledEvidence, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
     evidence = selected.evidence
     included = list(range(len(evidence)))

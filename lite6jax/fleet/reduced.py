@@ -24,7 +24,17 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import block_covariance, sums_by_block
-from lite6jax.fleet.terms import CUBICS, SPLINES, Candidate, Place, PooledTerm, PoolingOptions, Process, Tested, Varied
+from lite6jax.fleet.terms import (
+    CUBICS,
+    SPLINES,
+    Candidate,
+    FleetComponent,
+    FleetProcess,
+    PooledTerm,
+    PoolingOptions,
+    Tested,
+    Varied,
+)
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
@@ -67,12 +77,12 @@ class Heading(NamedTuple):
     found: tuple[tuple[str, float], ...]
     candidates: tuple[Candidate, ...]
     families: tuple[Candidate, ...]
-    places: tuple[Place, ...]
+    places: tuple[FleetComponent, ...]
     quantities: tuple[Varied, ...]
     version: int = 4
 
 
-class Evidence(NamedTuple):
+class RecordingEvidence(NamedTuple):
     """What a recording says of one effect beside others, as a likelihood that is normal in its numbers.
 
     Attributes:
@@ -90,7 +100,7 @@ class Evidence(NamedTuple):
     freedom: float
 
 
-class Screened(NamedTuple):
+class GroupScores(NamedTuple):
     """What a recording says of groups of functions.
 
     Attributes:
@@ -105,7 +115,7 @@ class Screened(NamedTuple):
     sums: Array
 
 
-class Scan(NamedTuple):
+class RecordingScan(NamedTuple):
     """What a recording says of all that is tested.
 
     Attributes:
@@ -114,8 +124,8 @@ class Scan(NamedTuple):
         left, freedom: as in `Evidence`.
     """
 
-    named: dict[str, Evidence | None]
-    groups: dict[str, Screened]
+    named: dict[str, RecordingEvidence | None]
+    groups: dict[str, GroupScores]
     left: float
     freedom: float
 
@@ -209,7 +219,7 @@ class ReducedArm:
 
     def columns_of(self, term: Tested) -> Array:
         """`(number, reading)`; none where the recording cannot show the term."""
-        if isinstance(term, Process):
+        if isinstance(term, FleetProcess):
             if not self._has(term):
                 return self.columns[:0]
             return self._moved(self._places[term.site, term.component], self._functions(term))
@@ -221,7 +231,7 @@ class ReducedArm:
             return self.columns[:0]
         return self._moved(self._place_of(family), self._waves(family, np.array([term.order]))[0])
 
-    def _has(self, process: Process) -> bool:
+    def _has(self, process: FleetProcess) -> bool:
         return (process.site, process.component) in self._places and set(process.drivers) <= set(self._values)
 
     def _place_of(self, family: Candidate) -> Array:
@@ -232,7 +242,7 @@ class ReducedArm:
         turned = np.multiply.outer(orders, self._values[family.driver])
         return self._seen(np.stack([np.sin(turned), np.cos(turned)], 1))
 
-    def _functions(self, process: Process) -> Array:
+    def _functions(self, process: FleetProcess) -> Array:
         """`(function, sample)`, as the measurements show them."""
         return self._seen(process.functions(np.stack([self._values[phrase] for phrase in process.drivers]), self.run))
 
@@ -265,7 +275,7 @@ class ReducedArm:
         basis = np.concatenate([self.basis, new])
         return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
-    def evidence(self, term: Tested, options: PoolingOptions) -> Evidence | None:
+    def evidence(self, term: Tested, options: PoolingOptions) -> RecordingEvidence | None:
         """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
         columns = self.columns_of(term)
         projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
@@ -283,9 +293,11 @@ class ReducedArm:
         along = V.T @ (per_block.sum(1) / length)
         information = (V * eigenvalues) @ V.T * np.outer(length, length)
         covariance = block_covariance(projected, per_block, V @ (along / eigenvalues) / length, self._by_block)
-        return Evidence(-V @ along * length, information, covariance, float(self.left @ self.left), self.freedom)
+        return RecordingEvidence(
+            -V @ along * length, information, covariance, float(self.left @ self.left), self.freedom
+        )
 
-    def scan(self, processes: Sequence[Process], options: PoolingOptions) -> Scan:
+    def scan(self, processes: Sequence[FleetProcess], options: PoolingOptions) -> RecordingScan:
         """What the recording says of all candidates, of all waves, and of functions that processes are screened by."""
         candidate_evidence = {
             candidate.key: self.evidence(PooledTerm(candidate.key), options) for candidate in self.heading.candidates
@@ -295,9 +307,9 @@ class ReducedArm:
             groups[kernel] = self._screened(
                 [process for process in processes if process.kernel == kernel], SCREENED[kernel], options
             )
-        return Scan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
+        return RecordingScan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
 
-    def _spectrum(self, family: Candidate, options: PoolingOptions) -> Screened:
+    def _spectrum(self, family: Candidate, options: PoolingOptions) -> GroupScores:
         """Of the waves of a family."""
         orders = order_grid(options)
         place = self._place_of(family)
@@ -316,9 +328,11 @@ class ReducedArm:
                 waves = (noise.whitened(waves[:, :, None] * site) * self.training).reshape(len(waves), 2, -1)
             score[part], information[part] = _equations(waves, *measured, options.engine.confounded)
         statistic, size = chi_squared(score, information)
-        return Screened(score, information, np.stack([statistic, size, size])[..., None])
+        return GroupScores(score, information, np.stack([statistic, size, size])[..., None])
 
-    def _screened(self, processes: Sequence[Process], roots: Sequence[Array], options: PoolingOptions) -> Screened:
+    def _screened(
+        self, processes: Sequence[FleetProcess], roots: Sequence[Array], options: PoolingOptions
+    ) -> GroupScores:
         """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
         groups, size = len(processes), len(roots[0])
         score, information = np.zeros((groups, size)), np.zeros((groups, size, size))
@@ -338,7 +352,7 @@ class ReducedArm:
             varying = R[:, 1:]  # without the constant, which is larger than all else
             G = varying.T @ information @ varying
             sums[:, :, k] = np.sum((score @ varying) ** 2, 1), np.trace(G, axis1=1, axis2=2), np.sum(G**2, (1, 2))
-        return Screened(score, information, sums)
+        return GroupScores(score, information, sums)
 
     def _over_rows(self, place: Array) -> tuple[Array, Array]:
         """Sums over the rows of each sample of a place's square, and of it times what is left and the basis."""

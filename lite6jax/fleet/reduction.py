@@ -13,7 +13,7 @@ from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.fleet.reduced import Heading, ReducedArm, readings
-from lite6jax.fleet.terms import Candidate, Place, Varied
+from lite6jax.fleet.terms import Candidate, FleetComponent, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
 
 
@@ -70,7 +70,8 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
                 if isinstance(wave, Effect) and wave.drivers[0].phrase in phrases and wave.site in sites
             ),
             places=tuple(
-                Place(component.site, component.name, unit) for component, unit in zip(components, units, strict=True)
+                FleetComponent(component.site, component.name, unit)
+                for component, unit in zip(components, units, strict=True)
             ),
             quantities=tuple(map(Varied.of, quantities)),
         ),

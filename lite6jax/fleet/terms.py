@@ -16,7 +16,7 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.documented import option
 from lite6jax.estimation.evidence import log_orders
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Problem, Quantity
+from lite6jax.estimation.problem import Component, DriverValues, Problem
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import PAIRS, SINGLE, Scan
 
@@ -95,7 +95,7 @@ class PooledTerm(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Process:
+class FleetProcess:
     """A Gaussian process of one driver or of two at a component of a site, over the ranges of all recordings.
 
     Attributes:
@@ -135,10 +135,10 @@ class Process:
         return np.asarray(kernels.features(self.kernel, cast(Any, values), self.bounds, cast(Any, run)))
 
 
-Tested = PooledTerm | Process
+Tested = PooledTerm | FleetProcess
 
 
-class Place(NamedTuple):
+class FleetComponent(NamedTuple):
     """A component at which processes can act, and the unit of what it adds."""
 
     site: str
@@ -162,7 +162,7 @@ class Varied(NamedTuple):
     only: str = ""
 
     @classmethod
-    def of(cls, quantity: Quantity) -> "Varied":
+    def of(cls, quantity: DriverValues) -> "Varied":
         """What a recording says of one of its quantities."""
         quantiles = np.quantile(quantity.values, np.linspace(0, 1, 5), method="nearest")
         return cls(quantity.driver, tuple(quantiles.tolist()), quantity.own, quantity.only)
@@ -182,8 +182,8 @@ class Tried:
     def __init__(self, recordings: Iterable[Any], options: EngineOptions) -> None:
         """What one of the recordings can be tested for at least, by their headings."""
         self.named, self.families, self._options = dict[str, Candidate](), dict[str, Candidate](), options
-        places = dict[Place, None]()
-        varied = dict[str, Quantity]()
+        places = dict[FleetComponent, None]()
+        varied = dict[str, DriverValues]()
         for heading in recordings:
             self.named |= {
                 candidate.key: candidate for candidate in heading.candidates if candidate.key not in self.named
@@ -191,7 +191,7 @@ class Tried:
             self.families |= {family.key: family for family in heading.families if family.key not in self.families}
             places |= dict.fromkeys(heading.places)
             for driver, sample_values, sites, only in heading.quantities:
-                quantity = varied.setdefault(driver.phrase, Quantity(driver, np.zeros(0), sites, only))
+                quantity = varied.setdefault(driver.phrase, DriverValues(driver, np.zeros(0), sites, only))
                 varied[driver.phrase] = quantity._replace(values=np.concatenate([quantity.values, sample_values]))
         self._places, self._place_of = tuple(places), {phrase: k for k, phrase in enumerate(varied)}
         self.components = tuple(Component(place.site, place.name, np.zeros((0, 0))) for place in places)
@@ -199,7 +199,7 @@ class Tried:
         self._scan = Scan(cast(Problem, self), options)  # of a problem, costs need no more than is here
 
     @cached_property
-    def singles(self) -> tuple[Process, ...]:
+    def singles(self) -> tuple[FleetProcess, ...]:
         """Splines of each quantity at each component where it can act."""
         count = range(len(self.quantities))
         may_act = self._scan.may_act
@@ -208,7 +208,7 @@ class Tried:
         )
 
     @cached_property
-    def pairs(self) -> tuple[Process, ...]:
+    def pairs(self) -> tuple[FleetProcess, ...]:
         """Products of two cubics of each pair of a site's own quantities, one of few values last."""
         processes = []
         for place in self._places:
@@ -219,7 +219,7 @@ class Tried:
             ]
         return tuple(processes)
 
-    def with_every_kernel(self, process: Process) -> list[Process]:
+    def with_every_kernel(self, process: FleetProcess) -> list[FleetProcess]:
         """The processes of the same quantities at the same component."""
         quantity_indices = tuple(self._place_of[phrase] for phrase in process.drivers)
         names = SINGLE if len(quantity_indices) == 1 else PAIRS
@@ -227,13 +227,13 @@ class Tried:
 
     def candidate(self, term: Tested) -> Candidate:
         """A term as a report names it."""
-        if isinstance(term, Process):
+        if isinstance(term, FleetProcess):
             return term.candidate
         return self.families[term.key] if term.order is not None else self.named[term.key]
 
     def cost(self, term: Tested) -> float:
         """−ln of the prior probability of a term, as in the search of one recording."""
-        if isinstance(term, Process):
+        if isinstance(term, FleetProcess):
             return self._scan.cost_of_process(term.site, tuple(self._place_of[phrase] for phrase in term.drivers))
         if term.order is not None:
             return float(self.cost_of_waves(np.array(term.order)))
@@ -243,7 +243,7 @@ class Tried:
         """Of a wave of each order `(order,)` of one family."""
         return self._options.prior.cost("wave") + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
-    def _process(self, place: Place, kernel: str, *indices: int) -> Process:
+    def _process(self, place: FleetComponent, kernel: str, *indices: int) -> FleetProcess:
         quantities = [self.quantities[k] for k in indices]
         bounds = tuple(bound for quantity in quantities for bound in quantity.bounds)
-        return Process(*place, tuple(quantity.driver.phrase for quantity in quantities), bounds, kernel)
+        return FleetProcess(*place, tuple(quantity.driver.phrase for quantity in quantities), bounds, kernel)

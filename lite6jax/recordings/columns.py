@@ -15,7 +15,7 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 
-class Quantity(NamedTuple):
+class ColumnQuantity(NamedTuple):
     """What a column may hold.
 
     Attributes:
@@ -81,29 +81,31 @@ def _per(time: str) -> tuple[dict[str, float], dict[str, float]]:
 
 
 _NONE = {"": 1.0}
-QUANTITIES: Mapping[str, Quantity] = {
-    "time": Quantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12),
-    "q": Quantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi),  # a joint that counts its turns on and on
-    "dq": Quantity(*_per("s"), True, "joint_velocity", 1e4),
-    "ddq": Quantity(*_per("s2"), True, "joint_acceleration", 1e7),
-    "tau": Quantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5),
-    "current": Quantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5),
-    "temp": Quantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4),
-    "cmd": Quantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
-    "ambient": Quantity({"degC": 1.0}, array="ambient_temperature", largest=1e4),
-    "payload": Quantity({"kg": 1.0}, array="payload", largest=1e5),
-    "run": Quantity(_NONE, array="run"),
-    **dict.fromkeys(PLACE, Quantity(_LENGTH, array="position", largest=1e7)),  # which a float resolves to nanometres
-    **dict.fromkeys(DEVIATION, Quantity(_LENGTH, common=False)),
-    **dict.fromkeys(QUATERNION, Quantity(_NONE, array="quaternion")),
-    **dict.fromkeys(MATRIX, Quantity(_NONE)),
-    **{part: Quantity(_ANGLE, common=False) for form in ANGLES for part in form},
-    "missing": Quantity(_NONE),
-    "distance": Quantity(_LENGTH, common=False),
-    "axis": Quantity(_LENGTH, common=False),
-    "corner": Quantity(_NONE),
-    **dict.fromkeys(("u", "v"), Quantity({"px": 1.0}, common=False)),
-    **dict.fromkeys(LABELS, Quantity(_NONE)),
+QUANTITIES: Mapping[str, ColumnQuantity] = {
+    "time": ColumnQuantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12),
+    "q": ColumnQuantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi),  # a joint that counts its turns on and on
+    "dq": ColumnQuantity(*_per("s"), True, "joint_velocity", 1e4),
+    "ddq": ColumnQuantity(*_per("s2"), True, "joint_acceleration", 1e7),
+    "tau": ColumnQuantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5),
+    "current": ColumnQuantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5),
+    "temp": ColumnQuantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4),
+    "cmd": ColumnQuantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
+    "ambient": ColumnQuantity({"degC": 1.0}, array="ambient_temperature", largest=1e4),
+    "payload": ColumnQuantity({"kg": 1.0}, array="payload", largest=1e5),
+    "run": ColumnQuantity(_NONE, array="run"),
+    **dict.fromkeys(
+        PLACE, ColumnQuantity(_LENGTH, array="position", largest=1e7)
+    ),  # which a float resolves to nanometres
+    **dict.fromkeys(DEVIATION, ColumnQuantity(_LENGTH, common=False)),
+    **dict.fromkeys(QUATERNION, ColumnQuantity(_NONE, array="quaternion")),
+    **dict.fromkeys(MATRIX, ColumnQuantity(_NONE)),
+    **{part: ColumnQuantity(_ANGLE, common=False) for form in ANGLES for part in form},
+    "missing": ColumnQuantity(_NONE),
+    "distance": ColumnQuantity(_LENGTH, common=False),
+    "axis": ColumnQuantity(_LENGTH, common=False),
+    "corner": ColumnQuantity(_NONE),
+    **dict.fromkeys(("u", "v"), ColumnQuantity({"px": 1.0}, common=False)),
+    **dict.fromkeys(LABELS, ColumnQuantity(_NONE)),
 }
 OF_ARRAY: dict[str, tuple[str, ...]] = {
     definition.array: tuple(name for name, sibling in QUANTITIES.items() if sibling.array == definition.array)

@@ -48,7 +48,7 @@ class ArmJoints(NamedTuple):
         return cls() if arm is None else arm
 
 
-class _Chosen(NamedTuple):
+class _Topic(NamedTuple):
     """A topic, and of transforms the frame whose poses are wanted; None where there is only one."""
 
     topic: str
@@ -150,18 +150,18 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 # ------------------------------------------------------------------ topics
 
 
-def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> tuple[_Chosen, _Chosen | None]:
+def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> tuple[_Topic, _Topic | None]:
     """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
     available = _topics_of(types)
     chosen = []
     for name in topics:
         topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
-        chosen.append(_Chosen(topic, child) if mark and types.get(topic) == TF else _Chosen(name))
+        chosen.append(_Topic(topic, child) if mark and types.get(topic) == TF else _Topic(name))
         if types.get(chosen[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
             raise InputError(
                 f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {available}; name those to be read"
             )
-    candidates = chosen or [_Chosen(topic) for topic in types]
+    candidates = chosen or [_Topic(topic) for topic in types]
     joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
     poses = [choice for choice in candidates if types[choice.topic] in (POSE_STAMPED, TRANSFORM)]
     poses = poses or [
@@ -188,7 +188,7 @@ def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
     return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
 
 
-def _series(path: Path, chosen: _Chosen, messages: list[tuple[Any, int, int]]) -> _Series:
+def _series(path: Path, chosen: _Topic, messages: list[tuple[Any, int, int]]) -> _Series:
     """The messages of a topic with their stamps: the headers', or the log's where no header has any.
 
     Raises:

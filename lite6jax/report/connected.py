@@ -14,7 +14,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.start import calibration_poses, check_positions
 from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.rows import Rows
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, KinematicsCheck
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
 from lite6jax.report.words import SCREEN, STATISTICS, fill, fixed, listing, number, read_texts, say
@@ -57,7 +57,7 @@ def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
     return table
 
 
-def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
+def verification_report(verification: KinematicsCheck, where: str) -> Iterator[RenderableType]:
     """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
     texts = _TEXTS["verification"]
     facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}

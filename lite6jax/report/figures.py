@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
-from lite6jax.controller.sdk import GATE_M, Verification
+from lite6jax.controller.sdk import GATE_M, KinematicsCheck
 from lite6jax.errors import InputError
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report.words import SCREEN, joint_units
@@ -289,7 +289,7 @@ def _short(name: str, k: int) -> str:
 
 
 @rc_context(STYLE)
-def verification_figure(verification: Verification, title: str) -> Figure:
+def verification_figure(verification: KinematicsCheck, title: str) -> Figure:
     """The position difference from the controller against each joint, in nm, µm or mm."""
     q = np.rad2deg(verification.joint_position)
     position = verification.position

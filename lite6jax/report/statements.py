@@ -32,7 +32,7 @@ from lite6jax.report.words import (
     NAMED,
     NAMED_OF_TORQUES,
     SCREEN,
-    Quantity,
+    RoundedParameter,
     capital,
     each_with_unit,
     fill,
@@ -263,7 +263,7 @@ def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
                 yield fill(_TEXTS["gear"], {"driving": driving, "driven": driven}, site=finding["site"])
 
 
-def quantities(finding: Entry) -> list[Quantity]:
+def quantities(finding: Entry) -> list[RoundedParameter]:
     """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
     special_units = NAMED_OF_TORQUES if is_of_torques(finding) else NAMED
     estimates = finding.get("peak_to_peak", finding["parameters"])

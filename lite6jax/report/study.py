@@ -17,7 +17,7 @@ from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
 from lite6jax.design.sensor import PlacedReading, PlannedSensor
-from lite6jax.design.torques import JOINT, JOINT_UNITS, WELL, TorqueIdentification, TorqueModel, TorquePlan
+from lite6jax.design.torques import JOINT, JOINT_UNITS, WELL, TorqueExperiment, TorqueIdentification, TorquePlan
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
 from lite6jax.report.fits import parameter_tables
@@ -230,7 +230,7 @@ def discrimination_report(plan: DiscriminationPlan) -> Iterator[RenderableType]:
 # ------------------------------------------------------------------ what motions determine
 
 
-def _torque_noise(model: TorqueModel) -> str:
+def _torque_noise(model: TorqueExperiment) -> str:
     """The noise of an arm's torques in a phrase."""
     noise = model.noise.tolist()
     units = torque_units(model.arm.sliding, model.arm.dof)

@@ -224,7 +224,7 @@ _STIFF = 3.0
 _DAY = 86400.0  # s
 
 
-class Quantity(NamedTuple):
+class RoundedParameter(NamedTuple):
     """A parameter as it is read: its value rounded to its standard deviation, and that to two digits.
 
     One that was chosen has no `std`, a plain number no unit. `also` is the same in another unit.
@@ -242,7 +242,9 @@ class Quantity(NamedTuple):
         return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}{also}"
 
 
-def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = NAMED) -> Quantity:
+def quantity(
+    name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = NAMED
+) -> RoundedParameter:
     """A parameter by its name in the JSON file and its estimate, `value` and `std`; some names have special units."""
     fitting = (unit_rule for unit_rule in _UNITS if name.endswith(unit_rule[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
@@ -252,8 +254,8 @@ def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple
     value, std = scale * estimate["value"], scale * estimate["std"]
     if not std:
         # the best of a few values, or a whole number such as that of a joint
-        return Quantity(read, f"{value:.6g}" if value == round(value) else f"{value:.4g}", "", unit)
-    return Quantity(read, *rounded(value, std), unit, "" if name in named else _otherwise(end, estimate))
+        return RoundedParameter(read, f"{value:.6g}" if value == round(value) else f"{value:.4g}", "", unit)
+    return RoundedParameter(read, *rounded(value, std), unit, "" if name in named else _otherwise(end, estimate))
 
 
 def _otherwise(end: str, estimate: Mapping[str, float]) -> str:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, Quantity, wave_of
+from lite6jax.estimation.problem import Component, DriverValues, Mask, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
@@ -341,7 +341,7 @@ class Scan:
 
 
 @final
-class Weighed:
+class ModelScan:
     """What is tried, beside one model, of what acts on some rows."""
 
     def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
@@ -866,13 +866,13 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
     return list(likeliest.values())
 
 
-def _is_own(quantity: Quantity, site: str) -> bool:
+def _is_own(quantity: DriverValues, site: str) -> bool:
     return site in quantity.own or "" in quantity.own
 
 
-def _is_discrete(quantity: Quantity) -> bool:
+def _is_discrete(quantity: DriverValues) -> bool:
     return bool(quantity.driver.discrete) or len(np.unique(np.round(quantity.values[:200], 6))) <= 3
 
 
-def _is_angle(quantity: Quantity) -> bool:
+def _is_angle(quantity: DriverValues) -> bool:
     return bool(quantity.driver.is_angle)

@@ -11,7 +11,7 @@ from lite6jax.estimation.problem import Mask, Problem, WanderingProblem, lineari
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.progress import entered
-from lite6jax.search.scan import Considered, Weighed
+from lite6jax.search.scan import Considered, ModelScan
 from lite6jax.search.select import Selector, is_wander
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
@@ -228,7 +228,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates = problem.candidates
     hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)
     confounded = tuple(term for term, one in zip(candidates, hidden, strict=True) if one)
-    left = Weighed(selector.scan, selector.test(state)).names_and_waves()
+    left = ModelScan(selector.scan, selector.test(state)).names_and_waves()
     best = max(left, key=lambda one: one.net, default=None)
     nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)

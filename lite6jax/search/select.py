@@ -30,7 +30,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.search.scan import NEARLY, Considered, Pair, Ranked, Scan, Weighed
+from lite6jax.search.scan import NEARLY, Considered, ModelScan, Pair, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -164,7 +164,7 @@ class Selector:
         if candidate.net < _LARGE:
             return [candidate]
         test = self.test(state)
-        named = self._not_refused(Weighed(self.scan, test).named(), test, state)
+        named = self._not_refused(ModelScan(self.scan, test).named(), test, state)
         rivals = [
             name
             for name in sorted(named, key=lambda name: -name.net)
@@ -178,14 +178,14 @@ class Selector:
         Numbers of them are chosen when all are there: that of one alone would describe what another one does.
         """
         before = state
-        while worth := self._worth(Weighed(self.scan, test := self.test(state)).usual(), test, state, set()):
+        while worth := self._worth(ModelScan(self.scan, test := self.test(state)).usual(), test, state, set()):
             state = self._within_bounds(self._with(state, *worth))
         return state if state is before else self._settled(self._estimated(state))
 
     def _next(self, state: State, tried: set[object]) -> list[Ranked]:
         """What is to be added."""
         test = self.test(state)
-        return self._worth(Weighed(self.scan, test).ranked(), test, state, tried)
+        return self._worth(ModelScan(self.scan, test).ranked(), test, state, tried)
 
     def _added(self, state: State, worth: Sequence[Ranked]) -> State:
         """The state with more terms, those within their bounds."""
@@ -320,7 +320,7 @@ class Selector:
             found = self._processes(test, component, [which, *_either(which)])
             best = max(found, key=lambda each: each.net, default=None)
         else:
-            best = Weighed(self.scan, test).like(term)
+            best = ModelScan(self.scan, test).like(term)
         if best is None:
             return replace(one, gain=0.0)
         cost = min(one.cost, best.cost) if term.nonparametric else best.cost
@@ -385,7 +385,7 @@ class Selector:
         tested = state.tested[k]
         term = tested.term
         test = self.beside(state, k)
-        weighed = Weighed(self.scan, test)
+        weighed = ModelScan(self.scan, test)
         if term.nonparametric:
             rolloff = getattr(term, "rolloff", ())
             worth = weighed.of_kernel(*self._process_of(term), _kernel_of(term), rolloff, exact=True)
@@ -487,13 +487,13 @@ class Selector:
     def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, excluded: set[str]) -> Pair | None:
         """A name with another one beside it that is not `excluded`, where the two gain a margin over its own odds."""
         likeliest = next(
-            (pair for pair in Weighed(self.scan, test).together(term) if pair.names[1].cause[0] not in excluded), None
+            (pair for pair in ModelScan(self.scan, test).together(term) if pair.names[1].cause[0] not in excluded), None
         )
         return None if likeliest is None or likeliest.net < net + self.options.margin else likeliest
 
     def _likeliest_pair_at(self, test: ScoreTest, site: str, excluded: set[str]) -> Pair | None:
         """The likeliest two names of a site, neither of them `excluded`."""
-        pairs = Weighed(self.scan, test).pairs_at(site)
+        pairs = ModelScan(self.scan, test).pairs_at(site)
         return next((pair for pair in pairs if not any(name.cause[0] in excluded for name in pair.names)), None)
 
     def _named(self, state: State, k: int) -> State | None:
@@ -552,7 +552,7 @@ class Selector:
         """The likeliest name not `excluded` that acts on some rows, of those worth their cost, usual ones first."""
         names = [
             name
-            for name in Weighed(self.scan, test).names_and_waves()
+            for name in ModelScan(self.scan, test).names_and_waves()
             if name.cause[0] not in excluded and name.net >= self.options.margin
         ]
         names = [name for name in names if (self._rows(name.make(), state) & rows).any()]
@@ -560,7 +560,7 @@ class Selector:
 
     def _processes(self, test: ScoreTest, component: Component, sets: Sequence[tuple[int, ...]]) -> list[Ranked]:
         """The likeliest kernel of each of some sets of quantities, as far as these say anything."""
-        weighed = Weighed(self.scan, test)
+        weighed = ModelScan(self.scan, test)
         return [
             likeliest
             for quantity_indices in sets
@@ -574,7 +574,7 @@ class Selector:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
             lowest_odds = state.tested[k].net - self.options.close
-            candidates = self._not_refused(Weighed(self.scan, test, rows).ranked(lowest_odds), test, state)
+            candidates = self._not_refused(ModelScan(self.scan, test, rows).ranked(lowest_odds), test, state)
             continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
             ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
@@ -631,7 +631,7 @@ class Selector:
         """The rivals of a term that are tried and not `excluded`, however much less these explain in its place."""
         rivals = list[Alternative]()
         for rival in (term for term in selected.term.rivals if term in self.scan.names and term.label not in excluded):
-            weighed = Weighed(self.scan, test).as_is(rival)
+            weighed = ModelScan(self.scan, test).as_is(rival)
             gain, cost = (0.0, selected.cost) if weighed is None else (weighed.gain, weighed.cost)
             rivals.append(Alternative(rival, max(stride * (selected.gain - gain) - (selected.cost - cost), 0.0)))
         return rivals

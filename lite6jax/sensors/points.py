@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame
-from lite6jax.sensors.sensor import OwnNumber, Sensor
+from lite6jax.sensors.sensor import OwnNumber, SensorModel
 
 Array = NDArray[np.floating]
 
@@ -35,7 +35,7 @@ class Rod(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PointSensor(Sensor):
+class PointSensor(SensorModel):
     """A sensor of the tool's point, at places of which some are unknown.
 
     Attributes:

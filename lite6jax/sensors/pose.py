@@ -14,7 +14,7 @@ import scipy  # whose parts are imported where they are first used: `spatial` ta
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components, transform
-from lite6jax.sensors.sensor import OwnNumber, Sensor
+from lite6jax.sensors.sensor import OwnNumber, SensorModel
 
 Array = NDArray[np.floating]
 
@@ -22,7 +22,7 @@ Array = NDArray[np.floating]
 @final
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Measured(Sensor):
+class Measured(SensorModel):
     """What a tracker or a camera measured, the sample last.
 
     Attributes:

@@ -38,7 +38,7 @@ def whiten(whitener: Any, rows: Any) -> Any:
     return jnp.sum(whitener * rows, 1)
 
 
-class Sensor(ABC):
+class SensorModel(ABC):
     """A sensor that reads a function of the tool's pose; a pytree, whose last array axis is the sample.
 
     What derives from it is a frozen dataclass.
@@ -124,17 +124,17 @@ def host_frame(tool: Array) -> Frame:
 
 
 @jax.jit
-def _readings(sensor: Sensor, tool: Frame) -> jax.Array:
+def _readings(sensor: SensorModel, tool: Frame) -> jax.Array:
     return sensor.readings(tool)
 
 
 @jax.jit
-def _moved(sensor: Sensor, numbers: Any) -> Sensor:
+def _moved(sensor: SensorModel, numbers: Any) -> SensorModel:
     return sensor.moved(numbers)
 
 
 @jax.jit
-def _slopes(sensor: Sensor, tool: Frame) -> jax.Array:
+def _slopes(sensor: SensorModel, tool: Frame) -> jax.Array:
     def at(twist: jax.Array) -> jax.Array:
         turn = twist[3:, None]
         axes = (axis + cross(jnp.broadcast_to(turn, axis.shape), axis) for axis in tool[:3])
@@ -145,6 +145,6 @@ def _slopes(sensor: Sensor, tool: Frame) -> jax.Array:
 
 
 @partial(jax.jit, static_argnums=1)
-def _by_numbers(sensor: Sensor, count: int, tool: Frame) -> jax.Array:
+def _by_numbers(sensor: SensorModel, count: int, tool: Frame) -> jax.Array:
     by = jax.jacfwd(lambda numbers: sensor.moved(numbers).readings(tool))(jnp.zeros(count))
     return jnp.moveaxis(by, -1, 0)

@@ -71,13 +71,13 @@ def test_it_asks_for_what_it_may_and_nothing_that_changes_the_arm():
     sent, refused = [], []
     write = allow_reads(lambda port, data: sent.append(data) or 0, refused)
     for register in range(256):
-        frame = protocol.Frame(register).encode()
+        frame = protocol.Message(register).encode()
         assert write(None, frame) == (0 if register in READS else -1)
     assert {data[6] for data in sent} == set(READS)
     assert set(refused) == set(range(256)) - set(READS)
     assert write(None, b"\x00") == -1
     assert write(None, bytes([0, 0, 0, 1, 0, 2, 0, 0])) == -1  # the SDK's heartbeat
-    assert write(None, protocol.Frame(44, protocol=0).encode()) == -1  # Modbus: 44 means something else there
+    assert write(None, protocol.Message(44, protocol=0).encode()) == -1  # Modbus: 44 means something else there
 
 
 def test_the_way_out_is_shut_for_the_real_sdk(tmp_path):

@@ -11,8 +11,8 @@ from lite6jax.arms.description import load_bundled, write_arm
 from lite6jax.cli import main
 from lite6jax.cli.study import TorqueSetup
 from lite6jax.design import candidates
-from lite6jax.design.motions import Motion, MotionRoom, random_motions
-from lite6jax.design.torques import TorqueModel, identify_torques, plan_motion, record_motion
+from lite6jax.design.motions import JointTrajectory, MotionRoom, random_motions
+from lite6jax.design.torques import TorqueExperiment, identify_torques, plan_motion, record_motion
 from lite6jax.errors import InputError
 from lite6jax.report.study import torque_identification_report, torque_plan_report
 from tests.oracles.arms import random_kinematics
@@ -24,7 +24,7 @@ PLANAR = np.array([[0.0, 0, 0, 0, 0, 0], [0.4, 0, 0, 0, 0, 0], [0.3, 0, 0, 0, 0,
 
 
 def random_states(dof, samples=200, seed=1):
-    return Motion(*(2 * np.random.default_rng(seed).standard_normal((3, dof, samples))))
+    return JointTrajectory(*(2 * np.random.default_rng(seed).standard_normal((3, dof, samples))))
 
 
 def oracle(kinematics, motion, gravity=GRAVITY):
@@ -59,7 +59,7 @@ def chain(dof, seed=0):
     ids=["lite6", "xarm7", "3R", "planar along gravity", "planar across gravity"],
 )
 def test_the_number_of_base_parameters(kinematics, gravity, known):
-    found = TorqueModel(Arm("an arm", kinematics), gravity=gravity)
+    found = TorqueExperiment(Arm("an arm", kinematics), gravity=gravity)
     rank = np.linalg.matrix_rank(oracle(kinematics, random_states(len(kinematics)), gravity), rtol=1e-9)
     assert sum(item.name.startswith("link") for item in found.base) == rank
     if known is not None:
@@ -71,7 +71,7 @@ def test_the_number_of_base_parameters(kinematics, gravity, known):
 def test_base_parameters_give_all_torques():
     """What the words say is the whole truth: torques of any link parameters follow from the combinations alone."""
     kinematics, motion = load_bundled("lite6").kinematics, random_states(6, 60)
-    model = TorqueModel(Arm("an arm", kinematics))
+    model = TorqueExperiment(Arm("an arm", kinematics))
     found = model
     x = np.random.default_rng(3).standard_normal(len(model.names))
     place = {name: i for i, name in enumerate(model.names)}
@@ -83,7 +83,7 @@ def test_base_parameters_give_all_torques():
 def test_standard_deviations_are_those_of_least_squares():
     kinematics, noise = chain(2), np.array([0.3, 0.05])
     motion = random_states(2, 150)
-    found = identify_torques(TorqueModel(Arm("an arm", kinematics), noise), motion)
+    found = identify_torques(TorqueExperiment(Arm("an arm", kinematics), noise), motion)
     W = with_friction(kinematics, motion)[:, found.model.possible.free]
     sigma = np.repeat(noise, motion.q.shape[1])
     draws = np.random.default_rng(5).standard_normal((len(W), 4000))
@@ -98,7 +98,7 @@ def test_a_joint_that_does_not_move():
     motion = random_states(3)
     motion.q[2], motion.dq[2], motion.ddq[2] = 0.3, 0.0, 0.0
     kinematics = chain(3)
-    found = identify_torques(TorqueModel(Arm("an arm", kinematics)), motion)
+    found = identify_torques(TorqueExperiment(Arm("an arm", kinematics)), motion)
     W = with_friction(kinematics, motion)[:, found.model.possible.free]
     # a number is determined where its unit vector lies in the row space
     rows = np.linalg.svd(W, full_matrices=False)
@@ -116,8 +116,11 @@ def test_a_joint_that_does_not_move():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"motion": Motion(*np.zeros((3, 2, 90)))}, "motion: q has the shape (2, 90); an arm takes (3, sample)"),
-        ({"motion": Motion(*np.full((3, 3, 90), np.nan))}, "motion: q has a number that is not finite"),
+        (
+            {"motion": JointTrajectory(*np.zeros((3, 2, 90)))},
+            "motion: q has the shape (2, 90); an arm takes (3, sample)",
+        ),
+        ({"motion": JointTrajectory(*np.full((3, 3, 90), np.nan))}, "motion: q has a number that is not finite"),
         ({"noise": 0.0}, "torque noise 0 Nm: give one standard deviation above 0"),
         ({"gravity": (0, 0)}, "gravity [0, 0]: give three finite numbers in m/s²"),
     ],
@@ -125,7 +128,7 @@ def test_a_joint_that_does_not_move():
 def test_what_is_refused(change, says):
     given = {"noise": 0.1, "gravity": GRAVITY, "motion": random_states(3)} | change
     with pytest.raises(InputError, match=re.escape(says)):
-        identify_torques(TorqueModel(Arm("an arm", chain(3)), given["noise"], given["gravity"]), given["motion"])
+        identify_torques(TorqueExperiment(Arm("an arm", chain(3)), given["noise"], given["gravity"]), given["motion"])
 
 
 def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
@@ -135,12 +138,12 @@ def test_a_study_of_a_slide_has_its_units(tmp_path, capsys):
     assert "±0.05 Nm, 0.05 Nm, 0.5 N (one standard deviation" in said
     assert "of prismatic joints, P: N·s/m, N, N, kg" in said
     assert "J3 P " in said
-    model = TorqueModel(slid.arm())
+    model = TorqueExperiment(slid.arm())
     units = {item.name: item.unit for item in model.base}
     names = ("joint3 viscous", "joint3 rotor inertia", "joint2 Coulomb")
     assert [units[name] for name in names] == ["N·s/m", "kg", "Nm"]
     q, dq, ddq = slid.moved(seconds=4.0)[1:]
-    few = identify_torques(model, Motion(*(part.T * [[1], [1], [0.04]] for part in (q, dq, ddq))))
+    few = identify_torques(model, JointTrajectory(*(part.T * [[1], [1], [0.04]] for part in (q, dq, ddq))))
     assert few.narrow() == [(2, pytest.approx(0.04 * np.ptp(q[:, 2])))]
     assert "No joint" not in " ".join(str(part) for part in torque_identification_report(few, "a", "b"))
 
@@ -152,7 +155,7 @@ ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 
 MADE = {"velocity": [1.0, 2.0, 3.0], "acceleration": [4.0, 6.0, 20.0]}
 MADE |= {"duration": 6.0, "harmonics": 4, "rate": 50.0}
 ROOM = MotionRoom(ARM, **MADE)
-UNKNOWN = TorqueModel(ARM)
+UNKNOWN = TorqueExperiment(ARM)
 FINE = np.linspace(0.0, 6.0, 20011)
 
 
@@ -189,13 +192,13 @@ def test_limits_hold_at_every_instant_and_are_used(seed):
 
 def log_determinant(motion, model):
     """From Pinocchio and friction written out; the sign of a velocity that is zero is 0."""
-    motion = Motion(*(np.where(abs(part) < 1e-9, 0, part) for part in motion))
+    motion = JointTrajectory(*(np.where(abs(part) < 1e-9, 0, part) for part in motion))
     W = with_friction(ARM.kinematics, motion)[:, model.possible.free] / model.noise[0] * model.base_scale
     return np.linalg.slogdet(W.T @ W)[1]
 
 
 def test_a_designed_motion_determines_more_than_random_ones():
-    model, search = TorqueModel(ARM, 0.1), {"seed": 2, "draws": 20, "starts": 1, "steps": 60}
+    model, search = TorqueExperiment(ARM, 0.1), {"seed": 2, "draws": 20, "starts": 1, "steps": 60}
     plan = plan_motion(model, ROOM, **search)
     own = log_determinant(plan.motion, model)
     motions = [record_motion(ROOM, free)[1] for free in random_motions(ROOM, 2, 20)]
@@ -257,7 +260,7 @@ def test_limits_of_a_designed_motion_are_those_of_each_joint():
     room = setup.room(slid.arm())
     np.testing.assert_allclose(room.velocity, [np.pi / 2, np.pi / 2, 0.25])
     np.testing.assert_allclose(room.acceleration[2], np.deg2rad(600) * 0.1)
-    model = TorqueModel(slid.arm(), inertial=False)
+    model = TorqueExperiment(slid.arm(), inertial=False)
     plan = plan_motion(model, room, draws=3, starts=1, steps=2)
     assert (np.abs(plan.motion.dq).max(1) <= room.velocity * (1 + 1e-9)).all()
     text = " ".join(str(part) for part in torque_plan_report(plan, (), "telescope"))

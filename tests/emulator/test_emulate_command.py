@@ -86,7 +86,7 @@ def test_ctrl_c_ends_it(tmp_path):
         lines.append(process.stdout.readline())
         assert lines[-1], process.communicate()
     with socket.create_connection((address, int(PORT)), timeout=10) as line:
-        line.sendall(protocol.Frame(8).encode())
+        line.sendall(protocol.Message(8).encode())
         received = bytearray()
         while len(received) < protocol.CALIBRATION_REPLY:
             received += line.recv(1024)

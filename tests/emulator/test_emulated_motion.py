@@ -150,7 +150,7 @@ BODY = st.one_of(
 def test_nothing_that_is_asked_breaks_it(lite6, requests, moving):
     core = Core(lite6, path=draw_sines(lite6.arm) if moving else None)
     for transaction, (register, body) in enumerate(requests):
-        reply = answer(core, protocol.Frame(register, body, transaction))
+        reply = answer(core, protocol.Message(register, body, transaction))
         assert reply is not None
         assert (reply.transaction, reply.register) == (transaction, register)
         core.advance(core.time + 0.1)

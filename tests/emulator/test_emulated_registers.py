@@ -42,9 +42,9 @@ def test_what_is_not_emulated_is_called_invalid(arm, controller):
     after = snapshot(controller)
     assert (before.state, before.joints.tolist()) == (after.state, after.joints.tolist())
     with Line(controller) as line:
-        assert line.send(protocol.Frame(199))[7] & 8
-        assert line.send(protocol.Frame(44, bytes(5)))[7] & 8  # a size that is none
-        assert line.send(protocol.Frame(42, b"\7"))[7] & 8
+        assert line.send(protocol.Message(199))[7] & 8
+        assert line.send(protocol.Message(44, bytes(5)))[7] & 8  # a size that is none
+        assert line.send(protocol.Message(42, b"\7"))[7] & 8
         assert line.ask(13)[8] in (1, 2, 4, 5)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Calibration, Frame, MalformedError, Register
+from lite6jax.controller.protocol import Calibration, MalformedError, Message, Register
 
 
 def bytes_of(text):
@@ -29,16 +29,16 @@ def only(received):
 
 
 def test_a_request_is_header_register_and_parameters():
-    assert protocol.Frame(11, bytes([8, 1])).encode() == ENABLE
-    assert only(ENABLE) == Frame(11, b"\x08\x01")
+    assert protocol.Message(11, bytes([8, 1])).encode() == ENABLE
+    assert only(ENABLE) == Message(11, b"\x08\x01")
     # the calibration read of the vendor's own script
-    assert protocol.Frame(Register.CALIBRATION).encode() == bytes([0, 1, 0, 2, 0, 1, 8])
-    assert protocol.Frame(13, transaction=0x1234, protocol=3).encode() == bytes_of("12 34 00 03 00 01 0D")
+    assert protocol.Message(Register.CALIBRATION).encode() == bytes([0, 1, 0, 2, 0, 1, 8])
+    assert protocol.Message(13, transaction=0x1234, protocol=3).encode() == bytes_of("12 34 00 03 00 01 0D")
 
 
 @given(st.lists(st.tuples(st.integers(0, 65535), st.integers(0, 255), st.binary(max_size=60)), max_size=5), st.data())
 def test_frames_survive_any_fragmentation(messages, data):
-    frames = [Frame(register, body, transaction) for transaction, register, body in messages]
+    frames = [Message(register, body, transaction) for transaction, register, body in messages]
     stream = b"".join(frame.encode() for frame in frames)
     buffer, found, sent = bytearray(), [], 0
     while sent < len(stream):
@@ -52,7 +52,7 @@ def test_frames_survive_any_fragmentation(messages, data):
 
 def test_the_calibration_reply_is_179_bytes():
     rows = np.arange(36.0).reshape(6, 6) / 64  # exact in fp32
-    message = protocol.Frame(Register.CALIBRATION).reply(Calibration(1, 6, 9, rows).encode()).encode()
+    message = protocol.Message(Register.CALIBRATION).reply(Calibration(1, 6, 9, rows).encode()).encode()
     assert len(message) == 179 == protocol.CALIBRATION_REPLY
     assert message[:11] == bytes_of("00 01 00 02 00 AD 08 00 01 06 09")
     assert message[11:] == struct.pack("<42f", *rows.ravel(), *[0] * 6)

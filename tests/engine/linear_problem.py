@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.problem import Component, PeriodicFamily, Quantity
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Terms
 
 
@@ -243,7 +243,7 @@ class LinearProblem:
     def quantities(self):
         every = [name for name, values in self.data.items() if name != "every_run" and np.ptp(values)]
         own = {name: frozenset({"wheel" if name == "angle" else "x"}) for name in every}
-        return tuple(Quantity(Driver(name), self.data[name], own[name]) for name in every)
+        return tuple(DriverValues(Driver(name), self.data[name], own[name]) for name in every)
 
     def process(self, component, quantities, kernel, spread, rolloff=()):
         drivers = tuple(one.driver for one in quantities)

@@ -4,11 +4,11 @@ import numpy as np
 
 from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.noise import UNCORRELATED, NoiseModel
-from lite6jax.estimation.problem import Quantity
+from lite6jax.estimation.problem import DriverValues
 from lite6jax.fleet.pooling import Reduced
 from lite6jax.fleet.population import Member, diagnose_population
 from lite6jax.fleet.reduced import Heading, ReducedArm
-from lite6jax.fleet.terms import Candidate, Place, PooledTerm, PoolingOptions, Tried, Varied
+from lite6jax.fleet.terms import Candidate, FleetComponent, PooledTerm, PoolingOptions, Tried, Varied
 from lite6jax.workers import Workers
 
 SAMPLES = 80
@@ -43,13 +43,16 @@ def arm(rng, effects=(), noise=None, samples=SAMPLES, step=None):
     site, angle = rng.uniform(0.5, 1.5, (1, samples)), rng.uniform(-np.pi, np.pi, samples)
     if step is not None:
         angle = np.round(angle / step) * step
-    varied = (Quantity(LOAD, columns[0], frozenset({"joint1"})), Quantity(POSITION, angle, frozenset({"joint3"})))
+    varied = (
+        DriverValues(LOAD, columns[0], frozenset({"joint1"})),
+        DriverValues(POSITION, angle, frozenset({"joint3"})),
+    )
     heading = Heading(
         about={"what": "poses", "arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},
         found=(),
         candidates=NAMED,
         families=(WAVES,),
-        places=(Place("joint1", "rz", "rad"), Place("joint3", "rz", "rad")),
+        places=(FleetComponent("joint1", "rz", "rad"), FleetComponent("joint3", "rz", "rad")),
         quantities=tuple(map(Varied.of, varied)),
     )
     made = ReducedArm(

@@ -169,6 +169,6 @@ def test_a_file_whose_process_was_ended_has_a_row_that_says_so(monkeypatch, tmp_
 def test_the_rows_of_a_recording_that_was_ended_are_listed_once(tmp_path):
     for name in ("a.parquet", "a.growing.csv", "a.yaml", "b.growing.csv", "b.yaml", "c.csv"):
         (tmp_path / name).touch()
-    home = place.Place.of(tmp_path)
+    home = place.StorageFolder.of(tmp_path)
     listed = ["a.parquet", "b.growing.csv", "c.csv"]
     assert place.list_fleet(home, tmp_path / "rows.parquet") == place.list_recordings(home) == listed

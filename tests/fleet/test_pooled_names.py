@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
 
-from lite6jax.fleet.terms import PooledTerm, Process
+from lite6jax.fleet.terms import FleetProcess, PooledTerm
 from lite6jax.report.listings import population_report
 
 SOFT = PooledTerm("soft")
@@ -29,7 +29,7 @@ def fleet(seed, outside=None, effects=lambda rng: (), count=30):
 def names(found):
     """The terms, of processes their site and drivers."""
     terms = [effect.selected.term for effect in found.effects]
-    return [(term.site, term.drivers) if isinstance(term, Process) else term for term in terms]
+    return [(term.site, term.drivers) if isinstance(term, FleetProcess) else term for term in terms]
 
 
 def bump(one):

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from lite6jax.fleet.pooling import screen, weigh
 from lite6jax.fleet.reduced import order_grid
-from lite6jax.fleet.terms import CUBICS, SPLINES, PooledTerm, Process
+from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm
 
 BENT = PooledTerm("bent")
 LOADED = ("gravity torque of joint 1",), (-3.0, 3.0)
@@ -21,7 +21,7 @@ def arms_of(seed, count, effects=lambda i: (), **options):
 
 
 def process(kernel, drivers=LOADED[0], bounds=LOADED[1], site="joint1"):
-    return Process(site, "rz", "rad", drivers, bounds, kernel)
+    return FleetProcess(site, "rz", "rad", drivers, bounds, kernel)
 
 
 def measured(arms, term):

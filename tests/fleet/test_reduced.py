@@ -12,12 +12,12 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.fleet.reduced import ReducedArm, order_grid, read_heading
-from lite6jax.fleet.terms import PooledTerm, Process
+from lite6jax.fleet.terms import FleetProcess, PooledTerm
 
 SOFT, BENT = PooledTerm("soft"), PooledTerm("bent")
 LINE = wave(7.25, 0.9, 0.4)
-CURVE = Process("joint3", "rz", "rad", (POSITION.phrase,), (-3.2, 3.2), "cubic")
-BOTH = Process("joint3", "rz", "rad", (POSITION.phrase, LOAD.phrase), (-3.2, 3.2, -3.0, 3.0), "wave*line")
+CURVE = FleetProcess("joint3", "rz", "rad", (POSITION.phrase,), (-3.2, 3.2), "cubic")
+BOTH = FleetProcess("joint3", "rz", "rad", (POSITION.phrase, LOAD.phrase), (-3.2, 3.2, -3.0, 3.0), "wave*line")
 
 
 @pytest.fixture

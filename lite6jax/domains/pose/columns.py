@@ -23,7 +23,7 @@ from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
-from lite6jax.estimation.problem import Component, Quantity
+from lite6jax.estimation.problem import Component, DriverValues
 from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
@@ -318,7 +318,7 @@ def components(sites: dict[Site, Array], motion: Motion, rows: int) -> tuple[Com
     return tuple(Component(where, component, column) for where, component, column in columns if column.any())
 
 
-def quantities(motion: Motion, loads: Loads | None) -> tuple[Quantity, ...]:
+def quantities(motion: Motion, loads: Loads | None) -> tuple[DriverValues, ...]:
     """The drivers that are known and vary, each with the sites whose own it is.
 
     Args:
@@ -331,7 +331,7 @@ def quantities(motion: Motion, loads: Loads | None) -> tuple[Quantity, ...]:
             continue
         values = np.asarray(driver.values(motion, loads), float)
         if np.ptp(values) > _LEAST_VARIED and np.isfinite(values).all():
-            varied.append(Quantity(driver, values, sites, only))
+            varied.append(DriverValues(driver, values, sites, only))
     return tuple(varied)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inspection import inspect
-from lite6jax.domains.pose.inverse import Solved, Target
+from lite6jax.domains.pose.inverse import InverseSolution, Target
 from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.domains.pose.predict import DiagnosedArm, predict_deviations, require_model
 from lite6jax.effects.kinematic import BaseDrift
@@ -228,7 +228,7 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     return model.keeping([not left_out for left_out in without]), omitted
 
 
-def _missed(solved: Solved, k: int, limits: Array) -> Reason:
+def _missed(solved: InverseSolution, k: int, limits: Array) -> Reason:
     """Why the k-th target is not reached."""
     joints = np.flatnonzero(solved.pressed[:, k])
     if joints.size:
@@ -318,7 +318,7 @@ def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
     return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
 
 
-def _reached(solved: Solved) -> Flags:
+def _reached(solved: InverseSolution) -> Flags:
     """`(sample,)`, whether the errors are within `REACHED`."""
     return (solved.position_error <= REACHED[0]) & (solved.orientation_error <= REACHED[1])
 
@@ -348,7 +348,7 @@ class _Search:
         direction = np.broadcast_to(np.array(self.approach, float)[:, None], q.T.shape)
         return motion._replace(direction=direction)  # type: ignore[arg-type]
 
-    def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> Solved:
+    def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> InverseSolution:
         """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
         m = self.model
         target = self._target(rows)
@@ -385,7 +385,7 @@ class _Search:
         rows, positions, costs = (np.concatenate(parts) for parts in zip(*solutions, strict=True))
         return _least_motion(rows, positions, costs, at, has_start, self._usual())
 
-    def settle(self, q: Array) -> tuple[Solved, Flags]:
+    def settle(self, q: Array) -> tuple[InverseSolution, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
 
         Also `(row,)`, where that does not converge: the direction in which a row is approached leads to joint positions
@@ -407,7 +407,7 @@ class _Search:
         evaluated = self._evaluated(q)
         return evaluated._replace(pressed=solved.pressed), _reached(solved) & ~_reached(evaluated)
 
-    def _evaluated(self, q: Array) -> Solved:
+    def _evaluated(self, q: Array) -> InverseSolution:
         """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
         motion = self.motion(q)
         m = self.model

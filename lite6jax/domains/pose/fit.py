@@ -18,7 +18,7 @@ from lite6jax.calibration import fit as plain
 from lite6jax.calibration.fit import FOLDS, Loss, calibration_from_array, fit_calibration
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE, Geometry
 from lite6jax.calibration.quality import Result
-from lite6jax.calibration.solution import Errors, Noise, Place, Solution
+from lite6jax.calibration.solution import Errors, GeometricElement, Noise, Solution
 from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
@@ -208,7 +208,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     )
 
 
-def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
+def _places_of(sensor: PointSensor, covariance: Array) -> tuple[GeometricElement, ...]:
     """What is known of each point, plane, anchor or axis, with the covariance `(number, number)` of its unknowns."""
     kind = type(sensor).__name__.lower().replace("distance", "anchor")
     places = []
@@ -219,7 +219,7 @@ def _places_of(sensor: PointSensor, covariance: Array) -> tuple[Place, ...]:
         for key, at in values.items():
             J = np.array([(np.array(displaced.place(k)[key]) - at) / _STEP for displaced in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
-        places.append(Place(name if name == kind else f"{kind} {name}", values, std))
+        places.append(GeometricElement(name if name == kind else f"{kind} {name}", values, std))
     return tuple(places)
 
 

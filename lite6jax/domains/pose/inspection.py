@@ -19,7 +19,7 @@ from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.readings import (
     CLEARLY,
     CLOSE,
-    Agreement,
+    ArmAgreement,
     agreement,
     computed_by_controller,
     decide,
@@ -83,8 +83,8 @@ class Pose(NamedTuple):
     blocks: tuple[Block, ...] = ()
     role: Role | None = None
     arm: Arm | None = None
-    agreements: Sequence[tuple[Arm, Agreement]] = ()
-    agreed: Agreement = Agreement()
+    agreements: Sequence[tuple[Arm, ArmAgreement]] = ()
+    agreed: ArmAgreement = ArmAgreement()
     travel: float = 0.0
     computed: bool = False
     taken: bool = False
@@ -283,7 +283,7 @@ def inspect(
     read = [pose for pose in read if pose.travel > 0] or read
     selected = _choose_pose(read, pose_source)
     best_pose = Pose(arm=read[0].arm if read else arm) if selected is None else read[selected]
-    nearest = min((pose.agreed for pose in read), key=lambda candidate: candidate.error, default=Agreement())
+    nearest = min((pose.agreed for pose in read), key=lambda candidate: candidate.error, default=ArmAgreement())
     of_joints = {of: unit for of, unit in nearest.units.items() if of[0] == "q"}
     agreed = best_pose.agreed._replace(units={**of_joints, **best_pose.agreed.units})
     if any(block.kind == "rotation" and given.keys() >= {*block.columns} for block in best_pose.blocks):
@@ -685,10 +685,10 @@ def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:
     return pool[0] if len(pool) == 1 else None
 
 
-def _choose_arm(arm: Arm | None, agreements: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:
+def _choose_arm(arm: Arm | None, agreements: Sequence[tuple[Arm, ArmAgreement]]) -> tuple[Arm | None, ArmAgreement]:
     """The arm whose kinematics decide, where it agrees; the nearest bundled one where no other is as near."""
     if not agreements:
-        return arm, Agreement()
+        return arm, ArmAgreement()
     first, agreed = agreements[0]
     if arm is not None:
         return arm, agreed if agreed.close else agreed.undecided()

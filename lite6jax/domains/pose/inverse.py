@@ -72,7 +72,7 @@ class Target(NamedTuple):
     rotation: Array | None
 
 
-class Solved(NamedTuple):
+class InverseSolution(NamedTuple):
     """Joint positions found; NumPy arrays outside of jitted functions.
 
     Attributes:
@@ -104,7 +104,7 @@ def solve(
     target: Target,
     limits: np.ndarray,
     steps: int = STEPS,
-) -> Solved:
+) -> InverseSolution:
     """Joint positions, from those of `motion`, at which the sensor shows `target`, or with the smallest error.
 
     Levenberg–Marquardt for each sample by itself, with exact derivatives and projection into the limits (C. Kanzow,
@@ -125,7 +125,7 @@ def solve(
         InputError: as `predict_frames_with`.
     """
 
-    def solve_rows(start: Motion, rows: np.ndarray, steps: int) -> Solved:
+    def solve_rows(start: Motion, rows: np.ndarray, steps: int) -> InverseSolution:
         size = next(size for size in _CHUNKS if size >= min(len(rows), _CHUNKS[-1]))
         parts = []
         for first in range(0, len(rows), size):
@@ -133,7 +133,7 @@ def solve(
             picked, goal = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (start, target))
             alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
             parts.append(_solve(start.chain, physics, model, values, alone, inertia, goal, limits, steps))
-        return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
+        return InverseSolution(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
 
     solved = solve_rows(motion, np.arange(motion.samples), min(steps, _MOST_NEED))
     if steps > _MOST_NEED and not solved.ended.all():  # only those continue
@@ -152,7 +152,7 @@ def solve_rigid(
     limits: NDArray[np.floating],
     sliding: Sequence[int],
     steps: int = _RIGID_STEPS,
-) -> Solved:
+) -> InverseSolution:
     """As `solve`, of the arm without effects, whose joints `sliding` are prismatic, from `start` `(sample, joint)`."""
     count = len(start)
     motion = Motion(start.T, None, None, None, np.zeros((2, count), int), None, np.zeros(count))  # type: ignore[arg-type]
@@ -326,7 +326,7 @@ def _followed(
     return q, reached
 
 
-class _State(NamedTuple):
+class _InverseState(NamedTuple):
     """Each sample's joints and where to try next; normal equations, residual, cost; damping, and whether it is done."""
 
     joints: Array
@@ -351,7 +351,7 @@ def _solve(
     target: Target,
     limits: Array,
     steps: ArrayLike,
-) -> Solved:
+) -> InverseSolution:
     dof = motion.dof
     lower, upper = limits[:, :1], limits[:, 1:]
 
@@ -373,7 +373,7 @@ def _solve(
     def held(q: Array, gradient: Array) -> Array:
         return ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
 
-    def improve(state: _State) -> _State:
+    def improve(state: _InverseState) -> _InverseState:
         new = normal(state.proposal)
         cost = jnp.sum(new[2] ** 2, 0)
         better = cost < state.cost
@@ -386,7 +386,7 @@ def _solve(
         proposal = jnp.clip(q + move, lower, upper)
         crept = better & (state.cost - cost < _CREEPING * cost)
         done = state.done | crept | (smallest < _FINE**2) | (jnp.abs(proposal - q).max(0) < _STILL)
-        return _State(q, jnp.where(done, q, proposal), H, g, r, smallest, damping, done, state.step + 1)
+        return _InverseState(q, jnp.where(done, q, proposal), H, g, r, smallest, damping, done, state.step + 1)
 
     eye = jnp.eye(dof)[:, :, None]
     start = jnp.clip(motion.joint_position, lower, upper)
@@ -396,9 +396,9 @@ def _solve(
     undone = jnp.zeros(samples, bool)
     flat, none, unmet = (jnp.zeros((*shape, samples)) for shape in ((dof, dof), (dof,), (rows,)))
     damping = jnp.full(samples, 1e-3)
-    state = _State(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))
+    state = _InverseState(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))
     state = lax.while_loop(lambda s: (s.step <= steps) & ~s.done.all(), improve, state)
-    return Solved(
+    return InverseSolution(
         state.joints,
         jnp.sqrt(jnp.sum(state.missed[:3] ** 2, 0)),
         jnp.sqrt(jnp.sum(state.missed[3:] ** 2, 0)) / LEVER,

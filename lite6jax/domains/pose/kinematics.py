@@ -18,7 +18,7 @@ from lite6jax.effects.deflection import Deflection
 from lite6jax.model import ArmModel, predict_bent
 from lite6jax.recordings import Recording
 from lite6jax.sensors.pose import Measured
-from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.sensor import SensorModel
 
 Array = NDArray[np.floating]
 Site = tuple[str, int, int]
@@ -68,7 +68,7 @@ def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) ->
     return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
 
 
-def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Sensor) -> Array:
+def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: SensorModel) -> Array:
     """The sensor's differences of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
     residuals = np.empty((measured.rows, joint_position.shape[1]))
 
@@ -96,7 +96,7 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
 
 
 def site_columns(
-    model: ArmModel, joint_position: Array, measured: Sensor, sliding: tuple[int, ...]
+    model: ArmModel, joint_position: Array, measured: SensorModel, sliding: tuple[int, ...]
 ) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position, sliding)
@@ -176,7 +176,7 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     )
 
 
-def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
+def rigid_columns(rigid: RigidFrames, measured: SensorModel) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
@@ -192,7 +192,7 @@ def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, A
 
 @partial(jax.jit, static_argnums=0)
 def bent_residual(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Sensor
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: SensorModel
 ) -> jax.Array:
     """Whitened residuals `(row, sample)` of a deflected arm."""
     return measured.residual(predict_bent(form, model, joint_position, deflection)[1])

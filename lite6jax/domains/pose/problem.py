@@ -34,14 +34,14 @@ from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted, thin
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
-from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
+from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.pose import Measured
-from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.sensor import SensorModel
 
 Array = NDArray[np.floating]
 
@@ -279,7 +279,7 @@ class PoseProblem(RigidArm):
         )
 
     @lazy
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[DriverValues, ...]:
         """As far as they are known and vary."""
         return columns.quantities(self.deflections.host_motion, self.deflections.loads)
 
@@ -291,7 +291,7 @@ class PoseProblem(RigidArm):
     def process(
         self,
         component: Component,
-        quantities: Sequence[Quantity],
+        quantities: Sequence[DriverValues],
         kernel: str,
         spread: float,
         rolloff: tuple[float, ...] = (),
@@ -460,7 +460,7 @@ class PoseProblem(RigidArm):
         return {site: float(value) for site, value in pairs if site[0].startswith("moved") and value}
 
     @cached_property
-    def _on_device(self) -> tuple[ArmModel, Sensor]:
+    def _on_device(self) -> tuple[ArmModel, SensorModel]:
         """The arm and the poses as compiled functions take them, copied once."""
         return jax.tree.map(jnp.asarray, (self.start, self.measured))
 

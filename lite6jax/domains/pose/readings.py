@@ -54,8 +54,8 @@ _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
 """The unit of quantities that have one only."""
 
 
-class Agreement(NamedTuple):
-    """The readings that agree with an arm.
+class ArmAgreement(NamedTuple):
+    """How the readings of a table agree with an arm.
 
     Attributes:
         units: of joints, positions and three numbers of a rotation, by `Block.key`, where they are distinguished.
@@ -74,14 +74,14 @@ class Agreement(NamedTuple):
         """Whether the arm agrees with the poses at all."""
         return self.error <= CLOSE * self.spread
 
-    def undecided(self) -> "Agreement":
+    def undecided(self) -> "ArmAgreement":
         """The same where an arm is not near enough to decide anything."""
         return self._replace(units={}, form=None)
 
 
 def agreement(
     arm: Arm, joint: Array, position: Array, rotation: Array | None, stated_units: Mapping[tuple[str, bool], str]
-) -> Agreement:
+) -> ArmAgreement:
     """The readings of a table with which an arm agrees best.
 
     Args:
@@ -92,7 +92,7 @@ def agreement(
         stated_units: those that are known already, by `Block.key`.
     """
     if len(joint) < FEWEST:
-        return Agreement()
+        return ArmAgreement()
     rows = spread_rows(len(joint), ROWS)
     # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
     by_size = _PLACES not in stated_units and bool(arm.slides.all())
@@ -138,7 +138,7 @@ def agreement(
         del decided[_PLACES]
     if rotation is not None and score <= CLOSE:
         form, decided["rotation", False] = _rotations(predicted, rotation[rows], stated_units.get(("rotation", False)))
-    return Agreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
+    return ArmAgreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
 
 
 def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
@@ -236,7 +236,7 @@ def _decided(choice: str, errors: dict[str, float], limit: float) -> Decision | 
 
 
 def decide(
-    blocks: Iterable[Block], numbers: Mapping[str, Array], agreed: Agreement, arm: Arm | None
+    blocks: Iterable[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
 ) -> tuple[Block, ...]:
     """Blocks with their units and forms, in the order of `naming.KINDS`; no commands that the joints do not follow.
 
@@ -293,7 +293,7 @@ def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Ar
     return decided._replace(choice=f"{decided.choice}{suffix}")
 
 
-def _unit(block: Block, values: Array, agreed: Agreement, arm: Arm | None) -> Decision:
+def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) -> Decision:
     """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
     if block.key in agreed.units:
         return agreed.units[block.key]
@@ -312,7 +312,7 @@ def _unit(block: Block, values: Array, agreed: Agreement, arm: Arm | None) -> De
     return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
 
 
-def _of_rotation(block: Block, values: Array, agreed: Agreement) -> tuple[Decision, Decision]:
+def _of_rotation(block: Block, values: Array, agreed: ArmAgreement) -> tuple[Decision, Decision]:
     """The unit and the form of a rotation."""
     form, unit = sizes.rotation_form(values, block.unit, block.form)
     # the names or the order of the columns of a quaternion and a matrix bind

@@ -40,7 +40,7 @@ from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, PointSensor, Rod
-from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.sensor import SensorModel
 
 Array = NDArray[np.floating]
 
@@ -146,7 +146,7 @@ class RigidArm(NuisanceProblem):
     informative: Mask
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    measured: Sensor
+    measured: SensorModel
     exact: bool
     form: ModelForm
 
@@ -452,7 +452,7 @@ def _locate_tool(arm: RigidArm, tries: int) -> RigidArm:
     return _with_sensor(replace(arm, start=closest.start), closest.measured)
 
 
-def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
+def _with_sensor(arm: RigidArm, sensor: SensorModel) -> RigidArm:
     """The arm with another sensor of its kind, and its own frames at the mean of their prior."""
     offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(number.offset for number in sensor.own)])
     return replace(arm, measured=sensor, offset=offset)

@@ -11,7 +11,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
-Hypothesis = tuple["Change", ...]
+Hypothesis = tuple["TorqueFault", ...]
 
 GRAVITY = ("wrong_gravity", "no_gravity")
 POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
@@ -29,7 +29,7 @@ _SAME_GRAVITY = 0.1
 
 @final
 @dataclass(frozen=True)
-class Change:
+class TorqueFault:
     """One fault, and what undoes it.
 
     Attributes:
@@ -102,14 +102,14 @@ def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[f
     return A, b, T, gravity
 
 
-def exchanges(order: NDArray[np.integer]) -> list[Change]:
+def exchanges(order: NDArray[np.integer]) -> list[TorqueFault]:
     """Exchanges of two columns that put into place j the column `order[j]`."""
     now = list(range(len(order)))
     swaps = []
     for j, column in enumerate(order.tolist()):
         k = now.index(column)
         if k != j:
-            swaps.append(Change("swapped_torques", (j, k)))
+            swaps.append(TorqueFault("swapped_torques", (j, k)))
             now[j], now[k] = now[k], now[j]
     return swaps
 

@@ -20,8 +20,8 @@ from lite6jax.domains.torque.changes import (
     GRAVITY,
     POSITIONS,
     STEP,
-    Change,
     Hypothesis,
+    TorqueFault,
     alike,
     compatible,
     faults_in,
@@ -129,13 +129,13 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
         return ScreenedTorques(data, (), ())
     misfits = {}
     for code in _SIGNS:
-        hypothesis = tuple(Change(code, (joint,)) for joint in joints)
+        hypothesis = tuple(TorqueFault(code, (joint,)) for joint in joints)
         misfits[code] = _left_by_any_arm(undo(hypothesis, data))
     torque, positions = (misfits[code] for code in _SIGNS)
     apart = torque - positions
     code = "reversed_sign" if abs(apart) < TRUSTED else _SIGNS[int(apart > 0)]
     undone = "reversed_positions" if code == "reversed_positions" else "reversed_torque"
-    corrected = undo(tuple(Change(undone, (joint,)) for joint in joints), data)
+    corrected = undo(tuple(TorqueFault(undone, (joint,)) for joint in joints), data)
     return ScreenedTorques(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),), ())
 
 
@@ -222,21 +222,21 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
     declared = data.bodies.gravity
     strength = float(np.linalg.norm(declared))
     if strength:
-        yield (Change("no_gravity", gravity=(0.0, 0.0, 0.0)),)
+        yield (TorqueFault("no_gravity", gravity=(0.0, 0.0, 0.0)),)
         for axis in chain(np.eye(3), -np.eye(3)):
             if np.linalg.norm(strength * axis - declared) > TILT * strength:
-                yield (Change("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
+                yield (TorqueFault("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
     for pair in combinations(range(dof), 2):
-        yield (Change("swapped_positions", pair),)
+        yield (TorqueFault("swapped_positions", pair),)
     largest_set = dof if dof <= 7 else 2  # of more joints there are too many sets
     for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
-        yield tuple(Change("reversed_positions", (i,)) for i in joints)
+        yield tuple(TorqueFault("reversed_positions", (i,)) for i in joints)
     for i in turning:
         for j in {i - 1, i + 1} & set(turning):
-            yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
+            yield from ((TorqueFault("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
     for i in turning:
         steps = (*(k * STEP for k in range(1, round(2 * np.pi / STEP))), STEP / 3, -STEP / 3)
-        yield from ((Change("joint_zero", (i,), turned_back(step)),) for step in steps)
+        yield from ((TorqueFault("joint_zero", (i,), turned_back(step)),) for step in steps)
 
 
 def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
@@ -244,7 +244,7 @@ def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
     quarters = [k * np.pi / 2 for k in (-1, 1, 2)]
     for pair in combinations([i for i in range(data.arm.dof) if i not in data.arm.sliding], 2):
         for values in product(quarters, repeat=2):
-            yield tuple(Change("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
+            yield tuple(TorqueFault("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
 
 
 class _Comparison(NamedTuple):

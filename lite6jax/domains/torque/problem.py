@@ -50,7 +50,7 @@ from lite6jax.effects.dynamic import (
 )
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
+from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -86,7 +86,7 @@ _LEAST_VARIED = 1e-3
 
 @final
 @dataclass(frozen=True, eq=False)
-class Known:
+class TorqueCache:
     """What has been computed of some samples: folds of a cross-validation differ in the training mask alone.
 
     Attributes:
@@ -101,20 +101,20 @@ class Known:
     everywhere: dict[Hashable, Array] = field(default_factory=dict)
     slopes: dict[Hashable, tuple[bytes, Array]] = field(default_factory=dict)
     waves: dict[tuple[int, float], Array] = field(default_factory=dict)
-    thinned: dict[int, "Known"] = field(default_factory=dict)
+    thinned: dict[int, "TorqueCache"] = field(default_factory=dict)
 
-    def of_every(self, decimation: int) -> "Known":
+    def of_every(self, decimation: int) -> "TorqueCache":
         """Of one in `decimation` samples."""
-        return self.thinned.setdefault(decimation, Known(everywhere=self.everywhere))
+        return self.thinned.setdefault(decimation, TorqueCache(everywhere=self.everywhere))
 
-    def at_other_links(self) -> "Known":
+    def at_other_links(self) -> "TorqueCache":
         """What does not depend on inertial numbers."""
         thinned = {n: cached.at_other_links() for n, cached in list(self.thinned.items())}
-        return Known(waves=self.waves, thinned=thinned)
+        return TorqueCache(waves=self.waves, thinned=thinned)
 
-    def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
+    def __reduce__(self) -> tuple[type["TorqueCache"], tuple[()]]:
         """Another process computes it anew, which is faster than to send it."""
-        return Known, ()
+        return TorqueCache, ()
 
 
 @final
@@ -151,7 +151,7 @@ class TorqueProblem:
     candidates: tuple[TorqueEffect, ...]
     untestable: tuple[Untestable, ...]
     valid: Mask
-    known: Known = field(default_factory=Known)
+    known: TorqueCache = field(default_factory=TorqueCache)
 
     def __getstate__(self) -> dict[str, object]:
         """What another process is sent: the fields, of which `data` has the regressor, and nothing that is cached."""
@@ -294,7 +294,7 @@ class TorqueProblem:
         return tuple(Component(f"joint{j + 1}", "", self._at_joint(j)) for j in range(self.rows))
 
     @lazy
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[DriverValues, ...]:
         """The drivers that are known and vary, each with the joint whose own it is."""
         motion, rise = self.dynamics.motion, self.dynamics.motion.joint_temperature_rise
         apart = (
@@ -313,7 +313,7 @@ class TorqueProblem:
             usual = Driver(driver.generalised, driver.place).unit
             if np.ptp(as_revolute(values, usual, driver.of_slide)) > _LEAST_VARIED:
                 only = site if driver.generalised in _OWN_ALONE else ""
-                varied.append(Quantity(driver, np.asarray(values, float), frozenset({site}), only))
+                varied.append(DriverValues(driver, np.asarray(values, float), frozenset({site}), only))
         return tuple(varied)
 
     @property
@@ -333,7 +333,7 @@ class TorqueProblem:
     def process(
         self,
         component: Component,
-        quantities: Sequence[Quantity],
+        quantities: Sequence[DriverValues],
         kernel: str,
         spread: float,
         rolloff: tuple[float, ...] = (),
@@ -491,7 +491,7 @@ class TorqueProblem:
 
     def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
-        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=Known())
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=TorqueCache())
 
     def thinned(self, every: int) -> "TorqueProblem":
         """One in `every` samples."""

@@ -404,7 +404,7 @@ def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> N
     return inside
 
 
-class Held(NamedTuple):
+class RestFriction(NamedTuple):
     """What friction holds at rest.
 
     Attributes:
@@ -432,7 +432,7 @@ def at_rest(data: TorqueRows) -> Flags:
     return still
 
 
-def held_by_friction(data: TorqueRows) -> Held:
+def held_by_friction(data: TorqueRows) -> RestFriction:
     """The slack of torques at rest: of joints whose torque there is far from a model of their torque in motion.
 
     The model has inertial numbers, offset, friction and rotor of the joint and its neighbours, fitted to the samples in
@@ -450,7 +450,7 @@ def held_by_friction(data: TorqueRows) -> Held:
             joints.append(j + 1)
             bands.append(band)
     if not joints:
-        return Held(slack, repeated, ())
+        return RestFriction(slack, repeated, ())
 
     def kept_samples(flags: Flags) -> list[tuple[slice, NDArray[np.integer]]]:
         spans = stretches(flags, data.filter.runs)
@@ -469,7 +469,7 @@ def held_by_friction(data: TorqueRows) -> Held:
     numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
     if data.arm.sliding:
         numbers["prismatic_joints"] = [joint for joint in joints if data.arm.slides[joint - 1]]
-    return Held(slack, repeated, (DataFault("held_by_friction", rows, numbers),))
+    return RestFriction(slack, repeated, (DataFault("held_by_friction", rows, numbers),))
 
 
 def _around(still: Flags, data: TorqueRows) -> Flags:

@@ -98,7 +98,7 @@ class Bodies:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Loads:
+class JointLoads:
     """What acts on each joint beside its servo, at every step.
 
     Attributes:
@@ -118,21 +118,21 @@ def interpolate(values: Array, commands: Commands) -> Array:
     return (values[:, :, None] + share * (following - values)[:, :, None]).reshape(len(values), -1)
 
 
-def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array) -> Loads:
+def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Array) -> JointLoads:
     """The loads along a motion `(joint, sample)`, between its samples on a line."""
     diagonal = bodies.masses(q)
     load = bodies.torques(q, dq, ddq) - diagonal * ddq
-    return Loads(interpolate(load, commands), interpolate(diagonal, commands))
+    return JointLoads(interpolate(load, commands), interpolate(diagonal, commands))
 
 
 def roll_coupled(
     servo: Servo,
     commands: Commands,
     bodies: Bodies,
-    loads: Loads,
+    loads: JointLoads,
     extra: Array | None = None,
     settled: float | Array = SETTLED,
-) -> tuple[Rolled, Loads]:
+) -> tuple[Rolled, JointLoads]:
     """The coupled arm, and the loads along it; those that were given where rollouts do not come closer to each other.
 
     Args:
@@ -154,7 +154,7 @@ def roll_coupled(
     for _ in range(_SWEEPS):
         before = rolled.readout
         torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
-        loads = Loads(torques - mass * rolled.acceleration, mass)
+        loads = JointLoads(torques - mass * rolled.acceleration, mass)
         rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
             change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))

@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.tracking.coupling import SETTLED, Bodies, Loads, roll_coupled
+from lite6jax.domains.tracking.coupling import SETTLED, Bodies, JointLoads, roll_coupled
 from lite6jax.domains.tracking.rollout import Commands, roll
 from lite6jax.effects.dynamic import (
     BaseTilt,
@@ -104,11 +104,11 @@ def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = Tr
 def roll_out(
     model: TrackingModel,
     commands: Commands,
-    loads: Loads,
+    loads: JointLoads,
     extra: Array | None,
     coupled: bool,
     settled: float | Array = SETTLED,
-) -> tuple[Array, Loads]:
+) -> tuple[Array, JointLoads]:
     """Read-outs `(joint, sample)` rad, and the loads along them.
 
     Args:

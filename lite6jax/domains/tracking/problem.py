@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import joints_of, read_driver, unit_torques
-from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along
+from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
 from lite6jax.domains.tracking.rollout import roll
@@ -32,7 +32,7 @@ from lite6jax.effects.dynamic import (
 )
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import RateLimit, Servo, ServoDamping, ServoStiffness, TorqueLimit, TorqueSpeedLimit
-from lite6jax.estimation.problem import Component, Mask, PeriodicFamily, Quantity
+from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.recordings.settings import ServoSettings
 
@@ -74,7 +74,7 @@ class Unknown(NamedTuple):
 
 @final
 @dataclass(eq=False)
-class Known:
+class RolloutCache:
     """What has been computed, shared between the problems of one recording.
 
     Attributes:
@@ -85,14 +85,14 @@ class Known:
 
     columns: dict[Any, Array] = field(default_factory=dict)
     rollouts: dict[bytes, Array] = field(default_factory=dict)
-    loads: Loads | None = None
+    loads: JointLoads | None = None
 
-    def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
+    def __reduce__(self) -> tuple[type["RolloutCache"], tuple[()]]:
         """Another process computes it anew, which is faster than to send it."""
-        return Known, ()
+        return RolloutCache, ()
 
 
-class _State(NamedTuple):
+class _RolloutInputs(NamedTuple):
     """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and a torque `(every sample,)` Nm beside."""
 
     joint: int
@@ -110,8 +110,8 @@ class _Difference(NamedTuple):
     """The column `(every sample,)` rad of a number: a difference of rollouts over that of the number."""
 
     name: Any
-    before: _State
-    after: _State
+    before: _RolloutInputs
+    after: _RolloutInputs
     over: float
 
     @property
@@ -148,7 +148,7 @@ class TrackingProblem:
     candidates: tuple[Effect, ...]
     untestable: tuple[Untestable, ...]
     valid: Mask
-    known: Known = field(default_factory=Known)
+    known: RolloutCache = field(default_factory=RolloutCache)
 
     def __getstate__(self) -> dict[str, object]:
         """What another process is sent: the fields, and nothing that is cached."""
@@ -224,7 +224,7 @@ class TrackingProblem:
     # ------------------------------------------------------------------ residuals
 
     @cached_property
-    def loads(self) -> Loads:
+    def loads(self) -> JointLoads:
         """Along the measured motion."""
         motion = self.data.motion
         moved = (motion.joint_position, motion.joint_velocity, motion.joint_acceleration)
@@ -321,8 +321,8 @@ class TrackingProblem:
             numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
         return numbers_by_joint
 
-    def _state(self, servo: Servo, extra: Array | None, joint: int) -> _State:
-        return _State(joint, servo.take([joint]), None if extra is None else extra[joint])
+    def _state(self, servo: Servo, extra: Array | None, joint: int) -> _RolloutInputs:
+        return _RolloutInputs(joint, servo.take([joint]), None if extra is None else extra[joint])
 
     def _step(self, effect: Effect, k: int, at: float) -> float:
         """By how much a number is changed for its column: far enough that the rollout changes at all.
@@ -372,7 +372,7 @@ class TrackingProblem:
         known.update(new)
         return columns | new
 
-    def _rolled(self, states: Sequence[_State]) -> Array:
+    def _rolled(self, states: Sequence[_RolloutInputs]) -> Array:
         """Read-outs `(state, every sample)` rad along the latest loads."""
         loads = self.known.loads or self.loads
         commands = self.data.commands
@@ -449,7 +449,7 @@ class TrackingProblem:
         return tuple(torques)
 
     @lazy
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[DriverValues, ...]:
         """The drivers of each joint that vary; they act at their own joint alone, through its servo."""
         varied = []
         for j in range(1, self.rows + 1):
@@ -458,13 +458,13 @@ class TrackingProblem:
                 values = read_driver(driver, self.data.dynamics)
                 if values is not None and np.ptp(values) > _LEAST_VARIED:
                     site = f"joint{j}"
-                    varied.append(Quantity(driver, np.asarray(values, float), frozenset({site}), site))
+                    varied.append(DriverValues(driver, np.asarray(values, float), frozenset({site}), site))
         return tuple(varied)
 
     def process(
         self,
         component: Component,
-        quantities: Sequence[Quantity],
+        quantities: Sequence[DriverValues],
         kernel: str,
         spread: float,
         rolloff: tuple[float, ...] = (),

@@ -191,7 +191,7 @@ def roll(
     return Rolled(np.asarray(readout).T[:lanes], *wide)
 
 
-class _State(NamedTuple):
+class _LaneState(NamedTuple):
     """Of each lane, between two steps.
 
     Attributes:
@@ -283,12 +283,12 @@ def _roll(
         q = state.q + h * v
         y = jnp.clip(state.y, q - p.backlash, q + p.backlash)
         shown = (state.q, 0.5 * (v + state.v), a) if fine else ()
-        return _State(q, v, a, low, limited, summed, e, y), shown
+        return _LaneState(q, v, a, low, limited, summed, e, y), shown
 
     def sample(state: Any, inputs: Any) -> Any:
         u, L, M, x, following, here, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
-        fresh = _State(q, v, zero, first_command, first_command, zero, zero, q)
+        fresh = _LaneState(q, v, zero, first_command, first_command, zero, zero, q)
         share = (jnp.arange(steps) / steps)[:, None]
         between = x + share * (following - x) + zero
         begun, _ = advance(fresh, (u[0], L[0], M[0], between[0]))
@@ -307,6 +307,6 @@ def _roll(
     after = jnp.concatenate([extra[1:], extra[-1:]])
     inputs = (mean, load[..., columns], mass[..., columns], extra, after, reset, start, start_velocity, initial[:, 0])
     zero = jnp.zeros(row.shape)
-    state = _State(*(zero,) * len(_State._fields))
+    state = _LaneState(*(zero,) * len(_LaneState._fields))
     _, (readout, states) = jax.lax.scan(sample, state, inputs)
     return readout, states

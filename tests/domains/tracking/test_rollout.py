@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from lite6jax.domains.tracking.coupling import Bodies, Loads, loads_along, roll_coupled
+from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along, roll_coupled
 from lite6jax.domains.tracking.rollout import hold_commands, roll
 from lite6jax.effects.servo import RIGID_GRIP, Servo
 
@@ -115,7 +115,7 @@ def test_half_the_step_changes_a_coupled_arm_by_microradians(numbers):
 def test_lanes_do_not_depend_on_each_other():
     u = commands_of(3)
     held = hold_commands(u, np.repeat([0, 1], 200), PERIOD, u)
-    loads = Loads(np.zeros((3, held.samples * held.steps)), np.full((3, held.samples * held.steps), 0.2))
+    loads = JointLoads(np.zeros((3, held.samples * held.steps)), np.full((3, held.samples * held.steps), 0.2))
     servo = plain(3, coulomb=[0.1, 0.2, 0.3])
     both = roll(servo, held, np.arange(3), loads.load, loads.mass).readout
     alone = roll(servo.take([2]), held, np.array([2]), loads.load, loads.mass).readout

@@ -15,7 +15,7 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
-Hypothesis = tuple["Change", ...]
+Hypothesis = tuple["PoseFault", ...]
 
 DECLARED = ("declared_frame", "declared_tool")
 POSES = ("inverted_poses", "mirrored_sensor", "sensor_scale", "orientation_convention")
@@ -36,7 +36,7 @@ _SCALAR_LAST = [3, 0, 1, 2]
 
 @final
 @dataclass(frozen=True)
-class Change:
+class PoseFault:
     """One fault, and what undoes it.
 
     Attributes:
@@ -122,35 +122,35 @@ def single_changes(recording: Recording) -> Iterator[Hypothesis]:
     if recording.touches is None:
         yield from _changes_of_poses(recording)
     for pair in combinations(range(dof), 2):
-        yield (Change("swapped_joints", pair),)
+        yield (PoseFault("swapped_joints", pair),)
     largest_set = dof if dof <= 8 else 2  # of more joints there are too many sets
     for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
-        yield tuple(Change("mirrored_joint", (i,)) for i in joints)
+        yield tuple(PoseFault("mirrored_joint", (i,)) for i in joints)
     for i in turning:
-        yield from ((Change("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
+        yield from ((PoseFault("joint_unit", (i,), factor),) for factor in (np.pi / 180, 180 / np.pi))
     for i in with_zeros(recording):
         for quarters in (2, -2, 1, -1):
-            zero = Change("joint_turns", (i,), quarters * np.pi / 2)
+            zero = PoseFault("joint_turns", (i,), quarters * np.pi / 2)
             yield (zero,)
-            yield (Change("mirrored_joint", (i,)), zero)
+            yield (PoseFault("mirrored_joint", (i,)), zero)
     for i in turning:
         for j in {i - 1, i + 1} & set(turning):
-            yield from ((Change("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
+            yield from ((PoseFault("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
 
 
 def _changes_of_poses(recording: Recording) -> Iterator[Hypothesis]:
     """Wrong declarations and wrong poses."""
     settings = recording.settings
     if settings.pose_frame == "base":
-        yield (Change("declared_frame"),)
+        yield (PoseFault("declared_frame"),)
     if settings.tool != "unknown":
-        yield (Change("declared_tool"),)
+        yield (PoseFault("declared_tool"),)
     axes = ("x", "y", "z", "xy", "yz", "xz") if settings.pose_frame == "base" else ("z",)
-    yield from ((Change("mirrored_sensor", (), axis),) for axis in axes)
+    yield from ((PoseFault("mirrored_sensor", (), axis),) for axis in axes)
     if recording.quaternion is not None:
-        yield (Change("inverted_poses"),)
+        yield (PoseFault("inverted_poses"),)
         for convention in ("inverted", "scalar_last", "inverted_scalar_last"):
-            yield (Change("orientation_convention", (), convention),)
+            yield (PoseFault("orientation_convention", (), convention),)
 
 
 def with_zeros(recording: Recording) -> list[int]:
@@ -159,7 +159,7 @@ def with_zeros(recording: Recording) -> list[int]:
     return [i for i in range(int(first), recording.dof - int(last)) if i not in recording.sliding]
 
 
-def is_estimated(change: Change) -> bool:
+def is_estimated(change: PoseFault) -> bool:
     """Whether the value of a change is any number: a scale, or a zero that is off by no quarter turns."""
     if change.code == "sensor_scale":
         return True
@@ -177,7 +177,7 @@ def listed(several: Sequence[Hypothesis]) -> list[list[dict[str, Any]]]:
     return [[{"fault": change.code, **change.numbers} for change in hypothesis] for hypothesis in several]
 
 
-def added(hypothesis: Hypothesis, more: Change) -> Hypothesis:
+def added(hypothesis: Hypothesis, more: PoseFault) -> Hypothesis:
     """With one more change; a zero or a scale that is changed already is changed by both."""
     unchanged = [c for c in hypothesis if (c.code, c.joints) != (more.code, more.joints)]
     for change in hypothesis:

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.changes import Change, rounded_to_quarters
+from lite6jax.domains.pose.screening.changes import PoseFault, rounded_to_quarters
 from lite6jax.estimation.robust import FREEDOM
 
 Array = NDArray[np.floating]
@@ -36,7 +36,7 @@ _LEAST_SCALE = 1e-3
 
 @final
 @dataclass(frozen=True)
-class Weighed:
+class DeviationEvidence:
     """A hypothesis at the likeliest factor of the prior.
 
     Attributes:
@@ -133,7 +133,7 @@ class Deviation:
         u[6 * self.frames : 6 * self.frames + arm.measured.numbers] = arm.offset[self._own]
         return u
 
-    def places(self, change: Change) -> slice:
+    def places(self, change: PoseFault) -> slice:
         """The numbers that a change frees."""
         last = 6 * self.frames
         if change.code == "declared_frame":
@@ -143,7 +143,7 @@ class Deviation:
         zero = self.size - 1 - self.arm.recording.dof + change.joints[0] if change.joints else self.size - 1
         return slice(zero, zero + 1)
 
-    def weighed(self, hypothesis: Sequence[Change], factors: Sequence[float] = _FACTORS) -> Weighed:
+    def weighed(self, hypothesis: Sequence[PoseFault], factors: Sequence[float] = _FACTORS) -> DeviationEvidence:
         """A hypothesis at the likeliest of some factors."""
         R, z = self.data
         candidates = []
@@ -155,7 +155,7 @@ class Deviation:
             along = U.T @ z
             fit = 0.5 * float(np.sum((s * along) ** 2 / (1 + s**2)))
             mean = L * (Vt.T @ (s * along / (1 + s**2)))
-            candidates.append(Weighed(factor, fit - 0.5 * float(np.sum(np.log1p(s**2))), fit, mean))
+            candidates.append(DeviationEvidence(factor, fit - 0.5 * float(np.sum(np.log1p(s**2))), fit, mean))
         return max(candidates, key=lambda candidate: candidate.evidence)
 
     def log_likelihood(self, scale: float) -> float:
@@ -165,14 +165,14 @@ class Deviation:
         at_fit = replace(arm, precision=np.zeros(len(arm.precision))).log_likelihood(scale)
         return at_fit - float(z @ Ru - 0.5 * Ru @ Ru) + self.weighed(()).evidence
 
-    def valued(self, change: Change, weighed: Weighed) -> Change:
+    def valued(self, change: PoseFault, weighed: DeviationEvidence) -> PoseFault:
         """A change by as much as its number says."""
         value = float(weighed.displacements[self.places(change)][0])
         if change.code == "joint_turns":
             return replace(change, value=rounded_to_quarters(value))
         return replace(change, value=1 / (1 - value)) if change.code == "sensor_scale" else change
 
-    def share(self, change: Change, weighed: Weighed) -> float:
+    def share(self, change: PoseFault, weighed: DeviationEvidence) -> float:
         """The largest displacement by a change, of a zero, a frame or a tool, over what factories grant of it."""
         displaced = np.abs(weighed.displacements[self.places(change)])
         of_length, of_angle = self.granted[6], self.granted[11]

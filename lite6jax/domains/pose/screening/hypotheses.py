@@ -27,8 +27,8 @@ from lite6jax.domains.pose.screening.changes import (
     CODES,
     DECLARED,
     POSES,
-    Change,
     Hypothesis,
+    PoseFault,
     added,
     compatible,
     contains,
@@ -220,14 +220,14 @@ def _scales(thinned: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
     thinned = thinned.select(spread_rows(thinned.samples, options.pair_rows))
 
     def error(log_scale: float) -> float:
-        change = Change("sensor_scale", (), float(np.exp(log_scale)))
+        change = PoseFault("sensor_scale", (), float(np.exp(log_scale)))
         return median_error(_free_frames(thinned, change.undone(thinned.recording)))
 
     bound = float(np.log(options.largest_scale))
     nearest: Any = minimize_scalar(error, bounds=(-bound, bound), method="bounded")
     log_scale = float(nearest.x)
     grossly = abs(log_scale) > np.log(options.least_scale)
-    return [(Change("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
+    return [(PoseFault("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
 
 
 def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
@@ -255,7 +255,7 @@ def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     changes = []
     for i, value in total.items():
         value = 0.0 if abs(value) < TOLERANCE["rad"] else rounded_to_quarters(value)
-        changes += [Change("joint_turns", (i,), value)] if value else []
+        changes += [PoseFault("joint_turns", (i,), value)] if value else []
     return tuple(changes)
 
 
@@ -349,14 +349,14 @@ def explain_deviation(state: Screened) -> Screened:
     return state.corrected(DataFault("arm_deviation", (), numbers))
 
 
-def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change, list[Hypothesis]] | None:
+def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[PoseFault, list[Hypothesis]] | None:
     """The fault that explains the deviation best, and those that do as well; None where the arm's own prior does."""
     recording = deviation.arm.recording
-    changes = [Change("joint_turns", (joint,)) for joint in with_zeros(recording)]
+    changes = [PoseFault("joint_turns", (joint,)) for joint in with_zeros(recording)]
     if recording.touches is None:
-        changes.append(Change("sensor_scale"))
-        changes += [Change("declared_frame")] * (not deviation.arm.form.frame)
-        changes += [Change("declared_tool")] * (not deviation.arm.form.tool)
+        changes.append(PoseFault("sensor_scale"))
+        changes += [PoseFault("declared_frame")] * (not deviation.arm.form.frame)
+        changes += [PoseFault("declared_tool")] * (not deviation.arm.form.tool)
     none = deviation.weighed(())
     weighed = {change: deviation.weighed((change,)) for change in changes}
     likeliest = max(weighed, key=lambda change: weighed[change].evidence)
@@ -372,7 +372,7 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[Change,
     return valued[0], [(change,) for change in valued[1:]]
 
 
-def _is_gross(change: Change, share: float, options: ScreeningOptions) -> bool:
+def _is_gross(change: PoseFault, share: float, options: ScreeningOptions) -> bool:
     """Whether a change is more than what a chain and a sensor do by themselves.
 
     Args:
@@ -383,7 +383,7 @@ def _is_gross(change: Change, share: float, options: ScreeningOptions) -> bool:
     return _is_gross_scale(change, options) if change.code == "sensor_scale" else share > options.least_gross
 
 
-def _is_gross_scale(change: Change, options: ScreeningOptions) -> bool:
+def _is_gross_scale(change: PoseFault, options: ScreeningOptions) -> bool:
     return abs(np.log(float(change.value))) > np.log(options.least_scale)
 
 
