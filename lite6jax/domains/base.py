@@ -48,7 +48,7 @@ class DomainProblem(Problem, Protocol):
         ...
 
 
-class Shown(Protocol):
+class DomainPrediction(Protocol):
     """What the sensors of a diagnosed recording show in a motion."""
 
     @property
@@ -91,7 +91,7 @@ class DomainModel(Protocol):
         """
         ...
 
-    def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> Shown:
+    def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> DomainPrediction:
         """What the sensors show in a motion.
 
         Args:
