@@ -35,7 +35,7 @@ from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
-from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study, tracking
+from lite6jax.report import diagnosis_figures, figures, fits, ranking, statements, study, tracking
 from lite6jax.report.compensations import (
     compensation_columns,
     corrected_sentences,
@@ -46,6 +46,7 @@ from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import diagnosis_page
+from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     SCREEN,
     be,
@@ -131,7 +132,7 @@ def _solution(solution: Solution) -> Description:
         solution.notes,
         data="calibration" if solution.noise is None else "recording",
         noise=solution.noise,
-        quality=faults.quality_statement(solution.quality.to_dict()),
+        quality=quality_statement(solution.quality.to_dict()),
         held=[parameter.name for parameter in solution.held],
         unsure=[solution.form.names[k] for k in np.flatnonzero(solution.free & ~solution.determined)],
     )

@@ -16,7 +16,7 @@ from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, tracking
-from lite6jax.report.faults import fault_statement, quality_statement, ruled_out_statements
+from lite6jax.report.faults import fault_statement, ruled_out_statements
 from lite6jax.report.ranking import fill_about, units
 from lite6jax.report.remedies import (
     component,
@@ -28,6 +28,7 @@ from lite6jax.report.remedies import (
     shape,
     with_articles,
 )
+from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     NAMED,
     NAMED_OF_TORQUES,
