@@ -18,7 +18,8 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.faults import fault_statement, is_granted, quality_statement, ruled_out_statements
+from lite6jax.report.faults import fault_statement, is_granted, ruled_out_statements
+from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     SCREEN,
     SHOWS_AS_ZERO,

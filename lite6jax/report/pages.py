@@ -24,9 +24,11 @@ from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
-from lite6jax.report.ranking import Files, units
+from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.sections import Picture, Section, parts_of, show_sections
+from lite6jax.report.sentences import diagnosis as sentences
+from lite6jax.report.sentences.document import units
 from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity, read_texts
 
 Document = Mapping[str, Any]
@@ -150,7 +152,7 @@ def certificate(document: Document) -> Figure:
             "Accuracy on rows that were not used",
             [
                 ("table", statements.error_rows(document)),
-                *(("text", line) for line in statements.say_about(document, "held_out")),
+                ("text", sentences.held_out(document)),
                 *([] if is_of_torques(document) else [("text", read_texts("diagnosis.yaml")["iso"])]),
             ],
         ),
@@ -158,7 +160,7 @@ def certificate(document: Document) -> Figure:
         Section(
             "Verdict and data",
             [
-                ("text", statements.verdict_statement(document)),
+                ("text", sentences.verdict_statement(document)),
                 ("text", f"Data faults, corrected or weighted: {', '.join(faults) or 'none'}."),
             ],
         ),

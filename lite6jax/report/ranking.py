@@ -3,8 +3,7 @@
 Contributions are in mm, degrees, Nm or N.
 """
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,57 +15,14 @@ from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.errors import command_line
 from lite6jax.recordings.formats import find_format
 from lite6jax.report.faults import fault_name
-from lite6jax.report.remedies import cause_of, effect_name, remedy_of
-from lite6jax.report.words import capital, each_with_unit, fill, plus_minus, read_texts, torque_units
-
-Document = Mapping[str, Any]
-Entry = Mapping[str, Any]
-
+from lite6jax.report.remedies import cause_of, remedy_of
+from lite6jax.report.sentences import diagnosis as sentences
+from lite6jax.report.sentences.diagnosis import Worth
+from lite6jax.report.sentences.document import Document, Entry, corrected_faults, sliding
+from lite6jax.report.words import capital, plural, plus_minus
 
 _SHARE = 0.1
 """Share of the error of positions, or orientations, from which a finding matters there."""
-_NEARLY = 0.05
-"""Family-wise p-value below which an effect that is no finding is said to be nearly significant."""
-_SAID_ONLY = ("outliers", "computed_pose", "arm_deviation")
-"""Faults of the data that are said and not corrected."""
-
-
-# ------------------------------------------------------------------ what a document is of
-
-
-def sliding(document: Document) -> tuple[int, ...]:
-    """The prismatic joints of the diagnosed arm, counted from 0."""
-    return tuple(joint - 1 for joint in document["model"].get("prismatic_joints", ()))
-
-
-def units(document: Document) -> tuple[str, ...]:
-    """Of each joint of a document of torques: Nm, or N of a prismatic one."""
-    return torque_units(sliding(document), len(document["model"]["kinematics"]))
-
-
-def fill_about(text: str, document: Document, **more: object) -> str:
-    """A text of `templates/diagnosis.yaml` about a document, and `more` numbers."""
-    torques = is_of_torques(document)
-    near = document["nearest"]
-    declared = document["noise"]["declared"]
-    of_controller = any(fault["fault"] == "computed_pose" for fault in document["data_faults"])
-    missing = [f"no {name.replace('_', '_noise_')}" for name, size in declared.items() if size is None]
-    about: dict[str, object] = {
-        "torques": torques,
-        "sensor": "sensors'" if torques else "sensor's",
-        "times": 0.0 if torques else max(ratio or 0.0 for ratio in document["left"]["over_noise"].values()),
-        # no sensor measured the poses: the controller computed them from the joints
-        "corrected": bool(corrected_faults(document)),
-        "computed": not torques and (of_controller or document.get("source") == "controller_fk"),
-        "size_declared": bool(next(iter(declared.values()))),
-        "undeclared": " and ".join(missing),
-        # documents do not hold the threshold below which the nearest effect leaves a verdict open
-        "near": near if near is not None and near["p_value"] < _NEARLY else None,
-        "name_effect": effect_name,
-    }
-    if torques:
-        about["in_units"] = partial(each_with_unit, units=units(document))
-    return fill(text, document, **(about | more))
 
 
 def detailed(document: Document) -> list[dict[str, Any]]:
@@ -154,39 +110,26 @@ def _main(document: Document, finding: Entry) -> Measure:
 # ------------------------------------------------------------------ the first sentence
 
 
-def corrected_faults(document: Document) -> list[Entry]:
-    """The faults of the data that were corrected: nothing corrects what is no more than said."""
-    return [fault for fault in document["data_faults"] if fault["fault"] not in _SAID_ONLY]
-
-
 def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
     findings = detailed(document)
-    torques = is_of_torques(document)
-    texts = read_texts("diagnosis.yaml")
     if findings:
         main = findings[order(document)[0]]
         measure = _main(document, main)
-        before, after = (_error_at(document[stage], document, measure, main) for stage in ("before", "after"))
-        return fill_about(
-            texts["headline"],
-            document,
-            cause=cause_of(main),
-            moved=plus_minus(measure.scale * main[measure.moves]),
-            more=measure.scale * main[measure.moves] > before,
-            before=plus_minus(before),
-            after=plus_minus(after),
-            unit=measure.unit,
-            of_arm=not torques and all(remedy_of(finding).of_arm for finding in findings),
-        )
+        before = _error_at(document["before"], document, measure, main)
+        after = _error_at(document["after"], document, measure, main)
+        moved = measure.scale * main[measure.moves]
+        worth = Worth(plus_minus(moved), moved > before, plus_minus(before), plus_minus(after), measure.unit)
+        of_arm = not is_of_torques(document) and all(remedy_of(finding).of_arm for finding in findings)
+        return sentences.headline(document, cause_of(main), worth, of_arm)
     sizes = (measure.size_of(document["before"][measure.error]) for measure in measures_of(document))
-    sentence = fill_about(texts["nothing_found"], document, error=f"{' and '.join(sizes)} RMS")
+    sentence = sentences.nothing_found(document, f"{' and '.join(sizes)} RMS")
     faults = corrected_faults(document)
     if not faults:
         return capital(sentence)
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in faults))
-    have = "a fault" if len(names) == 1 else f"{len(names)} faults"
-    pronoun = "this" if len(faults) == 1 else "these"
+    have = plural(len(names), "a fault", f"{len(names)} faults")
+    pronoun = plural(len(faults), "this", "these")
     return f"The data have {have} ({', '.join(names)}); with {pronoun} corrected, {sentence}"
 
 

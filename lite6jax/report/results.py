@@ -35,7 +35,7 @@ from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
-from lite6jax.report import diagnosis_figures, faults, figures, fits, ranking, statements, study, tracking
+from lite6jax.report import diagnosis_figures, figures, fits, ranking, statements, study, tracking
 from lite6jax.report.compensations import (
     compensation_columns,
     corrected_sentences,
@@ -46,6 +46,9 @@ from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import diagnosis_page
+from lite6jax.report.sentences import diagnosis as diagnosis_sentences
+from lite6jax.report.sentences.document import units as units_of
+from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     SCREEN,
     be,
@@ -131,7 +134,7 @@ def _solution(solution: Solution) -> Description:
         solution.notes,
         data="calibration" if solution.noise is None else "recording",
         noise=solution.noise,
-        quality=faults.quality_statement(solution.quality.to_dict()),
+        quality=quality_statement(solution.quality.to_dict()),
         held=[parameter.name for parameter in solution.held],
         unsure=[solution.form.names[k] for k in np.flatnonzero(solution.free & ~solution.determined)],
     )
@@ -254,14 +257,14 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     stages = (document["before"], document["after"])
     if diagnosis.domain == "torques":
         start = "torque errors of the joints are"
-        units = ranking.units(document)
+        units = units_of(document)
         sizes = [each_with_unit(stage["heldout_torque_rms_by_joint_Nm"], units) for stage in stages]
     else:
         start = "position error is"
         sizes = [f"{number(1e3 * stage['heldout_position_rms_m'])} mm" for stage in stages]
     after_effects = f"{sizes[1]} RMS with these effects and " if findings else ""
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
-    notes = [*statements.say_about(document, "assumptions"), *statements.what_to_record(document)]
+    notes = [*diagnosis_sentences.assumptions(document), *statements.what_to_record(document)]
     subject = "the torques of " if diagnosis.domain == "torques" else ""
     beside = []
     for part in diagnosis.parts[1:]:
@@ -269,12 +272,17 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
         torque_description = describe(part)
         beside = [*torque_description.sentences, *map(statements.agreement_statement, document["shared"])]
         notes += torque_description.notes
-    sentences = [ranking.headline(document), statements.verdict_statement(document), *statements.cautions(document)]
+    sentences = [
+        ranking.headline(document),
+        diagnosis_sentences.verdict_statement(document),
+        *statements.cautions(document),
+    ]
     sentences += [finding["statement"] for finding in findings[:_MOST_FINDINGS]]
     sentences += [f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`."] if hidden > 0 else []
     sentences += [f"The held-out {start} {after_effects}{sizes[0]} RMS with the model of the arm alone."]
     sentences += [f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}."] if faults else []
-    sentences += statements.say_about(document, "refusal") if "torques_refused" in document else []
+    if "torques_refused" in document:
+        sentences.append(diagnosis_sentences.refusal(document))
     return Description(f"Diagnosis of {subject}a {document['model']['arm']}", (*sentences, *beside), tuple(notes))
 
 

@@ -21,6 +21,9 @@ from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import by_site
 from lite6jax.report.screen import indented, unbroken
+from lite6jax.report.sentences import diagnosis as sentences
+from lite6jax.report.sentences.document import sliding
+from lite6jax.report.sentences.document import units as units_of
 from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
 
 Document = Mapping[str, Any]
@@ -76,7 +79,7 @@ def sections_of(
     bars = [
         (finding["title"], finding["share"], finding["contribution"].removesuffix(f" {unit}")) for finding in ranked
     ]
-    verdict = (statements.verdict_statement(document), *statements.cautions(document))
+    verdict = (sentences.verdict_statement(document), *statements.cautions(document))
     to_do = [f"{row_ranges(ranks)}. {action}" if len(ranked) > 1 else action for ranks, action in actions]
     commands = [] if files is None else ranking.steps(document, files)
     made = [
@@ -85,7 +88,7 @@ def sections_of(
             "",
             [
                 ("cause", (document["verdict"], ranking.headline(document))),
-                *_texts(*verdict, *statements.say_about(document, "setting")),
+                *_texts(*verdict, sentences.setting(document)),
             ],
         ),
         Section(f"What each finding moves ({f'{unit} RMS'.strip()})", [("bars", (bars, anchor))] if bars else []),
@@ -93,7 +96,7 @@ def sections_of(
             "Held-out errors before and after",
             [
                 ("table", statements.error_rows(document)),
-                *_texts(*statements.say_about(document, "held_out", "noise", "assumptions")),
+                *_texts(sentences.held_out(document), sentences.noise(document), *sentences.assumptions(document)),
                 *_texts(*_distance_from_table(document)),
                 *drawn("error_by_joint", "over_time"),
             ],
@@ -123,12 +126,12 @@ def parts_of(
     """
     parts = [("", sections_of(document, files, details, pictures[0]))]
     if "torques" in document:
-        sentences = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
-        shared = Section("What poses and torques both depend on", [("bullets", sentences)])
+        agreements = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
+        shared = Section("What poses and torques both depend on", [("bullets", agreements)])
         torques = sections_of(document["torques"], None, details, pictures[1], "torque-")
         parts = [("Poses", parts[0][1]), ("Torques", torques), ("Both", [shared])]
     elif "torques_refused" in document:
-        parts = [("Poses", parts[0][1]), ("Torques", [Section("", _texts(*statements.say_about(document, "refusal")))])]
+        parts = [("Poses", parts[0][1]), ("Torques", [Section("", _texts(sentences.refusal(document)))])]
     return parts
 
 
@@ -138,10 +141,9 @@ def _texts(*lines: str) -> list[Block]:
 
 def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
-        units = ranking.units(document) if is_of_torques(document) else ()
-        yield "text", statements.comparison_headline(comparison, units)
-        sentences = [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
-        yield "bullets", sentences
+        units = units_of(document) if is_of_torques(document) else ()
+        yield "text", sentences.comparison_headline(comparison, units)
+        yield "bullets", [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
         yield "text", comparison["statement"]
 
 
@@ -183,7 +185,7 @@ def _next_recording(document: Document) -> Iterator[Block]:
         yield "bullets", lines
     for item in document["separating_poses"]:
         position = np.array(item["joint_position_rad"])
-        scales, units = joint_units(ranking.sliding(document), position.shape[1])
+        scales, units = joint_units(sliding(document), position.shape[1])
         first_effect, second_effect = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
         yield "heading", f"Poses that separate {first_effect} from {second_effect} ({', '.join(dict.fromkeys(units))})"
         rows = [[str(k), *(fixed(float(value), 1) for value in row)] for k, row in enumerate(scales * position, 1)]

@@ -3,8 +3,7 @@
 The texts are in `templates/diagnosis.yaml`; here is what they are filled with.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -13,31 +12,27 @@ import numpy as np
 from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
-from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, tracking
-from lite6jax.report.faults import fault_statement, quality_statement, ruled_out_statements
-from lite6jax.report.ranking import fill_about, units
+from lite6jax.report.faults import fault_statement, ruled_out_statements
 from lite6jax.report.remedies import (
-    component,
     detail,
     distinct_rivals,
     drivers_of,
     effect_name,
     effect_title,
-    shape,
-    with_articles,
 )
+from lite6jax.report.sentences import diagnosis as sentences
+from lite6jax.report.sentences.document import Document, Entry, units
+from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     NAMED,
     NAMED_OF_TORQUES,
     SCREEN,
     RoundedParameter,
     capital,
-    each_with_unit,
     fill,
     fixed,
-    multiple,
     number,
     plus_minus,
     quantity,
@@ -46,23 +41,16 @@ from lite6jax.report.words import (
     significant,
 )
 
-Document = Mapping[str, Any]
-Entry = Mapping[str, Any]
-
 _TEXTS = read_texts("diagnosis.yaml")
 NOT_CHECKED: str = _TEXTS["not_checked"]
 NOTHING_SHARED = "No finding concerns a quantity on which both poses and torques depend."
 _STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
-_LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
-_PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _MOST = 0.5
 """The share of a variance from which it is most of it."""
 _NEAREST = 2
 """Effects that a finding may be instead, for whose distinction the recording is said; more would vary everything."""
-_STANDS_OUT = 2.0
-"""Times the others, at which one joint is named apart."""
 _MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
 
 
@@ -99,58 +87,17 @@ def with_statements(document: Document) -> dict[str, Any]:
     return stated
 
 
-# ------------------------------------------------------------------ the recording and the verdict
-
-
-def say_about(document: Document, *names: str) -> list[str]:
-    """Texts, or lists of them, filled with a document; without those that are empty.
-
-    They are `setting`, the arm and how much was recorded; `held_out`, how errors were held out; `noise`, the estimated
-    beside the declared; `assumptions`, on what the tests rest beyond the recording; and `refusal` of the torques.
-    """
-    texts = [_TEXTS[name] for name in names]
-    lines = [line for text in texts for line in ([text] if isinstance(text, str) else text)]
-    drivers = (driver for finding in document["findings"] for driver in drivers_of(finding))
-    loaded = not is_of_torques(document) and any(driver_of(driver).loaded for driver in drivers)
-    return [filled for text in lines if (filled := fill_about(text, document, loaded=loaded))]
-
-
-def verdict_statement(document: Document) -> str:
-    """The verdict in a few sentences, with what is left and where that acts."""
-    torques = is_of_torques(document)
-    left_over = document["left"]
-    ratios = ""
-    if document["verdict"] in _LEFT_OVER:
-        worst: dict[str, object] = {}
-        sizes = [ratio for ratio in left_over["over_noise"].values() if ratio is not None]
-        if torques and sizes:
-            joint, worst_ratio = max(enumerate(sizes, 1), key=lambda pair: pair[1])
-            other_ratios = sizes[: joint - 1] + sizes[joint:]
-            apart = bool(other_ratios) and worst_ratio > _STANDS_OUT * max(other_ratios)
-            other_ratios = other_ratios if apart else sizes
-            ends = dict.fromkeys(map(multiple, (min(other_ratios), max(other_ratios))))
-            worst = {"worst": joint, "most": worst_ratio, "apart": apart, "others": " to ".join(ends)}
-            between = (left_over.get("between_reversals") or {}).get(f"joint{joint}", worst_ratio)
-            worst |= {"between": between, "turning": between < 0.5 * (1 + worst_ratio)}  # of the excess over noise
-        ratios = fill_about(_TEXTS["ratios"], document, **worst)
-    sentence = fill_about(_TEXTS["verdict"][document["verdict"]], document, ratios=ratios)
-    where = left_over["acts_at"] if document["verdict"] in _LEFT_OVER else None
-    return sentence if where is None else f"{sentence} {fill(_TEXTS['acts_at'], where)}"
+# ------------------------------------------------------------------ the verdict
 
 
 def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
-    torques = is_of_torques(document)
-    withdrawn = document["withdrawn"]
-    lines = say_about(document, "not_measured")
-    if not torques and (bad := quality_statement(document["quality"])):
+    lines = sentences.not_measured(document)
+    if not is_of_torques(document) and (bad := quality_statement(document["quality"])):
         lines.append(bad)
-    if withdrawn is not None:
-        facts: dict[str, Any] = {"torques": torques, "names": list(map(effect_title, withdrawn["effects"]))}
-        if not torques:
-            facts |= {stage: 1e3 * withdrawn[stage]["heldout_position_rms_m"] for stage in ("before", "after")}
-        lines.append(fill(_TEXTS["withdrawn"], facts))
+    if document["withdrawn"] is not None:
+        lines.append(sentences.withdrawn_effects(document))
     return lines
 
 
@@ -218,30 +165,24 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
 def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
     """A finding, as `ranking.detailed` gives it, in a sentence, and what it is with those `beside`."""
-    where = finding["where"]
     unnamed = finding["effect"] == "unnamed"
-    torques = is_of_torques(finding)
-    label = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
-    if torques:
+    numbers = ", ".join(str(size) for size in quantities(finding) if size.std)
+    if is_of_torques(finding):
         moves = " and ".join(f"{significant(finding[key])} {words}" for key, words in _MOVES if key in finding)
+        exerted = "force" if finding["where"].get("of_slide") else "torque"
+        if unnamed:
+            sentence = sentences.unnamed_torque(finding, exerted, moves)
+        else:
+            sentence = sentences.named_torque(effect_title(finding), numbers, moves)
     else:
+        label = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
         turned = finding.get("moves_rms_rad")
         turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
         moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
-    sentence = fill(
-        _TEXTS["finding"],
-        finding,
-        torques=torques,
-        nonparametric=unnamed,
-        named=capital(effect_title(finding) if torques else label),
-        exerted="force" if where.get("of_slide") else "torque",
-        along="" if torques else component(where),
-        drivers=with_articles(finding["driver"]),
-        shape="" if torques or not unnamed else shape(where),
-        numbers=", ".join(str(size) for size in quantities(finding) if size.std),
-        moves=moves,
-        title=effect_title,
-    )
+        if unnamed:
+            sentence = sentences.unnamed_displacement(finding, numbers, moves)
+        else:
+            sentence = sentences.named_displacement(finding, label, numbers, moves)
     return " ".join([sentence, *_as_a_gear(finding, beside)])
 
 
@@ -311,7 +252,7 @@ def untested(document: Document) -> list[Untested]:
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
         reasons.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        reasons.append(Untested(fill_about(_TEXTS["confounded"], document), "", tuple(document["confounded"])))
+        reasons.append(Untested(sentences.confounded_effects(document), "", tuple(document["confounded"])))
     return reasons
 
 
@@ -337,11 +278,8 @@ def what_to_record(document: Document) -> list[str]:
                 undecided.append(rival)
         if near := undecided[:_NEAREST]:
             drivers = dict.fromkeys(f"the {driver}" for entry in (finding, *near) for driver in drivers_of(entry))
-            lines.append(
-                fill_about(
-                    texts["undecided"], document, **subject, others=[*map(effect_title, near)], drivers=[*drivers]
-                )
-            )
+            titles = list(map(effect_title, near))
+            lines.append(sentences.separate_undecided(document, subject["one"], titles, list(drivers)))
     doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(fill(texts["payload"], {"names": doubtful}))
@@ -350,12 +288,7 @@ def what_to_record(document: Document) -> list[str]:
             names = list(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(fill(texts["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
     if document["confounded"]:
-        steps = []
-        if not is_of_torques(document):
-            parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
-            steps = [fill("declare {{ parts | joined }}", {"parts": parts})] if parts else []
-            steps += [] if document["model"]["orientation"] else ["measure orientations too"]
-        sentence = fill_about(texts["confounded"], document, steps=steps)
+        sentence = sentences.remedy_of_confounded(document)
         lines += [sentence] if sentence else []
     return lines + equivalent
 
@@ -378,27 +311,17 @@ def with_comparison(comparison: Document) -> dict[str, Any]:
         wording = [{**entry, "statement": agreement_statement(entry)} for entry in comparison["differences"]]
         return stated | {"differences": wording}
     stated["differences"], times = [], ("position_rms_before_m", "position_rms_after_m")
-    chain = lambda used: f"{_TEXTS['chains'][used['kind']]} ({used['name']})"  # noqa: E731
     for ends, group in groupby(comparison["differences"], key=lambda entry: tuple(entry.get(at) for at in times)):
         together = list(group)
         for entry in together:
-            wording = fill(
-                _TEXTS["differences"][entry["difference"]], entry, file=file, chain=chain, command=command_line
-            )
+            wording = sentences.difference_statement(entry, file)
             if ends[0] is not None and entry is together[-1]:
-                sizes: dict[str, Any] = {"before": ends[0], "after": ends[1], "together": len(together) > 1}
-                wording += f" {fill(_TEXTS['against']['reduces'], sizes)}"
+                wording += f" {sentences.reduction(ends[0], ends[1], len(together) > 1)}"
             stated["differences"].append({**entry, "statement": wording})
     stated["notes"] = [
         {**entry, "statement": fill(_TEXTS["notes"][entry["note"]], entry, file=file)} for entry in comparison["notes"]
     ]
     return stated
-
-
-def comparison_headline(comparison: Document, joint_units: Iterable[str] = ()) -> str:
-    """What was compared, and how far apart it is; of poses, whether the model reproduces the reference."""
-    in_units = partial(each_with_unit, units=tuple(joint_units))
-    return fill(_TEXTS["against"]["headline"], comparison, in_units=in_units)
 
 
 def model_statement(file: str, basis: Basis) -> str:
@@ -421,7 +344,7 @@ def agreement_statement(entry: Entry) -> str:
         for side in (("poses", "torques") if shared else ("recording", "reference"))
     }
     if shared:
-        return fill(_TEXTS["shared"], {**entry, **_TEXTS["quantities"][entry["quantity"]]}, said=sides)
+        return sentences.shared_quantity(entry, sides)
     over = f" over {entry['driver']}" if "driver" in entry else ""
     title = f"Unnamed effect at {entry['site']}{over}" if over else capital(effect_title(entry))
-    return fill(_TEXTS["against"]["effect"], entry, title=title, said=sides)
+    return sentences.effect_of_both(entry, title, sides)

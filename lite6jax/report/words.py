@@ -162,15 +162,27 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
+def plural(count: int, of_one: str, of_several: str) -> str:
+    """The words that agree with a number."""
+    if count == 1:
+        return of_one
+    return of_several
+
+
 def be(count: int) -> str:
     """Is, or are."""
-    return "is" if count == 1 else "are"
+    return plural(count, "is", "are")
 
 
 def joined(words: Iterable[str], last: str = "and") -> str:
     """Words in a row: a, b and c."""
     *first, final = [*words] or [""]
     return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def paragraph(*sentences: str) -> str:
+    """Sentences, or parts of one, a blank between them, without those that are empty."""
+    return " ".join(filter(None, sentences))
 
 
 def capital(text: str) -> str:

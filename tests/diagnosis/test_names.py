@@ -13,6 +13,7 @@ from lite6jax.diagnosis.heldout import HeldOut, raises
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.report import statements
+from lite6jax.report.sentences.diagnosis import held_out, verdict_statement
 
 SAMPLES = 240
 OPTIONS = Options()
@@ -136,9 +137,9 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     assert document["left"]["acts_at"]["share"] > 0.7
     removed = f"every row removes {100 * diagnosis.acts_at.share:.0f} % of their sum of squares"
     assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
-        statements.verdict_statement(document)
+        verdict_statement(document)
     )
-    assert removed in statements.verdict_statement(document)
+    assert removed in verdict_statement(document)
 
 
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
@@ -160,7 +161,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
         effect, p_value = diagnosis.nearest
         assert effect.label == "joint_compliance:joint3"
         assert OPTIONS.engine.level < p_value < OPTIONS.nearly_significant
-        said = statements.verdict_statement(diagnosis.to_dict())
+        said = verdict_statement(diagnosis.to_dict())
         assert said == (
             "Undetermined: what is left, with the effects below, is noise, but joint compliance at joint3 is nearly "
             f"significant (family-wise p-value {p_value:.2g}). Record about {diagnosis.rows_needed - 200} more poses."
@@ -228,7 +229,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(judged):
     document = diagnosis.to_dict()
     assert document["heldout_blocks"] == 25
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
-    (said,) = statements.say_about(document, "held_out")
+    said = held_out(document)
     assert said.startswith("Errors of 40 rows, held out in 25 contiguous blocks, several at a time")
     assert "without each of 5 contiguous blocks predicts them worse" in said
 

@@ -26,6 +26,7 @@ from lite6jax.report import screen as terminal
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sections import diagnosis_report
+from lite6jax.report.sentences.diagnosis import verdict_statement
 from lite6jax.simulation import simulate
 
 pytestmark = pytest.mark.usefixtures("unpainted")
@@ -278,7 +279,7 @@ def test_a_residual_of_many_times_a_noise_that_is_declared_in_part_is_not_the_se
     found = of_six_numbers(tmp_path, 2e-3, **{key: 2e-5})
     document = documented(found)
     assert found.verdict == "unexplained"
-    assert re.search(r"are (9\d|1\d\d) times the declared noise", statements.verdict_statement(document))
+    assert re.search(r"are (9\d|1\d\d) times the declared noise", verdict_statement(document))
     assert ranking.headline(document).endswith(" is not the noise of the poses alone, and nothing explains it.")
     over = document["left"]["over_noise"][key.partition("_")[0]]
     assert over == pytest.approx(100, rel=0.2)
@@ -290,7 +291,7 @@ def test_poses_of_the_controller_test_the_table_alone(compliant):
     document = documented(compliant)
     none = {**document, "findings": [], "source": "controller_fk"}
     none["model"] = {**document["model"], "effects": []}
-    assert statements.verdict_statement({**none, "verdict": "consistent"}) == (
+    assert verdict_statement({**none, "verdict": "consistent"}) == (
         "Consistent: the table of the arm reproduces what the controller computed from the joints."
     )
     assert statements.cautions(none)[0].startswith("The poses are the controller's own computation from the joints")
@@ -306,7 +307,7 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
         noise = {"declared": known, "estimated": {"position_m": 2e-5}}
         left = {"over_noise": {"position": position, "orientation": orientation}, "white": white, "acts_at": None}
         changed = {"verdict": code, "noise": noise, "left": left, "rows_needed": rows}
-        return statements.verdict_statement({**document, **changed})
+        return verdict_statement({**document, **changed})
 
     assert verdict("consistent") == "Consistent: the model of the arm and the sensor's noise explain the recording."
     assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", position=5.5)

@@ -39,7 +39,8 @@ from lite6jax.fleet.reduction import reduced
 from lite6jax.recordings import write_recording
 from lite6jax.report.faults import fault_statement
 from lite6jax.report.remedies import cause_of, remedy_of
-from lite6jax.report.statements import comparison_headline, finding_statement
+from lite6jax.report.sentences.diagnosis import comparison_headline
+from lite6jax.report.statements import finding_statement
 from tests.conftest import without_pictures
 
 FEW = Options(folds=2)

@@ -23,7 +23,8 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording
 from lite6jax.report.remedies import remedy_of
-from lite6jax.report.statements import verdict_statement, with_statements
+from lite6jax.report.sentences.diagnosis import verdict_statement
+from lite6jax.report.statements import with_statements
 from lite6jax.search.search import search
 
 FEW = Options(folds=2)
