@@ -285,6 +285,7 @@ def _processed(
             place[joint, lane] = keys.setdefault(tuple(float(value) for value in key), len(keys))
     per_sample = round(commands.period / step)
     columns = np.empty((steps, len(keys)))
+    ends = np.empty((steps, len(keys)))
     at = np.arange(steps) - lead
     for (joint, run, clock, skipped, delay, _, _), k in keys.items():
         u = _skip(commands.u[int(run), :, int(joint)], commands.luck[int(run)], skipped)
@@ -299,10 +300,11 @@ def _processed(
         middle = at * (1 + clock) - delay / step
         half = 0.5 * (1 + clock)
         columns[:, k] = (area(middle + half) - area(middle - half)) / (2 * half)
+        ends[:, k] = u[np.clip(np.floor((middle + half) / per_sample), 0, len(u) - 1).astype(int)]
     slow = np.array([key[5] for key in keys])
     rate = np.array([key[6] for key in keys])
     if np.any(slow > 0) or np.any(rate < NEVER):
-        _follow(columns, slow, rate, step)
+        _follow(columns, ends, slow, rate, step)
     return columns, place
 
 
@@ -312,20 +314,37 @@ def _skip(u: Array, luck: Array, share: float) -> Array:
     return u[np.maximum.accumulate(sent)]
 
 
-def _follow(columns: Array, slow: Array, rate: Array, step: float) -> None:
-    """A low pass of so many s, and a limit of so many rad/s, in place."""
+def _follow(columns: Array, ends: Array, slow: Array, rate: Array, step: float) -> None:
+    """A low pass of so many s, and a limit of so many rad/s, in place.
+
+    Args:
+        columns: `(step, column)` rad, means over the steps.
+        ends: likewise, where the steps end: a held command that switches within a step is one of two values there.
+        slow: `(column,)` s.
+        rate: `(column,)` rad/s.
+        step: s.
+    """
     passed = slow > 0
     decay = np.where(passed, np.exp(-step / np.maximum(slow, 1e-12)), 0.0)
     most = rate * step
     low = columns[0].copy()
     shown = columns[0].copy()
+    came = columns[0].copy()
     # the mean of a step is that of its two ends, half a step before and half a step after
     weight = np.where(passed, np.maximum(slow, 1e-12) / step * (1 - decay), 0.0)
     for m in range(len(columns)):
         u = columns[m]
         mean = u + (low - u) * weight
-        low = u + (low - u) * decay
-        end = shown + np.clip(low - shown, -most, most)
+        low = np.where(passed, u + (low - u) * decay, ends[m])
+        apart = ends[m] - came
+        # the share of the step in which the command before holds
+        still = np.where(np.abs(apart) > 1e-15, (ends[m] - u) / np.where(np.abs(apart) > 1e-15, apart, 1.0), 0.0)
+        still = np.where(passed, 0.0, np.clip(still, 0.0, 1.0))
+        middle = shown + np.clip(came - shown, -most * still, most * still)
+        end = middle + np.clip(low - middle, -most * (1 - still), most * (1 - still))
         # a limit that is not reached leaves the mean as it is
-        columns[m] = np.where(end == low, mean, 0.5 * (shown + end))
+        free = (end == low) & ((middle == came) | (still == 0))
+        limited = 0.5 * (still * (shown + middle) + (1 - still) * (middle + end))
+        columns[m] = np.where(free, mean, limited)
         shown = end
+        came = ends[m]

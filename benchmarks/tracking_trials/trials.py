@@ -23,6 +23,9 @@ _SHARE, _OUTSIDE_SHARE = 0.1, 0.2
 """Of what the missing physics does in the unseen motion, what a prediction may err by; the second without a name."""
 _LEAST_LIMIT, _OF_NOISE = 1.5e-4, 0.5
 """rad, and of the noise: what a prediction may always err by."""
+_AGREED = 3e-5
+"""rad, by which simulators of the same arm may differ in what they make of its commands: a part of the noise in which
+effects are to be seen, though no part of the read-outs."""
 _DIGITS = 9
 _ONE_FAULT = {"joints_swapped", "joint_sign"}  # those that the shared score knows
 
@@ -45,7 +48,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     commands = draw_commands(rng, arm, plan.motions, plan.rate, plan.samples)
     unseen = draw_commands(rng, arm, (plan.unseen,), plan.rate, plan.samples)
     noise = float(np.sqrt(plan.sigma**2 + plan.quantum**2 / 12))
-    view = View(setup, commands, noise, plan.servo == "unknown")
+    view = View(setup, commands, float(np.hypot(noise, _AGREED)), plan.servo == "unknown")
     hidden = hide(plan, rng, view)
     if hidden is None:
         return None

@@ -65,9 +65,14 @@ class Bodies:
         return replace(self, links=links)
 
     def tilted(self, tilt: Array) -> "Bodies":
-        """With the base tilted by small rotations `(2,)` rad about x and y."""
+        """With the base tilted by a rotation vector whose parts about x and y are `(2,)` rad."""
         turn = np.array([tilt[0], tilt[1], 0.0])
-        return replace(self, gravity=self.gravity - np.cross(turn, self.gravity))
+        angle = float(np.linalg.norm(turn))
+        once = np.cross(turn, self.gravity)
+        twice = np.cross(turn, once)
+        # sinc of NumPy is that of π times its argument
+        turned = self.gravity - np.sinc(angle / np.pi) * once + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * twice
+        return replace(self, gravity=turned)
 
     def torques(self, q: Array, dq: Array, ddq: Array) -> Array:
         """`(joint, sample)` Nm along a motion of that shape."""

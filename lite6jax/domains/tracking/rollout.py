@@ -8,8 +8,9 @@ Of joint i with command u, true position q and read-out y:
 M is the joint's own inertia, and L what the rest of the arm and gravity exert, along a motion that is given: joints are
 decoupled, and `lite6jax.domains.tracking.coupling` iterates L. A lane is one joint with one set of numbers.
 
-A step is leapfrog, with damping half implicit and the command averaged over the step. Where the inertia is less than
-about 4h²·kp it passes into implicit Euler. Coulomb friction F is a proximal map: the friction of a step can stop the
+A step is leapfrog, with damping half implicit and the command averaged over the step. A rate limit follows a command
+that switches within the step from the instant of the switch on. Where the inertia is less than about 4h²·kp the step
+passes into implicit Euler. Coulomb friction F is a proximal map: the friction of a step can stop the
 joint, not reverse it. While |F| is less than Coulomb friction allows, the joint sticks as in MuJoCo: F = G·(q̈ + B·q̇),
 with a grip G in kg·m² and B = `RETURN`. So it creeps under load, by load / (G·B).
 """
@@ -39,6 +40,8 @@ _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9
 """s, of a low pass, below which it passes all."""
+_INVERTED = 3
+"""Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _LANES = (6, 24, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
 
@@ -51,7 +54,7 @@ class Commands(NamedTuple):
         integral: `(joint, sample · steps + 1)` rad·s, ∫u dt at every step.
         reset: `(sample,)` bool, where a run begins.
         first: `(sample,)` int, the sample at which its run begins.
-        start: `(sample, joint)` rad, positions from which runs begin; of other samples anything.
+        start: `(sample, joint)` rad, read-outs with which runs begin; of other samples anything.
         velocity: `(sample, joint)` rad/s, likewise.
         period: s between samples.
         steps: of integration in this time.
@@ -64,6 +67,12 @@ class Commands(NamedTuple):
     velocity: Array
     period: float
     steps: int
+
+    @property
+    def end(self) -> NDArray[np.integer]:
+        """`(sample,)`, the sample before which its run ends."""
+        edges = np.r_[np.flatnonzero(self.reset), self.samples]
+        return np.repeat(edges[1:], np.diff(edges))
 
     @property
     def step(self) -> float:
@@ -174,6 +183,7 @@ def roll(
         commands.integral,
         commands.reset,
         commands.first,
+        commands.end,
         commands.start[:, joints[index]],
         commands.velocity[:, joints[index]],
         by_sample(load),
@@ -198,7 +208,8 @@ class _LaneState(NamedTuple):
         q: rad, at the step.
         v: rad/s, half a step before.
         a: rad/s², of the step before.
-        low: rad, the filtered command, half a step before.
+        arrived: rad, the command that has arrived, half a step before.
+        low: rad, the filtered command, likewise.
         limited: rad, after the rate limit, likewise.
         summed: rad·s, ∫e.
         error: rad, e of the step before.
@@ -208,6 +219,7 @@ class _LaneState(NamedTuple):
     q: Any
     v: Any
     a: Any
+    arrived: Any
     low: Any
     limited: Any
     summed: Any
@@ -221,6 +233,7 @@ def _roll(
     integral: Any,
     reset: Any,
     first: Any,
+    end: Any,
     start: Any,
     start_velocity: Any,
     load: Any,
@@ -234,29 +247,44 @@ def _roll(
 ) -> Any:
     """As `roll`; the read-out `(sample, lane)`, and three `(sample, step, lane)`."""
     h = period / steps
-    last = integral.shape[1] - 1
     decay = jnp.exp(-h / jnp.maximum(p.time_constant, _LEAST_TIME))
     mean_decay = jnp.maximum(p.time_constant, _LEAST_TIME) / h * (1 - decay)
+    filtered = p.time_constant > _LEAST_TIME
+    most_rise = p.rate_limit * h
     D = p.damping + p.viscous
     flat = integral.ravel()
     row = joints * integral.shape[1]
 
-    def area_at(s: Any, begin: Any, initial: Any) -> Any:
-        """∫u up to time s in steps; before a run its first command holds."""
-        x = jnp.clip(s, begin, last - 1e-9)
-        i = jnp.floor(x).astype(int)
+    def command_at(s: Any) -> Any:
+        """∫u up to time s in steps, and u·h there; before a run its first command holds, and after it the last."""
+        i = jnp.clip(jnp.floor(s).astype(int), begin, finish - 1)
         below = flat[row + i]
-        above = flat[row + jnp.minimum(i + 1, last)]
-        return below + (x - i) * (above - below) + jnp.minimum(s - begin, 0.0) * h * initial
+        more = flat[row + i + 1] - below
+        return below + (s - i) * more, more
 
     def advance(state: Any, inputs: Any) -> Any:
-        u, L, M, x = inputs
-        low = u + (state.low - u) * decay
+        u, arriving, L, M, x = inputs
+        low = jnp.where(filtered, u + (state.low - u) * decay, arriving)
         mean_low = u + (state.low - u) * mean_decay
-        change = jnp.clip(low - state.limited, -p.rate_limit * h, p.rate_limit * h)
+        # a held command switches at most once in a step: after the share of it by which its mean is reached
+        rise = arriving - state.arrived
+        early = jnp.where(rise == 0, 1.0, jnp.clip((arriving - u) / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0))
+        early = jnp.where(filtered, 1.0, early)
+        first_change = jnp.clip(
+            jnp.where(filtered, low, state.arrived) - state.limited, -most_rise * early, most_rise * early
+        )
+        between = state.limited + first_change
+        later = 1 - early
+        second_change = jnp.clip(low - between, -most_rise * later, most_rise * later)
+        mean_limited = (
+            state.limited
+            + first_change * (1 - 0.5 * jnp.abs(first_change) / most_rise)
+            + second_change * (later - 0.5 * jnp.abs(second_change) / most_rise)
+        )
+        change = first_change + second_change
         limited = state.limited + change
-        is_limited = jnp.abs(low - state.limited) > p.rate_limit * h
-        target = jnp.where(is_limited, state.limited + 0.5 * change, mean_low)
+        passes = filtered & (jnp.abs(low - state.limited) <= most_rise)
+        target = jnp.where(passes, mean_low, mean_limited)
         e = target - state.q
         dead = jnp.clip(e, -p.dead_band, p.dead_band)
         e = e - dead
@@ -283,29 +311,43 @@ def _roll(
         q = state.q + h * v
         y = jnp.clip(state.y, q - p.backlash, q + p.backlash)
         shown = (state.q, 0.5 * (v + state.v), a) if fine else ()
-        return _LaneState(q, v, a, low, limited, summed, e, y), shown
+        return _LaneState(q, v, a, arriving, low, limited, summed, e, y), shown
 
     def sample(state: Any, inputs: Any) -> Any:
-        u, L, M, x, following, here, q, v, first_command = inputs
+        u, arriving, L, M, x, following, here, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
-        fresh = _LaneState(q, v, zero, first_command, first_command, zero, zero, q)
         share = (jnp.arange(steps) / steps)[:, None]
         between = x + share * (following - x) + zero
-        begun, _ = advance(fresh, (u[0], L[0], M[0], between[0]))
+        error = first_command - q
+        error = error - jnp.clip(error, -p.dead_band, p.dead_band)
+        # an integral part drives a joint that rests until friction alone holds it back
+        balance = L[0] + p.spring * q + p.spring_torque + between[0] - p.stiffness * error
+        balance = balance + jnp.sign(error) * (p.coulomb + p.stribeck + p.load_friction * jnp.abs(L[0]))
+        summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
+        fresh = _LaneState(q, v, zero, first_command, first_command, first_command, summed, error, q)
+        begun, _ = advance(fresh, (u[0], arriving[0], L[0], M[0], between[0]))
         fresh = fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
         state = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, state)
         wave = p.sine * jnp.sin(state.y) + p.cosine * jnp.cos(state.y)
         shown = state.y * (1 + p.scale) + p.offset + wave
-        state, fine_states = jax.lax.scan(advance, state, (u, L, M, between))
+        state, fine_states = jax.lax.scan(advance, state, (u, arriving, L, M, between))
         return state, (shown, fine_states)
 
     begin = (first * steps)[:, None, None]
+    finish = (end * steps)[:, None, None]
     n = jnp.arange(len(reset))[:, None, None] * steps + jnp.arange(-1, steps)[None, :, None] + 0.5
     initial = (flat[row + begin + 1] - flat[row + begin]) / h
-    areas = area_at(begin + (n - begin) * (1 + p.clock_rate) - p.delay / h, begin, initial)
+    areas, held_areas = command_at(begin + (n - begin) * (1 + p.clock_rate) - p.delay / h)
+    arriving = held_areas[:, 1:] / h
     mean = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
     after = jnp.concatenate([extra[1:], extra[-1:]])
-    inputs = (mean, load[..., columns], mass[..., columns], extra, after, reset, start, start_velocity, initial[:, 0])
+    true_start = start
+    for _ in range(_INVERTED):
+        wave = p.sine * jnp.sin(true_start) + p.cosine * jnp.cos(true_start)
+        true_start = (start - p.offset - wave) / (1 + p.scale)
+    loads = load[..., columns], mass[..., columns]
+    begun = true_start, start_velocity, initial[:, 0]
+    inputs = (mean, arriving, *loads, extra, after, reset, *begun)
     zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))
     _, (readout, states) = jax.lax.scan(sample, state, inputs)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from scipy.signal import lsim
+from scipy.signal import step as step_response
+from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along, roll_coupled
 from lite6jax.domains.tracking.rollout import hold_commands, roll
@@ -42,11 +44,13 @@ def plain(joints, **numbers):
     )
 
 
-def roll_alone(servo, u, **options):
-    """One joint of 0.2 kg·m² that carries nothing."""
-    held = hold_commands(u[:, None], np.zeros(len(u), int), PERIOD, np.tile(u[:1, None], (len(u), 1)), **options)
+def roll_alone(servo, u, run=None, start=None, load=0.0, **options):
+    """One joint of 0.2 kg·m² that carries a load in Nm, from its first command or from a read-out."""
+    run = np.zeros(len(u), int) if run is None else run
+    begins = u[:, None] if start is None else np.full((len(u), 1), start)
+    held = hold_commands(u[:, None], run, PERIOD, begins, **options)
     nothing = np.zeros((1, held.samples * held.steps))
-    return roll(servo, held, np.array([0]), nothing, nothing + 0.2).readout[0]
+    return roll(servo, held, np.array([0]), nothing + load, nothing + 0.2).readout[0]
 
 
 def test_a_joint_without_friction_is_the_linear_system():
@@ -69,6 +73,61 @@ def test_a_rate_limit_holds_the_speed():
     u = np.where(TIME < 0.5, 0.0, 1.0)
     y = roll_alone(plain(1, rate_limit=0.5), u)
     assert np.diff(y[100:220]) / PERIOD == pytest.approx(0.5, rel=1e-3)
+
+
+def test_commands_that_are_early_hold_the_last_one_of_their_run():
+    u = commands_of(1)[:, 0]
+    run = np.repeat([0, 1], 200)
+    early = np.r_[u[3:200], np.full(3, u[199]), u[203:], np.full(3, u[-1])]
+    apart = roll_alone(plain(1, delay=-0.03), u, run) - roll_alone(plain(1), early, run)
+    assert np.abs(apart[5:200]).max() < 1e-6  # the pause before the motion is longer than the shift
+    assert np.abs(apart[:200]).max() < 1e-12
+    steady = np.where(TIME < 3.0, 0.1, 0.3)
+    fast = roll_alone(plain(1, clock_rate=0.05), steady)
+    assert fast[-1] == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0033, 0.0068])
+def test_a_rate_limit_follows_a_step_from_the_instant_of_its_switch(delay):
+    step = np.where(TIME < 0.995, 0.0, 10.0)
+    limited = roll_alone(plain(1, rate_limit=0.5, delay=delay), step)
+    ramp = roll_alone(plain(1, delay=delay), np.maximum(TIME - 1.0, 0.0) * 0.5, interpolated=True)
+    assert np.abs(limited - ramp).max() < 1e-6
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.003])
+def test_feed_forward_pushes_at_the_instant_of_a_switch(delay):
+    u = np.where(TIME < 0.495, 0.0, 0.1)
+    moved = roll_alone(plain(1, feedforward=6.0, delay=delay), u)
+    mass = 0.2 + ARMATURE[0]
+    # the derivative of a step is what the numerator makes of it
+    exact = step_response(([6.0 * 0.1, 300.0 * 0.1], [mass, 12.0, 300.0]), T=np.linspace(0.0, 3.0, 30001))
+    assert np.abs(moved - np.interp(TIME - 0.5 - delay, *exact, left=0.0)).max() < 2e-4
+
+
+def test_an_integral_part_has_settled_before_a_run():
+    u = np.full(len(TIME), 0.4)
+    balanced = roll_alone(plain(1, integral=30.0), u, start=0.39, load=3.0)
+    assert np.abs(np.diff(balanced[:2])).max() < 1e-5
+    # what the integral part adds at first is 3 Nm less 300 Nm/rad times the error
+    helped = roll_alone(plain(1, integral=30.0), u, start=0.395, load=3.0)
+    assert np.abs(np.diff(helped[:2])).max() < 1e-5
+    assert np.all(np.diff(helped) > -1e-9)
+
+
+@pytest.mark.parametrize("numbers", [{"offset": 0.02}, {"scale": -0.05}, {"sine": 0.01, "cosine": -0.02}])
+def test_runs_begin_where_the_encoder_shows_the_joint(numbers):
+    u = np.full(len(TIME), 0.4)
+    wave = numbers.get("sine", 0.0) * np.sin(0.4) + numbers.get("cosine", 0.0) * np.cos(0.4)
+    shown = 0.4 * (1 + numbers.get("scale", 0.0)) + numbers.get("offset", 0.0) + wave
+    assert roll_alone(plain(1, **numbers), u, start=shown) == pytest.approx(shown, abs=1e-6)
+
+
+def test_a_tilted_base_turns_gravity():
+    tilt = np.array([0.3, -0.2])
+    turned = Rotation.from_rotvec([*-tilt, 0.0]).apply([0.0, 0.0, -9.81])
+    assert bodies().tilted(tilt).gravity == pytest.approx(turned, abs=1e-12)
+    assert bodies().tilted(np.zeros(2)).gravity == pytest.approx([0.0, 0.0, -9.81])
 
 
 def test_a_torque_limit_that_falls_with_speed_bounds_the_speed():
