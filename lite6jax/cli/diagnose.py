@@ -466,9 +466,7 @@ class PredictCommand:
         document = diagnosis_file.parse_document(self.diagnosis)
         effects = command.load_own_effects(self.effects)
         model = diagnosis_file.model_from_document(document, effects, str(self.diagnosis))
-        of_commands = diagnosis_file.is_of_tracking(document)
-        read = recording_files.read_commands if of_commands else recordings.read_motion
-        recording = read(self.motion, model)
+        recording = model.read_motion(self.motion)
         torque_notes: list[str] = []
         registered = None
         of_poses = isinstance(model, pose_predict.DiagnosedArm)

@@ -39,6 +39,7 @@ from lite6jax.report.figures import (
     titled,
 )
 from lite6jax.report.remedies import effect_name, spaced
+from lite6jax.report.reports import REPORTS
 from lite6jax.report.words import SCREEN, joint_units, torque_units
 
 Array = NDArray[np.floating]
@@ -64,7 +65,9 @@ _LOWEST = 1e-4
 
 def figure_names(domains: Sequence[DomainName]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
-    first, *other_domains = ([*_DRAWN[domain], *([] if domain == "tracking" else ["findings"])] for domain in domains)
+    first, *other_domains = (
+        [*_DRAWN.get(domain, {}), *([] if domain in REPORTS else ["findings"])] for domain in domains
+    )
     return [*first, *(PREFIX + name for names in other_domains for name in names)]
 
 
@@ -75,10 +78,10 @@ def drawings(
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
-    for name, draw in _DRAWN[diagnosis.domain].items():
+    for name, draw in _DRAWN.get(diagnosis.domain, {}).items():
         if name != "spectra" or diagnosis.recording.motion != "static":
             yield name, draw(diagnosis, title)
-    if diagnosis.findings and diagnosis.domain != "tracking":
+    if diagnosis.findings and diagnosis.domain not in REPORTS:
         yield "findings", finding_figure(diagnosis, title, order=None if document is None else ranking.order(document))
     for torques in diagnosis.parts[1:]:
         torque_document = None if document is None else document["torques"]

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
+from lite6jax.diagnosis.document import domain_of, is_of_torques
 from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.errors import InputError
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
@@ -26,6 +27,7 @@ from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import effect_title
+from lite6jax.report.reports import own_report
 from lite6jax.report.sections import Picture, Section, parts_of, show_sections
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import units
@@ -74,9 +76,9 @@ def _pictures(diagnosis: DomainDiagnosis[Any], document: Document, figures: Mapp
     """The figures that have a place of their own, and one of each finding."""
     torques = is_of_torques(document)
     order = ranking.order(document)
-    captions = read_texts("diagnosis.yaml")["captions"][document["domain"]]
+    captions = read_texts("diagnosis.yaml")["captions"].get(document["domain"], {})
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
-    if is_of_tracking(document):
+    if own_report(document) is not None:
         return drawn
     for finding in statements.findings_of(document):
         over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
@@ -143,8 +145,9 @@ def certificate(document: Document) -> Figure:
     Raises:
         InputError: a diagnosis of commands and joints, of which there is no certificate.
     """
-    if is_of_tracking(document):
-        raise InputError("certificate: is of poses or torques, and this diagnosis is of commands; leave it out")
+    if own_report(document) is not None:
+        measured = DOMAINS[domain_of(document)].measured
+        raise InputError(f"certificate: is of poses or torques, and this diagnosis is of {measured}; leave it out")
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     sections = [
         Section("Certificate of accuracy", [("text", ranking.headline(document)), ("pairs", _subject(document))]),

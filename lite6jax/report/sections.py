@@ -14,12 +14,13 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import ranking, statements, tracking
+from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
 from lite6jax.report.ranking import Files
 from lite6jax.report.remedies import by_site
+from lite6jax.report.reports import own_report
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import sliding
@@ -69,8 +70,9 @@ def sections_of(
         anchor: begins the names of places on a page, which is of both domains.
     """
     pictures = pictures or {}
-    if is_of_tracking(document):
-        made = [Section(title, blocks) for title, blocks in tracking.parts_of(document, files, details, pictures)]
+    own = own_report(document)
+    if own is not None:
+        made = [Section(title, blocks) for title, blocks in own.parts_of(document, files, details, pictures)]
         return [section for section in made if any(shown for _, shown in section.blocks)]
     drawn = lambda *names: [("picture", pictures[name]) for name in names if name in pictures]  # noqa: E731
     ranked = statements.findings_of(document)

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.diagnosis.document import is_of_torques, is_of_tracking
+from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import ranking, tracking
+from lite6jax.report import ranking
 from lite6jax.report.faults import fault_statement, ruled_out_statements
 from lite6jax.report.remedies import (
     detail,
@@ -22,6 +22,7 @@ from lite6jax.report.remedies import (
     effect_name,
     effect_title,
 )
+from lite6jax.report.reports import own_report
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import Document, Entry, units
 from lite6jax.report.sentences.faults import quality_statement
@@ -59,8 +60,9 @@ def with_statements(document: Document) -> dict[str, Any]:
 
     Untestable effects get a `reason`. Torques beside poses get all of this too.
     """
-    if is_of_tracking(document):
-        return tracking.with_statements(document)
+    own = own_report(document)
+    if own is not None:
+        return own.with_statements(document)
     stated = dict(document)
     detailed = ranking.detailed(document)
     for key, statement in (

@@ -21,8 +21,6 @@ from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import search
 
-NONE = Terms()
-
 
 @final_effect
 class Rubbing(Effect):
@@ -57,9 +55,9 @@ class Oscillator(NamedTuple):
     damping: float = 2.0
     stiffness: float = 40.0
 
-    def rolled_out(self, time, force, terms=NONE, values=()):
+    def rolled_out(self, time, force, terms=(), values=()):
         """`(sample,)` m, from rest."""
-        numbers = {term.name: value for term, value in zip(terms.terms, values, strict=True)}
+        numbers = {term.name: value for term, value in zip(terms, values, strict=True)}
         stiffness = self.stiffness * (1 - numbers.get("softening", 0.0))
         friction = numbers.get("rubbing", 0.0)
         h = float(np.median(np.diff(time)))
@@ -84,7 +82,7 @@ class OscillatorProblem:
     groups = np.zeros(1, int)
     precision = offset = np.zeros(0)
     informative = np.zeros(0, bool)
-    preset = (NONE, np.zeros(0))
+    preset = (Terms(), np.zeros(0))
     declared = True
     floored = curved = False
     candidates = (Rubbing(), Softening())
@@ -96,7 +94,7 @@ class OscillatorProblem:
     every_run = property(lambda self: np.outer([0, self.samples - 1], np.ones(self.samples, int)))
 
     def _position(self, terms, values):
-        return self.oscillator.rolled_out(self.recording.time, self.recording.joint_torque[:, 0], terms, values)
+        return self.oscillator.rolled_out(self.recording.time, self.recording.joint_torque[:, 0], terms.terms, values)
 
     def residual(self, nuisance, terms, values):
         return (self._position(terms, values) - self.recording.joint_position[:, 0])[None] / self.noise
@@ -163,7 +161,7 @@ class DiagnosedOscillator:
         return read_motion(path, self)
 
     def predicted(self, motion, time_remedy="add time_s"):
-        path = self.oscillator.rolled_out(motion.time, motion.joint_torque[:, 0], self.terms, self.values)
+        path = self.oscillator.rolled_out(motion.time, motion.joint_torque[:, 0], self.terms.terms, self.values)
         return ShownPosition(path)
 
 
@@ -216,6 +214,28 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
         fields = shared_fields(self.model, parts, [finding.covariance for finding in self.findings])
         own = {"arm": "oscillator", "kinematics": [[0.0] * 6], "oscillator": list(self.problem.oscillator)}
         return {"model": own | fields}
+
+
+class OscillatorReport:
+    """The report, of the document alone."""
+
+    def with_statements(self, document):
+        findings = []
+        for finding in document["findings"]:
+            ((name, estimate),) = finding["parameters"].items()
+            statement = f"The mass has {finding['effect']}: {name} {estimate['value']:.3f} ± {estimate['std']:.1g}."
+            findings.append({**finding, "statement": statement})
+        return {**document, "findings": findings}
+
+    def parts_of(self, document, files, details, pictures):
+        sizes = [f"{1e3 * document[stage]['heldout_position_rms_m']:.3f}" for stage in ("before", "after")]
+        cause = (document["verdict"], f"The oscillator is {document['verdict']}.")
+        statements = [finding["statement"] for finding in document["findings"]]
+        return [
+            ("", [("cause", cause)]),
+            ("Held-out errors", [("table", (["before (mm)", "after (mm)"], [sizes]))]),
+            ("Findings", [("bullets", statements)]),
+        ]
 
 
 def diagnose_oscillator(recording, oscillator, noise):
