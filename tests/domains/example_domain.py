@@ -193,6 +193,7 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
     recording = property(lambda self: self.problem.recording)
     moves = property(lambda self: ({},) * len(self.findings))
     _noise = property(lambda self: ({"position_m": self.problem.noise}, {"position_m": self.problem.noise}))
+    _peak_to_peak = dict
     _leaves_noise = property(lambda self: self.most_over_noise <= self.options.as_noise)
 
     @cached_property
@@ -205,9 +206,6 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
 
     def _statistics(self, errors, kept):
         return {"heldout_position_rms_m": float(np.sqrt(np.mean(errors[:, kept] ** 2)))}
-
-    def _peak_to_peak(self, k):
-        return {}
 
     def _own_parts(self):
         parts = list(zip(self.fit.terms.terms, self.fit.terms.slices, strict=True))
