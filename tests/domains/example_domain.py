@@ -193,7 +193,7 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
     recording = property(lambda self: self.problem.recording)
     moves = property(lambda self: ({},) * len(self.findings))
     _noise = property(lambda self: ({"position_m": self.problem.noise}, {"position_m": self.problem.noise}))
-    _peak_to_peak = dict
+    _peak_to_peak = None  # of nonparametric effects, which there are none of
     _leaves_noise = property(lambda self: self.most_over_noise <= self.options.as_noise)
 
     @cached_property
