@@ -17,7 +17,7 @@ import numpy as np
 from lite6jax.arms.description import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address
-from lite6jax.emulator import Body, Controller, server
+from lite6jax.emulator import Controller, EmulatedArm, server
 from tests.oracles.arms import perturbed
 
 ARM = load_bundled("lite6")
@@ -46,7 +46,7 @@ def emulated(body=None, **options):
     """A controller, of the calibrated arm where no body is given, and its address."""
     options = {"address": new_host(), "control_port": CONTROL_PORT} | options
     counting = mock.patch.object(server, "answer", partial(_count, server.answer))
-    with counting, Controller(body or Body(ARM, KINEMATICS), **options) as controller:
+    with counting, Controller(body or EmulatedArm(ARM, KINEMATICS), **options) as controller:
         yield controller, Address(controller.address, controller.control_port)
 
 

@@ -14,7 +14,7 @@ from lite6jax.controller import protocol, recorder
 from lite6jax.controller.recorder import record, record_poses
 from lite6jax.controller.station import read_station
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.emulator import Body, Faults, draw_sines, visit
+from lite6jax.emulator import EmulatedArm, Faults, draw_sines, visit
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, estimated_torque, read_recording
 from tests.oracles.chains import six_parameter_poses
@@ -75,7 +75,7 @@ def test_a_recording_is_what_the_arm_did_and_says_what_it_is(tmp_path):
 def test_torques_without_noise_are_declared_as_the_controllers_own(tmp_path, noise, source):
     """Of an arm that moves, and then rests."""
     path = visit([[0, 0, 1, 0, 0, 0], [0.5, 0.3, 1, 0, 0.4, 0]], pause=1.0)
-    body = Body(ARM, KINEMATICS, torque_noise=np.full(6, noise))
+    body = EmulatedArm(ARM, KINEMATICS, torque_noise=np.full(6, noise))
     with emulated(body=body, path=path, speed=20.0) as (_, address):
         done = record(address, tmp_path / "run.parquet", read_station(address, ARM, "lite6"), seconds=8.0)
     read = read_recording(tmp_path / "run.parquet")

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.emulator import Body
+from lite6jax.emulator import EmulatedArm
 from lite6jax.simulation import draw_calibration
 
 
@@ -19,7 +19,7 @@ from lite6jax.simulation import draw_calibration
 def lite6():
     """A Lite 6 as it was made."""
     arm = load_bundled("lite6")
-    return Body(arm, draw_calibration(arm, seed=1))
+    return EmulatedArm(arm, draw_calibration(arm, seed=1))
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from live import CONTROL_PORT, Line, new_host, snapshot, until
 from lite6jax.arms.description import load_bundled
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, Controller, Faults, describe_faults, draw_sines, parse_faults
+from lite6jax.emulator import Controller, EmulatedArm, Faults, describe_faults, draw_sines, parse_faults
 from lite6jax.errors import InputError
 
 Q = [0.1, 0.2, 0.9, 0.3, 0.4, 0.5]
@@ -150,13 +150,13 @@ def test_ports_in_use(lite6):
 def test_bodies_that_cannot_be():
     lite6 = load_bundled("lite6")
     with pytest.raises(InputError, match=r"a calibration \(5, 6\); it must be \(6, 6\)"):
-        Body(lite6, lite6.kinematics[:5])
+        EmulatedArm(lite6, lite6.kinematics[:5])
     for rise in (math.nan, 1000.0):
         with pytest.raises(InputError, match=f"lite6: warms up by {rise:g} K; give at most 100"):
-            Body(lite6, lite6.kinematics, warm_up=rise)
+            EmulatedArm(lite6, lite6.kinematics, warm_up=rise)
     effect, values = parse_effect("joint_compliance:joint=7,compliance_rad_per_Nm=1e-5")
     with pytest.raises(InputError, match="acts at joint 7, but the arm has 6"):
-        Body(lite6, lite6.kinematics, Physics((effect,)), values)
+        EmulatedArm(lite6, lite6.kinematics, Physics((effect,)), values)
     effect, values = parse_effect("time_offset:offset_s=3")
     with pytest.raises(InputError, match="supports at most 1 s"):
-        Body(lite6, lite6.kinematics, Physics((effect,)), values)
+        EmulatedArm(lite6, lite6.kinematics, Physics((effect,)), values)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, Controller, draw_sines, visit
+from lite6jax.emulator import Controller, EmulatedArm, draw_sines, visit
 from lite6jax.simulation.motions import Polynomials
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.gravity import gravity_moments
@@ -104,7 +104,7 @@ def hidden(lite6, *texts):
     """The same arm with physics."""
     parsed = [parse_effect(text) for text in texts]
     physics = Physics(tuple(effect for effect, _ in parsed))
-    return Body(lite6.arm, lite6.kinematics, physics, physics.join([values for _, values in parsed]))
+    return EmulatedArm(lite6.arm, lite6.kinematics, physics, physics.join([values for _, values in parsed]))
 
 
 def shown(body, path, count=600, **options):

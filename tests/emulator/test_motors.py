@@ -10,7 +10,7 @@ from scipy.stats import kstest
 from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.emulator import Body, draw_sines
+from lite6jax.emulator import EmulatedArm, draw_sines
 from lite6jax.emulator.body import Load, Sample
 from lite6jax.emulator.core import Core
 from lite6jax.errors import InputError
@@ -50,7 +50,7 @@ def with_effects(body, *texts, **changed):
 
 
 def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
-    body = Body(arm, lite6.kinematics)
+    body = EmulatedArm(arm, lite6.kinematics)
     sample, ddq = moved()
     for payload in (0.0, 0.7):
         carried = Load(TOOL, payload, CENTER)
@@ -59,7 +59,7 @@ def test_the_rigid_arm_with_its_payload_is_pinocchios(arm, lite6):
 
 
 def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
-    rigid = Body(arm, lite6.kinematics)
+    rigid = EmulatedArm(arm, lite6.kinematics)
     sample, ddq = moved()
     texts = (
         "torque_scale:joint=2,scale=0.1",  # named first, and applied last
@@ -76,10 +76,10 @@ def test_friction_adds_up_and_a_scale_multiplies_all_of_it(arm, lite6):
 
 
 def test_masses_and_a_tilted_base_are_those_of_another_arm(arm, lite6):
-    rigid = Body(arm, lite6.kinematics)
+    rigid = EmulatedArm(arm, lite6.kinematics)
     sample, ddq = moved()
     carried = Load(TOOL, 0.3, CENTER)
-    heavier = Body(replace(arm, mass=arm.mass + 0.2 * (np.arange(6) == 2)), lite6.kinematics)
+    heavier = EmulatedArm(replace(arm, mass=arm.mass + 0.2 * (np.arange(6) == 2)), lite6.kinematics)
     body = with_effects(rigid, "link_mass:link=3,mass_kg=0.2")
     np.testing.assert_allclose(body.torque(sample, ddq, carried), heavier.torque(sample, ddq, carried), atol=1e-12)
     still = sample._replace(velocity=0 * sample.velocity)
@@ -90,9 +90,9 @@ def test_masses_and_a_tilted_base_are_those_of_another_arm(arm, lite6):
     T = pin.rpy.rpyToMatrix(1e-4, 0, 0)
     R = T @ pin.rpy.rpyToMatrix(*turned[0, 3:])
     turned[0] = [*(T @ turned[0, :3]), *pin.rpy.matrixToRpy(R)]
-    other = Body(arm, turned)
+    other = EmulatedArm(arm, turned)
     change = by_pinocchio(other, still, 0 * ddq, 0.3, CENTER)
-    change -= by_pinocchio(Body(arm, lite6.kinematics), still, 0 * ddq, 0.3, CENTER)
+    change -= by_pinocchio(EmulatedArm(arm, lite6.kinematics), still, 0 * ddq, 0.3, CENTER)
     assert np.abs(change).max() > 1e-4
     np.testing.assert_allclose(model_change, change, atol=3e-6)  # the chain is rounded to fp32
 
@@ -102,9 +102,9 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
 
     def hidden(text):
         effect, values = parse_effect(text)
-        return Body(arm, lite6.kinematics, Physics((effect,)), values)
+        return EmulatedArm(arm, lite6.kinematics, Physics((effect,)), values)
 
-    rigid = Body(arm, lite6.kinematics)
+    rigid = EmulatedArm(arm, lite6.kinematics)
     sample, ddq = moved()
     found = hidden("payload_error:mass_kg=0.4").torque(sample, ddq, Load(TOOL, 0.3, CENTER))
     np.testing.assert_allclose(found, rigid.torque(sample, ddq, Load(TOOL, 0.7, CENTER)), atol=1e-12)
@@ -117,8 +117,8 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
 
 def test_noise_is_normal_white_and_that_of_its_instant(arm, lite6):
     sigma = np.array([0.06, 0.08, 0.05, 0.02, 0.02, 0.015])
-    core = Core(Body(arm, lite6.kinematics, torque_noise=sigma))
-    plain = Core(Body(arm, lite6.kinematics))
+    core = Core(EmulatedArm(arm, lite6.kinematics, torque_noise=sigma))
+    plain = Core(EmulatedArm(arm, lite6.kinematics))
     time = 0.004 * np.arange(1, 5001)
     noise = (core.torque(time) - plain.torque(time)) / sigma
     assert kstest(noise.ravel(), "norm").pvalue > 0.01
@@ -140,4 +140,4 @@ def test_noise_is_normal_white_and_that_of_its_instant(arm, lite6):
 )
 def test_what_an_emulator_refuses(arm, lite6, texts, noise, message):
     with pytest.raises(InputError, match=message):
-        with_effects(Body(arm, lite6.kinematics), *texts, torque_noise=np.array(noise))
+        with_effects(EmulatedArm(arm, lite6.kinematics), *texts, torque_noise=np.array(noise))
