@@ -107,10 +107,12 @@ def shaped(command, ends, h):
         rise = end - last
         early = np.where(filtered | (rise == 0), 1.0, np.clip((end - u) / np.where(rise == 0, 1.0, rise), 0.0, 1.0))
         last = end
-        first = np.clip(np.where(filtered | (rise == 0), low, end - rise) - limited, -most * early, most * early)
+        wanted = np.where(filtered | (rise == 0), low, end - rise) - limited
+        first = np.clip(wanted, -most * early, most * early)
         second = np.clip(low - limited - first, -most * (1 - early), most * (1 - early))
+        passes = (first == wanted) & (second == low - limited - first)
         mean = limited + first * (1 - 0.5 * abs(first) / most) + second * (1 - early - 0.5 * abs(second) / most)
-        targets.append(np.where(filtered & (abs(low - limited) <= most), mean_low, mean))
+        targets.append(np.where(passes, mean_low, mean))
         changes.append(first + second)
         limited = limited + first + second
     return np.array(targets), np.array(changes) / h
