@@ -18,7 +18,7 @@ from benchmarks.tracking_trials.effects import NEVER, START, Hidden, Numbers, al
 STEP = 2.5e-4  # s
 _RIGID = 1e-3  # s between masses and loads of the rigid bodies, which are extrapolated in between
 LEAD = 1.0  # s that the first command is held before a run begins
-_LONG_LEAD = 2.0  # s, with a servo that integrates
+_LONG_LEAD = 2.0  # s, with a servo that integrates, whose integral begins balanced
 _SWEEPS, _SETTLED = 12, 1e-6
 """Of dry friction at most, and Nm by which its last sweep changes it."""
 _SHAFT = 0.1  # of critical damping, of an elastic gear
@@ -168,6 +168,10 @@ class _Rollout:
                 diagonal = np.einsum("iil->il", inverse)
                 matrix = full
             load = bias + phase * mean_slope
+            if m == 0 and "integral" in present:
+                # it has balanced the weight before the first command
+                weight = load + n["spring"] * q + n["spring_torque"]
+                summed = np.where(n["integral"] > 0, weight / np.maximum(n["integral"], 1e-12), 0.0)
             u = self.columns[m][self.place]
             row, rest = divmod(m - self.lead, self.per_sample)
             if rest == 0 and row >= 0:

@@ -61,7 +61,7 @@ def rollout(time, command):
     h = period / np.ceil(period / STEP - 1e-9)
     before = h * np.ceil(SETTLING / h)
     grid = time[0] - before + h * np.arange(int(np.ceil((time[-1] - time[0] + before) / h - 1e-6)) + 1)
-    target, rate = shaped(delayed(time, command, grid, h), h)
+    target, rate = shaped(*delayed(time, command, grid, h), h)
     q = target
     dq = ddq = np.zeros_like(q)
     for _ in range(SWEEPS):
@@ -75,34 +75,46 @@ def rollout(time, command):
 
 
 def delayed(time, command, grid, h):
-    """The commands that arrive, each the mean over the step around a time of the grid: (step, joint) rad."""
+    """The commands that arrive (step, joint) rad: means over the steps around times of the grid, and at their ends."""
     edges = np.append(grid, grid[-1] + h) - 0.5 * h - time[0]
-    columns = []
+    columns, ends = [], []
     for joint, u in enumerate(command.T):
         at = time[0] + edges * (1 + CLOCK_RATE[joint]) - DELAY[joint]
         if INTERPOLATED:
             columns.append(np.interp(0.5 * (at[1:] + at[:-1]), time, u))
+            ends.append(np.interp(at[1:], time, u))
             continue
+        ends.append(u[np.maximum(np.searchsorted(time, at[1:], side="right") - 1, 0)])
         area = np.append(0.0, np.cumsum(u[:-1] * np.diff(time)))  # ∫u, of commands that hold
         early = np.minimum(at - time[0], 0.0) * u[0]
         late = np.maximum(at - time[-1], 0.0) * u[-1]
         columns.append(np.diff(np.interp(at, time, area) + early + late) / np.diff(at))
-    return np.stack(columns, 1)
+    return np.stack(columns, 1), np.stack(ends, 1)
 
 
-def shaped(command, h):
+def shaped(command, ends, h):
     """Commands after low pass and rate limit, means over steps (step, joint) rad, and how fast they move, in rad/s."""
     decay = np.exp(-h / np.maximum(TIME_CONSTANT, 1e-9))
     mean_decay = np.maximum(TIME_CONSTANT, 1e-9) / h * (1 - decay)
-    low = limited = command[0]
+    filtered = TIME_CONSTANT > 1e-9
+    most = RATE_LIMIT * h
+    low = limited = last = command[0]
     targets, changes = [], []
-    for u in command:
+    for u, end in zip(command, ends, strict=True):
         mean_low = u + (low - u) * mean_decay
-        low = u + (low - u) * decay
-        change = np.clip(low - limited, -RATE_LIMIT * h, RATE_LIMIT * h)
-        targets.append(np.where(change == low - limited, mean_low, limited + 0.5 * change))
-        changes.append(change)
-        limited = limited + change
+        low = np.where(filtered, u + (low - u) * decay, end)
+        # the share of the step in which the command before still holds
+        rise = end - last
+        early = np.where(filtered | (rise == 0), 1.0, np.clip((end - u) / np.where(rise == 0, 1.0, rise), 0.0, 1.0))
+        last = end
+        wanted = np.where(filtered | (rise == 0), low, end - rise) - limited
+        first = np.clip(wanted, -most * early, most * early)
+        second = np.clip(low - limited - first, -most * (1 - early), most * (1 - early))
+        passes = (first == wanted) & (second == low - limited - first)
+        mean = limited + first * (1 - 0.5 * abs(first) / most) + second * (1 - early - 0.5 * abs(second) / most)
+        targets.append(np.where(passes, mean_low, mean))
+        changes.append(first + second)
+        limited = limited + first + second
     return np.array(targets), np.array(changes) / h
 
 
@@ -119,7 +131,9 @@ def roll(target, rate, load, mass, extra, h):
     bends = np.any(STRIBECK) or np.any(LOAD_FRICTION)
     stick = COULOMB
     q = target[0]
-    v = a = summed = error = np.zeros_like(q)
+    v = a = error = np.zeros_like(q)
+    # before the first time an integral part has balanced what acts on a joint at rest
+    summed = np.where(INTEGRAL > 0, (SPRING * q + outer[1][0]) / np.where(INTEGRAL > 0, INTEGRAL, 1.0), 0.0)
     places, speeds = [], [v]
     for n, u in enumerate(target):
         e = u - q

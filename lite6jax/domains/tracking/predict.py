@@ -286,7 +286,8 @@ class DiagnosedServos(JointModel):
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
         run = np.zeros(len(u), int)
-        commands = hold_commands(u, run, period, u, interpolated=self.interpolated, longest=self.step)
+        shown = u * (1 + servo.scale) + servo.offset + servo.sine * np.sin(u) + servo.cosine * np.cos(u)
+        commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
         readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")

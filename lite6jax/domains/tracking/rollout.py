@@ -270,12 +270,11 @@ def _roll(
         rise = arriving - state.arrived
         early = jnp.where(rise == 0, 1.0, jnp.clip((arriving - u) / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0))
         early = jnp.where(filtered, 1.0, early)
-        first_change = jnp.clip(
-            jnp.where(filtered, low, state.arrived) - state.limited, -most_rise * early, most_rise * early
-        )
-        between = state.limited + first_change
         later = 1 - early
-        second_change = jnp.clip(low - between, -most_rise * later, most_rise * later)
+        first_wanted = jnp.where(filtered, low, state.arrived) - state.limited
+        first_change = jnp.clip(first_wanted, -most_rise * early, most_rise * early)
+        second_wanted = low - state.limited - first_change
+        second_change = jnp.clip(second_wanted, -most_rise * later, most_rise * later)
         mean_limited = (
             state.limited
             + first_change * (1 - 0.5 * jnp.abs(first_change) / most_rise)
@@ -283,7 +282,8 @@ def _roll(
         )
         change = first_change + second_change
         limited = state.limited + change
-        passes = filtered & (jnp.abs(low - state.limited) <= most_rise)
+        # a limit that is not reached leaves the mean as it is
+        passes = (first_change == first_wanted) & (second_change == second_wanted)
         target = jnp.where(passes, mean_low, mean_limited)
         e = target - state.q
         dead = jnp.clip(e, -p.dead_band, p.dead_band)

@@ -49,6 +49,14 @@ _GAIN = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
 _FEWEST = 50
 """Samples of a recording at least."""
+_ROUNDING = 2e-9
+"""rad, by which two values differ at most that are the same but for the digits of a file."""
+_LEAST_STEPS = 5
+"""Differences of values from which a read-out may be known to have a step."""
+_MULTIPLES = 50
+"""Multiples of a step that tell it; values without one are seldom so near each other."""
+_WHOLE, _MOSTLY = 0.1, 0.95
+"""By which multiples are whole, and the share of them that is."""
 
 
 @final
@@ -181,12 +189,17 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
 
 
 def quantum(values: Array) -> float:
-    """The step of a read-out `(sample,)`, the least difference that repeats; zero where it has none."""
-    steps = np.abs(np.diff(np.unique(np.round(values, 9))))
-    steps = steps[steps > 1e-9]
-    if len(steps) < 5 or len(np.unique(values)) > 0.5 * len(values):
+    """The step of a read-out `(sample,)`, of which differences of its values are multiples; zero where it has none."""
+    apart = np.diff(np.unique(np.round(values, 9)))
+    apart = apart[apart > _ROUNDING]
+    if len(apart) < _LEAST_STEPS:
         return 0.0
-    return float(np.percentile(steps, 10))
+    step = float(np.mean(apart[apart < 1.5 * np.min(apart)]))
+    multiples = apart / step
+    # of longer differences the error of the step itself is too large a part
+    short = multiples < _MULTIPLES
+    whole = np.abs(multiples - np.round(multiples))[short] < _WHOLE
+    return step if np.mean(short) > 0.5 and np.mean(whole) > _MOSTLY else 0.0
 
 
 def _start(even: Recording, noise: Array) -> Array:

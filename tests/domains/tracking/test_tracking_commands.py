@@ -182,6 +182,18 @@ def test_rows_that_repeat_while_the_arm_moves_are_left_out(tmp_path):
     assert np.flatnonzero(screened.stale).tolist() == [100, 101, 250]
 
 
+@pytest.mark.parametrize("step", [3e-4, 2 * np.pi / 4096])
+def test_the_step_of_an_encoder_is_noise_where_values_seldom_repeat(tmp_path, step):
+    log = columns_of(commands_of(SAMPLES), 1e-4)
+    rounded = step * np.round(log["q1_rad"] / step)
+    assert np.mean(np.diff(np.unique(log["q1_rad"])) > 1e-8) > 0.9
+    path = write_log(tmp_path, log | {"q1_rad": rounded}, noise=1e-4)
+    screened = screen_tracking(read_recording(path), PENDULUM)
+    assert screened.data.noise == pytest.approx([np.hypot(np.hypot(1e-4, step / np.sqrt(12)), 3e-5)], rel=1e-3)
+    plain = write_log(tmp_path, log, noise=1e-4)
+    assert screen_tracking(read_recording(plain), PENDULUM).data.noise == pytest.approx([np.hypot(1e-4, 3e-5)])
+
+
 # ------------------------------------------------------------------ bad input
 
 
