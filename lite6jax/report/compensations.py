@@ -14,7 +14,8 @@ from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.tracking.predict import CorrectedCommands
 from lite6jax.report import screen
-from lite6jax.report.words import SCREEN, fill, fixed, joint_units, listing, number, read_texts, say
+from lite6jax.report.sentences import compensations as sentences
+from lite6jax.report.words import SCREEN, fill, fixed, joint_units, listing, number, read_texts
 
 _SAID = read_texts("screens.yaml")["compensation"]
 NO_BARS = (
@@ -45,10 +46,10 @@ def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
         return ""
     scales, units = joint_units(sliding, max(reason.joints, default=0))
     pairs = zip(reason.joints, reason.angles, strict=True)
-    return fill(
-        _SAID["reasons"][reason.code],
-        {"shown": [(j, scales[j - 1] * at, units[j - 1]) for j, at in pairs]},
-    )
+    shown = [(j, scales[j - 1] * at, units[j - 1]) for j, at in pairs]
+    if reason.code == "at_limit":
+        return sentences.joints_at_limit(shown)
+    return fill(_SAID["reasons"][reason.code], {"shown": shown})
 
 
 def compensation_report(
@@ -56,15 +57,9 @@ def compensation_report(
 ) -> Iterator[RenderableType]:
     """What a terminal shows of a compensation: which targets are reached, why others are not, and how accurately."""
     hit = int(compensation.reached.sum())
-    facts = {
-        "found": compensation,
-        "model": model,
-        "frame": frame,
-        "hit": hit,
-        "missed": len(compensation.reached) - hit,
-    }
     yield screen.unbroken(source)
-    yield from (fill(_SAID["targets"], facts), "", fill(_SAID["reached"], facts))
+    yield from (sentences.targets(compensation, model, frame), "")
+    yield sentences.targets_reached(hit, len(compensation.reached) - hit)
     texts = np.array([reason_text(reason, model.sliding) for reason in compensation.reason], object)
     yield from _groups(compensation, texts, ~compensation.reached)
     if texts[compensation.reached].any():
@@ -79,18 +74,15 @@ def compensation_report(
         # rather wrap the name than cut numbers short
         joints = (f"q{joint}" for joint in range(1, model.dof + 1))
         yield listing(f"correction of the joints ({unit_names})", *joints, rows=rows, wrapped=[0])
-    yield from screen.notes([*compensation.notes, *([fill(_SAID["omitted"], facts)] if compensation.omitted else [])])
+    yield from screen.notes(compensation.notes)
+    if compensation.omitted:
+        yield from screen.notes([sentences.omitted_effects(compensation.omitted)])
     if compensation.position_std is None or compensation.outside is None:
         yield from screen.notes([NO_BARS])
     else:
         yield outside_sentence(int(compensation.outside.sum()), len(compensation.outside), "target")
         std = compensation.position_std[compensation.reached]
-        yield from say(
-            _SAID["deviations"],
-            facts,
-            rms=np.sqrt(np.mean(std**2)) if hit else 0,
-            most=std.max(initial=0),
-        )
+        yield from filter(None, [sentences.deviation_of_targets(std)])
     if model.heldout_rms is not None:
         before, after = model.heldout_rms
         yield from ("", fill(_SAID["expected"], {"before": before, "after": after}))
@@ -124,8 +116,8 @@ def _missed(compensation: Compensation, rows: NDArray) -> str:
 def corrected_sentences(found: CorrectedCommands) -> list[str]:
     """What corrected commands are worth by the model, and which rows it was not fitted to."""
     before, after = (float(1e3 * np.sqrt(np.mean(part**2))) for part in (found.error_before, found.error_after))
-    facts = {"found": found, "before": before, "after": after}
-    return list(say(_SAID["corrected"], facts))
+    gain = fill(_SAID["corrected"], {"found": found, "before": before, "after": after})
+    return [gain, sentences.corrected_rows_outside(found)]
 
 
 def corrected_report(found: CorrectedCommands, source: str) -> Iterator[RenderableType]:
@@ -140,7 +132,7 @@ def corrected_report(found: CorrectedCommands, source: str) -> Iterator[Renderab
 
 def outside_sentence(outside: int, rows: int, noun: str) -> str:
     """How many rows are outside what was recorded; `noun` is what a row is called."""
-    return fill(_SAID["outside"], {"outside": outside, "rows": rows, "noun": noun})
+    return sentences.rows_outside(outside, rows, noun)
 
 
 def frame_of_stations(document: Mapping[str, Any]) -> str:
@@ -169,21 +161,15 @@ def outside_warning(compensation: Compensation, model: DiagnosedArm) -> str:
         for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
         if excess > _SHOWN
     ]
-    return fill(_SAID["beyond"], {"rows": compensation.recording.row[compensation.outside].tolist(), "joints": joints})
+    return sentences.beyond_range(compensation.recording.row[compensation.outside].tolist(), joints)
 
 
 def registration_report(registration: Registration) -> Iterator[RenderableType]:
     """The frames that were fitted, and the remaining errors."""
-    turned = (
-        None
-        if registration.turned is None
-        else np.sqrt(np.mean(np.sum(registration.turned[registration.kept] ** 2, 1)))
-    )
-    facts = {"found": registration, "turned": turned, "outliers": int(np.sum(~registration.kept))}
-    yield from say(_SAID["registered"], facts)
+    yield from sentences.registered(registration)
     table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
     for name, T in (("sensor to base", registration.T_sensor_base), ("flange to tool", registration.T_flange_tool)):
         row = frames.row_from_transform(T) * np.repeat([scale for scale, _ in SCREEN.values()], 3)
         table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
     yield table
-    yield from say(_SAID["undetermined"], facts)
+    yield from sentences.undetermined_frames(registration)

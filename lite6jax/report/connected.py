@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.table import Table
 
@@ -14,12 +13,11 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.start import calibration_poses, check_positions
 from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.rows import Rows
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, KinematicsCheck
+from lite6jax.controller.sdk import KinematicsCheck
 from lite6jax.controller.station import CalibrationRead
 from lite6jax.report import screen
-from lite6jax.report.words import SCREEN, STATISTICS, fill, fixed, listing, number, read_texts, say
-
-_TEXTS = read_texts("screens.yaml")
+from lite6jax.report.sentences import connected as sentences
+from lite6jax.report.words import SCREEN, STATISTICS, fixed, listing, number
 
 _COMMANDS = (
     "lite6jax design lite6 --poses 200 --out poses.csv",
@@ -36,7 +34,7 @@ def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
     q = check_positions(arm)
     nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
     distance = np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)
-    yield from say(_TEXTS["calibration"], {"read": read, "arm": arm, "distance": distance})
+    yield from sentences.calibration_remarks(calibration.source, arm.dof, arm.name, read.error, distance)
     yield from ("", "Six parameters (mm, deg); below each number its difference from nominal")
     console = screen.console()
     unbounded = console.options.update(max_width=1000)
@@ -59,9 +57,10 @@ def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
 
 def verification_report(verification: KinematicsCheck, where: str) -> Iterator[RenderableType]:
     """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
-    texts = _TEXTS["verification"]
-    facts = {"v": verification, "gate_m": GATE_M, "gate_rad": GATE_RAD, "floor_m": FLOOR_M, "offset": _offset}
-    yield fill(texts["head"], facts)
+    yield (
+        f"Forward kinematics of the controller (xarm-python-sdk, {verification.version}) minus those of the "
+        f"calibration at {len(verification.position)} random joint positions"
+    )
     table = listing("", "", *(name for name, _ in STATISTICS), left=[1], wrapped=[0])
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
@@ -72,19 +71,13 @@ def verification_report(verification: KinematicsCheck, where: str) -> Iterator[R
             cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
             table.add_row(name if unit == "mm" else "", unit, *cells)
     yield table
-    yield fill(texts["tool"], facts)
-    yield from screen.notes(say(texts["notes"], facts))
-    yield fill(texts["verdict"], facts)
+    yield sentences.tool_verified(verification)
+    yield from screen.notes(sentences.verification_notes(verification))
+    yield sentences.verification_verdict(verification)
     if not verification.passed:
-        yield fill(texts["cause"], facts)
+        yield sentences.cause_of_difference(verification)
         if verification.hidden_tool is None and verification.other_chain is None:
             yield from (screen.unbroken(f"  {command}".format(where)) for command in _COMMANDS)
-
-
-def _offset(offset: NDArray) -> str:
-    x, y, z = (fixed(float(v), 3) for v in offset[:3])
-    roll, pitch, yaw = (fixed(float(np.degrees(v)), 3) for v in offset[3:])
-    return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
 
 
 @contextmanager
@@ -104,8 +97,7 @@ def recording_progress() -> Iterator[Callable[[Rows, str], None]]:
 
 def recorded_report(recorded: LiveRecording) -> Iterator[RenderableType]:
     """The rows, gaps, sources of the columns and notes of a recording."""
-    computed = recorded.settings.joint_source == "commanded"
-    yield from say(_TEXTS["recorded"], {"r": recorded, "computed": computed, "moved": recorded.rows and not computed})
+    yield from sentences.recorded_rows(recorded)
     if recorded.rows:
         yield _sources(recorded)
     yield from screen.notes(recorded.notes)

@@ -11,14 +11,13 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
-from lite6jax.calibration.quality import ABOVE_NOISE
-from lite6jax.calibration.solution import Result, Solution
-from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.calibration.problem import TOLERANCE
+from lite6jax.calibration.solution import Solution
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement, is_granted, ruled_out_statements
+from lite6jax.report.sentences import fits as sentences
 from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import (
     SCREEN,
@@ -31,7 +30,6 @@ from lite6jax.report.words import (
     plus_minus,
     read_texts,
     row_ranges,
-    say,
 )
 
 if TYPE_CHECKING:
@@ -57,30 +55,16 @@ def what_is_measured(recording: Recording) -> str:
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
     """The recording, and which parameters the fit estimates according to its sidecar."""
-    settings, chain = recording.settings, solution.form.chain
-    near = recording.touches is not None and settings.factory_calibration is None
-    facts = {
-        "recording": recording,
-        "arm": solution.arm.name,
-        "kind": what_is_measured(recording),
-        "by": settings.pose_source,
-        "form": solution.form,
-        "tool": settings.tool,
-        "touched": TOUCHED_TOLERANCE if near else None,
-        "nominal": isinstance(chain, HayatiForm),
-        "moved": bool(solution.free[: chain.size].any()),
-    }
     yield screen.unbroken(recording.source)
-    yield from say((_TEXTS["recording_read"], _TEXTS["geometry"]), facts)
+    yield sentences.recording_read(recording, solution.arm.name, what_is_measured(recording))
+    yield sentences.geometry_of_fit(recording, solution)
     yield from screen.notes(_notes_of_data(solution))
 
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
     """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
     chain = solution.form.chain
-    recorded = recording is not None
-    facts = {"converged": solution.result == Result.CONVERGED, "recorded": recorded, "solution": solution}
-    yield from ("", fill(_TEXTS["fitted"], facts, before=solution.nominal_errors, after=solution.checked))
+    yield from ("", sentences.fitted(solution, recorded=recording is not None))
     yield from filter(None, [quality_statement(solution.quality.to_dict())])
     yield ""
     checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
@@ -169,8 +153,7 @@ def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableT
     yield from (f"Effective model (mm, deg); below each number {under}", "")
     yield from parameter_tables(form, cell)
     prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN] if (free & ~determined).any() else None
-    parallel = [f"{i + 1}-{i + 2}" for i in form.parallel if i >= 0]
-    yield from (*say(_TEXTS["hayati"], {"form": form, "prior": prior, "parallel": parallel}), "")
+    yield from (*sentences.hayati_remarks(form, prior), "")
 
 
 def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
@@ -219,14 +202,7 @@ def _place_tables(solution: Solution, recording: Recording) -> Iterator[Renderab
             for value, std in zip(place.values[key], place.std[key], strict=True):
                 cells.append(_cell(scale, value, std if std > 0 else None, "given", digits))
         table.add_row(place.name, *cells)
-    settings = recording.settings
-    facts = {
-        "frame": solution.form.frame,
-        "kind": recording.touches.kind,  # type: ignore[union-attr]
-        "calibrated": settings.factory_calibration is not None,
-        "distances": settings.contact_distances,
-    }
-    yield from (table, "", *say(_TEXTS["gauge"], facts), "")
+    yield from (table, "", *sentences.undetermined_by_touches(solution.form, recording), "")
 
 
 def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
@@ -248,11 +224,10 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
         declared = ", ".join(
             f"{number(scale * value)} {unit}" for value, (scale, unit) in declared_noise if value is not None
         )
-        facts = {"noise": noise, "ratio": noise.over_declared, "above": ABOVE_NOISE}
-        yield fill(_TEXTS["noise"], facts, declared="" if noise.over_declared is None else declared)
+        yield sentences.noise_of_residuals(noise, declared)
     low = np.flatnonzero(solution.outlying)
     rows = recording.row[low[np.argsort(solution.weight[low])]].tolist()
-    yield fill(_TEXTS["outliers"], {"rows": rows, "samples": len(solution.weight), "below": DOWNWEIGHTED})
+    yield sentences.outliers(rows, len(solution.weight))
 
 
 # ------------------------------------------------------------------ comparisons
@@ -285,7 +260,7 @@ def comparison_report(comparison: "Comparison", width: int) -> Iterator[Renderab
     lengths = np.array([unit == "m" for unit in form.units])
     squares = (scale * comparison.spread) ** 2
     length, angle = (np.sqrt(np.mean(squares[chosen])) for chosen in (lengths, ~lengths))
-    yield from ("", *say(_TEXTS["comparison"]["spread"], {"equal": equal, "length": length, "angle": angle}))
+    yield from ("", *sentences.spread_between_arms(equal, length, angle))
     if arms <= _MOST_PAIRS:
         between = [
             (str(i + 1), *("–" if i == j else f"{1e3 * d:.2f}" for j, d in enumerate(row)))

@@ -23,6 +23,7 @@ from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
 from lite6jax.recordings.words import NamedColumns, Points
 from lite6jax.report.screen import indented, unbroken
+from lite6jax.report.sentences import inspection as sentences
 from lite6jax.report.words import fill, read_texts, say
 
 _TEXTS = read_texts("inspection.yaml")
@@ -54,14 +55,15 @@ def inspection_report(inspection: Inspection, path: str) -> Iterator[RenderableT
     used = len({column for block in inspection.blocks for column in block.columns} | set(inspection.given))
     unused = len(inspection.unused) + len(inspection.texts)
     yield unbroken(path)
-    yield from (fill(_TEXTS["rows"], {"found": inspection, "used": used, "unused": unused}), "")
+    yield from (sentences.rows_and_columns(inspection.samples, used, unused), "")
     recognised: dict[str, str] = {}
     for block in inspection.blocks:
         yield indented(statement(block))
         recognised |= block.renamed()
     for column, (quantity, unit) in inspection.announced.items():
-        facts = {"own": column, "quantity": _TEXTS["readings"][quantity], "name": inspection.given[column]}
-        yield indented(fill(_TEXTS["announced"], facts, sure="" if unit is None else _sure(unit)))
+        meaning = _TEXTS["readings"][quantity]
+        sure = "" if unit is None else _sure(unit)
+        yield indented(sentences.announced_column(column, meaning, inspection.given[column], sure))
     for column, name in inspection.given.items():
         if recognised.get(column) != name and column not in inspection.announced:
             yield indented(f"{column}: {name}, {'by name' if column == name else 'as given'}.")
@@ -82,21 +84,18 @@ def no_angles(joints: Block) -> str:
     """Joint positions that may be no angles, and what to do."""
     reason = joints.unit.reason if joints.unit else "percent"
     unit = "mdeg" if reason == "whole" else "deg"
-    facts = {
-        "columns": _columns(joints.columns),
-        "wrong": _TEXTS["angles"][reason],
-        "unit": _TEXTS["units"][unit],
-        "ways": [_column_option(column, f"q{k}_{unit}") for k, column in enumerate(joints.columns, 1)],
-        "fine": [spelled("q", 1, alternative) for alternative in units_of("q") if alternative in FINE - {unit}]
-        * (reason == "whole"),
-    }
-    return fill(_TEXTS["no_angles"], facts)
+    ways = [_column_option(column, f"q{k}_{unit}") for k, column in enumerate(joints.columns, 1)]
+    finer = []
+    if reason == "whole":
+        finer = [spelled("q", 1, alternative) for alternative in units_of("q") if alternative in FINE - {unit}]
+    columns = _columns(joints.columns)
+    return sentences.joints_without_angles(columns, _TEXTS["angles"][reason], _TEXTS["units"][unit], ways, finer)
 
 
 def source_statement(source: Pose) -> str:
     """One of several poses: whose it is, and how well the arm reproduces it."""
-    more = {"columns": _columns(source.columns), "role": _TEXTS["roles"][source.role or "unknown"]}
-    return fill(_TEXTS["source"], {"computed": source.computed, "error": source.error, **more})
+    role = _TEXTS["roles"][source.role or "unknown"]
+    return sentences.pose_source(_columns(source.columns), role, source.computed, source.error)
 
 
 def choice_of_pose(inspection: Inspection) -> str:
@@ -132,16 +131,10 @@ def statement(block: Block) -> str:
     if block.unit and unit:
         unit = _TEXTS["units"].get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         unit = f"{'in ' if form is None else ''}{unit} ({_sure(block.unit)})"
-    facts = {
-        "kind": _kind(block),
-        "columns": _columns(block.columns),
-        "form": form and f"{fill(_TEXTS['forms'][form.choice], {'order': _order(block.columns)})} ({_sure(form)})",
-        "unit": unit,
-        "commanded": block.kind == "cmd",
-        "assumed": _commanded(block),
-        "rivals": _listed(block.rivals) if block.rivals else "",
-    }
-    return fill(_TEXTS["block"], facts)
+    shown_form = form and f"{sentences.form_of_rotation(form.choice, _order(block.columns))} ({_sure(form)})"
+    meaning = [f"{_kind(block)}: {_columns(block.columns)}", shown_form or "", unit]
+    rivals = _listed(block.rivals) if block.rivals else ""
+    return sentences.block_statement(meaning, block.kind == "cmd", _commanded(block), rivals)
 
 
 def _order(columns: Sequence[str]) -> str:
@@ -162,27 +155,20 @@ def _kind(block: Block) -> str:
 
 
 def _sure(decision: Decision) -> str:
-    n = dict(decision.numbers)
-    if decision.reason == "kinematics":
-        next_error = min(n["others"].values(), default=None)
-        n["ratio"] = None if next_error is None else next_error / max(n["error"], 1e-12)
-    return f"{decision.sure}: {fill(_TEXTS['reasons'][decision.reason], n)}"
+    return f"{decision.sure}: {sentences.reason_of_decision(decision.reason, decision.numbers)}"
 
 
 def arm_statement(inspection: Inspection) -> str:
     """Which arm it is, and how well its nominal kinematics agree."""
-    name = inspection.arm and inspection.arm.name
-    return fill(
-        _TEXTS["arm"],
-        {
-            "name": name,
-            "tried": "; ".join(f"{arm_name}: {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[:4]),
-            "compared": bool(inspection.arms),
-            "missed": inspection.arm and inspection.error > ScreeningOptions().suspect_reach * inspection.arm.reach,
-            "error": inspection.error,
-            "others": "; ".join(f"{arm_name} to {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[1:3]),
-        },
-    )
+    arm = inspection.arm
+    if arm is None:
+        tried = "; ".join(f"{arm_name}: {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[:4])
+        return sentences.arm_unknown(tried)
+    if not inspection.arms:
+        return f"Arm: {arm.name}, as given; there are no poses to compare it with."
+    missed = inspection.error > ScreeningOptions().suspect_reach * arm.reach
+    others = "; ".join(f"{arm_name} to {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[1:3])
+    return sentences.arm_compared(arm.name, inspection.error, missed, others)
 
 
 def sidecar_text(inspection: Inspection, settings: Mapping[str, Any], table: str) -> str:
@@ -248,7 +234,9 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _columns(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= _MANY else f"{names[0]} … {names[-1]}"
+    if len(names) <= _MANY:
+        return ", ".join(map(sentences.in_line, names))
+    return f"{sentences.in_line(names[0])} … {sentences.in_line(names[-1])}"
 
 
 def _listed(names: Sequence[str], limit: int = 8) -> str:
@@ -273,37 +261,45 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     tracked = alone and q is not None and inspection.of("cmd") is not None
     nothing = alone and not tracked
     noises += ["joint_noise_rad"] if tracked else []
-    facts = {
-        "doubtful": [
-            _kind(block).lower()
-            for block in inspection.blocks
-            if "assumed" in [decision.sure for decision in (block.unit, block.form) if decision] or _commanded(block)
-        ],
-        "q_commanded": q is not None and _commanded(q) and "joint_source" not in settings,
-        "tau_commanded": tau is not None and _commanded(tau) and "torque_source" not in settings,
-        "as_current": tau and efforts and _column_option(tau.columns[0], f"current{tau.joints[0]}_A"),
-        "currents": tau is None and current is not None and "torque_constant_Nm_per_A" not in settings,
-        "computed": inspection.computed,
-        "said": settings.get("pose_source", "unknown"),
-        "of_controller": any(
-            pose_source.taken and pose_source.role == "controller" for pose_source in inspection.sources
+    deviations = [
+        _column_option(column, f"{name}_{unit_of(column) or 'mm'}")
+        for column, name in zip(inspection.unclear_deviations, DEVIATION, strict=False)
+    ]
+    by_columns = []
+    if matrix:
+        by_columns = [_column_option(column, name) for column, name in zip(matrix.columns, transposed, strict=True)]
+    doubtful = [
+        _kind(block).lower()
+        for block in inspection.blocks
+        if "assumed" in [decision.sure for decision in (block.unit, block.form) if decision] or _commanded(block)
+    ]
+    questions = [
+        sentences.unclear_deviations(deviations),
+        sentences.unclear_matrix(by_columns),
+        sentences.assumed_kinds(doubtful),
+        *sentences.unclear_sources(
+            joints_commanded=q is not None and _commanded(q) and "joint_source" not in settings,
+            torques_estimated=tau is not None and _commanded(tau) and "torque_source" not in settings,
+            as_current=_column_option(tau.columns[0], f"current{tau.joints[0]}_A") if tau and efforts else "",
+            currents=tau is None and current is not None and "torque_constant_Nm_per_A" not in settings,
         ),
-        "turned": matrix
-        and [_column_option(column, name) for column, name in zip(matrix.columns, transposed, strict=True)],
-        "deviations": [
-            _column_option(column, f"{name}_{unit_of(column) or 'mm'}")
-            for column, name in zip(inspection.unclear_deviations, DEVIATION, strict=False)
-        ],
-        "noises": [key for key in noises if key not in settings],
-        "announced": settings["pose_source"] if settings.get("pose_source") in READINGS_OF else "",
-        "nothing": nothing,
-        "readings": [
-            (source, column, _TEXTS["readings"][quantity]) for source, column, quantity in inspection.likely_readings
-        ],
-        "tracked": tracked,
-        "untimed": "" if position or timed or not (tau or current or tracked) else _named_time(inspection.unused),
-    }
-    yield from say(_TEXTS["next"], facts)
+        sentences.computed_or_measured(
+            inspection.computed,
+            settings.get("pose_source", "unknown"),
+            any(source.taken and source.role == "controller" for source in inspection.sources),
+        ),
+    ]
+    if nothing:
+        declared = settings.get("pose_source")
+        readings = [
+            (reading_source, column, _TEXTS["readings"][quantity])
+            for reading_source, column, quantity in inspection.likely_readings
+        ]
+        questions.append(sentences.only_a_motion(readings, declared if declared in READINGS_OF else ""))
+    elif not (position or timed) and (tau or current or tracked):
+        questions.append(sentences.without_times(tracked, _named_time(inspection.unused)))
+    questions.append(sentences.undeclared_noises([key for key in noises if key not in settings]))
+    yield from filter(None, questions)
     if not nothing:
         yield "Next:" if "arm" in settings else "Name the arm in the sidecar, then:"
         yield unbroken(command_line("diagnose", source, "--out", "diagnosis.json"))
@@ -321,22 +317,22 @@ def _named_time(unused: Sequence[str]) -> str:
 
 def describe_joined_files(joined_files: JoinedFiles, joints: str, poses: str) -> list[str]:
     """How the joints of one file and the poses of another were joined."""
-    clocks = joined_files.clocks
-    facts: dict[str, Any] = {"found": joined_files, "clocks": clocks, "pairing": joined_files.pairing}
-    facts |= {"joints": joints, "poses": poses, "names": joined_files.names}
+    lines = []
+    if joined_files.clocks is not None:
+        lines += sentences.joined_by_clocks(joined_files.clocks, joined_files.start, joints, poses)
+    if joined_files.pairing is not None:
+        lines.append(sentences.joined_by_order(joined_files.pairing, joined_files, joints, poses))
     if joined_files.names is not None:
-        facts["alone"] = [_named(names) for names in joined_files.names.alone]
-    if clocks is not None:
-        facts["offset"] = clocks.offset + joined_files.start
-        facts["drifts"], facts["fitted"] = np.isfinite(clocks.drift_std), np.isfinite(clocks.fitted_error)
-    sentences = _sentences("joined", facts)
+        first_alone, second_alone = (_named(names) for names in joined_files.names.alone)
+        columns = joined_files.names.columns
+        lines.append(sentences.joined_by_names(columns, (first_alone, second_alone), joined_files.error, joints, poses))
     if joined_files.joined is not None:
-        sentences += said_of(joined_files.joined, joined_files.unit)
-    sentences.append(fill(_TEXTS["joined_rows"], joined_files._asdict()))
+        lines += said_of(joined_files.joined, joined_files.unit)
+    lines.append(fill(_TEXTS["joined_rows"], joined_files._asdict()))
     if joined_files.left_out:
         shown = ", ".join(joined_files.left_out[:_SHOWN]) + (", …" if len(joined_files.left_out) > _SHOWN else "")
-        sentences.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
-    return sentences
+        lines.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
+    return lines
 
 
 def _named(names: Sequence[str]) -> str:
@@ -347,34 +343,31 @@ def _named(names: Sequence[str]) -> str:
 
 def describe_solved_joints(solved: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
-    facts = {"count": len(solved.path.reached), "missing": int(np.sum(~solved.path.reached))}
-    return _sentences("solved", {**facts, "source": solved.file.source, "arm": arm, "branches": solved.path.branches})
+    reached = solved.path.reached
+    facts = {"source": solved.file.source, "arm": arm, "branches": solved.path.branches}
+    return [*say(_TEXTS["solved"], facts), *sentences.poses_not_reached(int(np.sum(~reached)), len(reached))]
 
 
 def describe_pairs(pairs: SolvedPairs, arm: str) -> list[str]:
     """How pairs of poses became joints and poses."""
-    facts = {"inverted": pairs.inverted, "errors": pairs.errors, "solved": pairs.solved}
-    return [*describe_solved_joints(pairs.solved, arm), *_sentences("pairs", facts)]
+    return [*describe_solved_joints(pairs.solved, arm), *sentences.inverted_targets(pairs.inverted, pairs.errors)]
 
 
 def describe_named_columns(named_columns: NamedColumns) -> list[str]:
     """Whose numbers cells name."""
-    facts = {
-        "by": _columns(named_columns.by),
-        "words": _named(named_columns.words),
-        "ordered": bool(named_columns.in_file),
-    }
-    return _sentences("named", facts)
+    words = _named(named_columns.words)
+    return [sentences.named_columns(_columns(named_columns.by), words, bool(named_columns.in_file))]
 
 
 def describe_points(points: Points, measured_point: str) -> list[str]:
     """How rows of points became rows of states; `measured_point` is the one point whose position is read, or none."""
     counts = dict(zip(points.labels, points.counts, strict=True))
     states = len(next(iter(points.columns.values())))
-    facts = {"by": points.by, "labels": _named(points.labels), "count": len(points.labels), "states": states}
-    return _sentences(
-        "points", {**facts, "taken": measured_point, "seen": counts.get(measured_point), "whole": min(points.counts)}
-    )
+    incomplete = not measured_point and min(points.counts) < states
+    lines = [sentences.points_of_states(points.by, _named(points.labels), len(points.labels), states, incomplete)]
+    if measured_point:
+        lines.append(sentences.one_point_read(measured_point, counts.get(measured_point)))
+    return lines
 
 
 def describe_reflectors(with_pose: WithPose) -> list[str]:
@@ -382,9 +375,4 @@ def describe_reflectors(with_pose: WithPose) -> list[str]:
     names = ", ".join(point[0] for point in with_pose.points[:4]) + (", …" if len(with_pose.points) > 4 else "")
     lost = int(np.sum(~with_pose.pose.rows)) - with_pose.pose.outlying
     mm = 1e3 if with_pose.unit == "m" else 1.0
-    return _sentences("reflectors", {"pose": with_pose.pose, "names": names, "lost": lost, "mm": mm})
-
-
-def _sentences(name: str, facts: Mapping[str, Any]) -> list[str]:
-    small = lambda seconds: f"{1e3 * seconds:.2g} ms" if seconds < 1 else f"{seconds:.2g} s"  # noqa: E731
-    return list(say(_TEXTS[name], facts, small=small))
+    return sentences.pose_of_points(with_pose.pose, names, lost, mm)

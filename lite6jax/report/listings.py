@@ -21,7 +21,8 @@ from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
-from lite6jax.report.words import capital, chance, counted, fill, listing, number, quantity, read_texts, say
+from lite6jax.report.sentences import listings as sentences
+from lite6jax.report.words import capital, chance, counted, listing, number, quantity, read_texts, say
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
@@ -41,9 +42,9 @@ def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
             yield from (title, "")
             for effect in (listed for listed in effects if listed.domain == domain):
                 yield effect.name
-                yield from map(indented, say(texts["each"], {"e": effect}))
+                yield from map(indented, sentences.listed_effect(effect))
             yield ""
-    yield from say(texts["end"], {"dynamic": "dynamic" in domains})
+    yield from sentences.units_of_effects("dynamic" in domains)
 
 
 def prior_report(entries: Document) -> Iterator[RenderableType]:
@@ -82,7 +83,7 @@ def joint_entries(arm: Arm) -> list[dict[str, Any]]:
 
 def arm_report(arm: Arm) -> Iterator[RenderableType]:
     """One arm as it is read: where its chain begins and ends, and its joints in order."""
-    yield from (*say(_TEXTS["arms"]["one"], {"arm": arm}), "")
+    yield from (*sentences.arm_read(arm), "")
     table = listing("", "joint", "kind", "lower", "upper", "unit", left=[1, 2, 5])
     for i, joint in enumerate(joint_entries(arm)):
         scale, unit = (1e3, "mm") if joint["unit"] == "m" else (math.degrees(1.0), "deg")
@@ -95,7 +96,8 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
     """The bundled arms, and below the table where their numbers are from."""
     if width < 60:
         for arm in arms:
-            yield from (arm.name, indented(fill(_TEXTS["arms"]["narrow"], {"arm": arm})), indented(arm.source))
+            sizes = sentences.bundled_arm(arm.maker, arm.joints, arm.reach_m, arm.inertia)
+            yield from (arm.name, indented(sizes), indented(arm.source))
         return
     rows = (
         (arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
@@ -103,13 +105,13 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
     )
     yield listing("arm", "maker", "joints", "reach (mm)", "inertia", rows=rows, left=[1, 4])
     variants = [arm.name for arm in arms if arm.name in VARIANTS]
-    yield from ("", *say(_TEXTS["arms"]["below"], {"variants": variants}), "", "Sources")
+    yield from ("", *sentences.table_of_arms(variants), "", "Sources")
     yield from (indented(f"{arm.name}: {arm.source}") for arm in arms)
 
 
 def conversion_report(done: Conversion) -> Iterator[RenderableType]:
     """The largest change of the flange position by a conversion, and the parts that it omits."""
-    return say(_TEXTS["arms"]["converted"], {"done": done})
+    yield from sentences.converted(done)
 
 
 # ------------------------------------------------------------------ folders
@@ -189,7 +191,7 @@ def population_report(document: Document) -> Iterator[RenderableType]:
     pooled = [member for member in members if member["used"]]
     arms = [arm for effect in effects for arm in effect["arms"]]
     outlying = sorted({arm["file"] for arm in arms if arm["outlier_p_value"] is not None})
-    yield from say(_TEXTS["fleet"]["found"], {"document": document, "pooled": len(pooled), "outlying": outlying})
+    yield from sentences.fleet_found(document, len(pooled), outlying)
     for k, effect in enumerate(effects, 1):
         found_by = _TEXTS["fleet"]["found_by"][effect["found_by"]]
         yield from ("", f"{k}. {capital(_title(effect))}: {chance(effect['p_value'])}, found {found_by}.")
@@ -222,17 +224,9 @@ def _title(effect: Document) -> str:
 
 def _remarks(effect: Document) -> Iterator[str]:
     """What is said of an effect below its numbers."""
-    texts = _TEXTS["fleet"]
-    facts = {"effect": effect, "unnamed": effect["effect"] == "unnamed", "title": _title, "shown": _shown}
-    yield from say(texts["remarks"], facts)
+    yield from sentences.effect_of_fleet(effect)
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
-            numbers = [quantity(name, estimate) for name, estimate in arm["parameters"].items()]
-            yield fill(texts["differs"], facts, arm=arm, numbers=numbers)
+            yield sentences.differing_arm(effect, arm)
     if near := [_title(rival) for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]:
-        yield fill(texts["near"], {"near": near})
-
-
-def _shown(name: str, value: float) -> str:
-    readable = quantity(name, {"value": value, "std": 0.0})
-    return f"{number(float(readable.value))} {readable.unit}"
+        yield f"Not distinguished from {', '.join(near)}."

@@ -557,7 +557,7 @@ def effect_of_both(entry: Entry, title: str, sides: Mapping[str, str]) -> str:
         if entry["reference"] is None:
             without = "the reference"
         return f"{title}: {recording or reference}; {without} does not show it."
-    values = f"{recording} here, {reference} in the reference."
+    values = paragraph(recording, "here,", reference, "in the reference.")
     if entry["agree"]:
         return f"{title} does not differ beyond the uncertainty: {values}"
     return f"{title} differs (p = {significant(entry['p_value'], 2)}): {values}"
