@@ -154,7 +154,7 @@ def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
 
 def _gains(test: ScoreTest, family: PeriodicFamily, orders: Array) -> Array:
     """The gains in log-likelihood `(order,)` of orders of a family, exactly."""
-    keys = [(family.site, "wave", order) for order in orders.tolist()]
+    keys = [(family, order) for order in orders.tolist()]
     return test.gains(family.column, family.waves_of(orders), keys)
 
 

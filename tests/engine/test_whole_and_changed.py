@@ -63,7 +63,7 @@ def whole(request, tmp_path_factory):
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_all_that_is_tried_is_worth_the_same_beside_a_part_of_a_model(whole, change):
-    problem, scan, test = whole
+    _, scan, test = whole
     part = test.beside([k not in CHANGES[change] for k in range(3)])
     assert part.whole is test
     expected = all_weighed(scan, computed_anew(part))
