@@ -63,8 +63,8 @@ class Sums(NamedTuple):
         inside: `(k, sample)`, with each direction of the model, or with those by which it differs from a whole one.
         left: the sum of squares that is left in the groups of rows on which it acts.
         freedom: their degrees of freedom.
-        row: of a site that acts on one row, in autocorrelated noise: what whitens functions `(…, sample)` there, and
-            what the model leaves, white, `(sample,)`. Else functions are to vary slowly beside such noise.
+        exact: whether they hold of any function: in white noise, or of a site that acts on one row. Else functions are
+            to vary slowly beside the noise.
     """
 
     column: Array
@@ -73,7 +73,7 @@ class Sums(NamedTuple):
     inside: Array
     left: float
     freedom: float
-    row: tuple[Callable[[Array], Array], Array] | None = None
+    exact: bool
 
 
 @final
@@ -157,18 +157,13 @@ class Marginal:
 
     def _sums(self, column: Array) -> Sums:
         test = self.test
-        rows = np.flatnonzero(np.any(column, 1))
-        weight, inside, pull = test.over_rows(column)
         unit = 1 / test.scale[0]
-        residual_sum, freedom = self._of_groups(np.any(column, 1))
-        sums = Sums(column, weight * unit**2, pull * unit, inside * unit, residual_sum, freedom)
-        if test.fit.noise.white or len(rows) != 1:
-            return sums
-        residuals = test.left_of_rows[rows[0]]
-        # the transpose of a filter that does not change with time filters backwards
-        pull = test.whitened(residuals[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
-        row = lambda functions: unit * test.whitened((functions * column[rows[0]])[..., None, :], rows)[..., 0, :]  # noqa: E731
-        return sums._replace(pull=pull, inside=test.of_rows(rows)[0], row=(row, residuals))
+        weight, inside, pull = test.over_rows(column)
+        white = test.fit.noise.white
+        exact = white or np.count_nonzero(column.any(1)) == 1
+        if exact and not white:
+            inside, pull = test.unwhitened_sums(column)
+        return Sums(column, weight * unit**2, pull * unit, inside * unit, *self._of_groups(column.any(1)), exact)
 
     def equations(self, sums: Sums, functions: Array, keys: Sequence[Hashable] = ()) -> tuple[Array, Array]:
         """Pull `(group, number)` and information `(group, number, number)` of functions `(group, number, sample)`.
@@ -178,23 +173,28 @@ class Marginal:
             functions: whose columns are their products with that of the site.
             keys: what each group is, as of `_beside`; none is kept where these are not given.
         """
-        pull = sums.pull
-        if sums.row is not None:
-            whitened, pull = sums.row
-            functions = whitened(functions)
+        test = self.test
+        unit = 1 / test.scale[0]
 
         def products(groups: Array, of: Sums) -> Array:
             return (groups.reshape(-1, groups.shape[-1]) @ of.inside.T).reshape(*groups.shape[:-1], -1)
 
+        def squares(some: Sequence[int]) -> Array:
+            groups = functions[some]
+            if sums.exact:
+                return test.white_gram(sums.column, groups)
+            weights = test.weights(sums.column)
+            return np.stack([(groups * weight) @ groups.swapaxes(-1, -2) for weight in weights], 1)
+
         def of_whole(whole: Marginal, some: Sequence[int]) -> Array:
-            weight = sums.weight if sums.row is None else np.ones_like(sums.weight)
             groups = functions if len(some) == len(functions) else functions[some]
             inside = products(groups, whole.sums(sums.column))
-            gram = (groups * weight) @ groups.swapaxes(-1, -2)
-            return gram - inside @ inside.swapaxes(-1, -2)
+            gram = test.gram(sums.column, [keys[k] for k in some], lambda few: squares([some[k] for k in few]))
+            return gram * unit**2 - inside @ inside.swapaxes(-1, -2)
 
+        keys = keys or [None] * len(functions)
         changed = products(functions, sums) if self._whole is not self else np.zeros(())
-        return functions @ pull, self._beside(keys or [None] * len(functions), of_whole, changed)
+        return functions @ sums.pull, self._beside(keys, of_whole, changed)
 
     def dense(self, column: Array, functions: Array, key: Hashable = None) -> tuple[Array, Array, float, float]:
         """Pull, information, sum of squares and freedom of functions at a site, in any noise.
@@ -206,16 +206,15 @@ class Marginal:
         """
         test = self.test
         unit = 1 / test.scale[0]
-        rows = np.flatnonzero(np.any(column, 1))
 
         def of_whole(whole: Marginal, _: Sequence[int]) -> Array:
-            white = test.whitened(functions[:, None] * column[rows], rows).reshape(len(functions), -1) * unit
-            inside = white @ whole.test.of_rows(rows)[0].T
-            return (white @ white.T - inside @ inside.T)[None]
+            inside = functions @ whole.test.unwhitened_sums(column)[0].T
+            gram = test.gram(column, [key], lambda _: test.white_gram(column, functions[None]))
+            return (gram - inside @ inside.T) * unit**2
 
         changes, pull = test.unwhitened_sums(column)
-        changed = functions @ changes.T * unit
-        (information,) = self._beside([key], of_whole, changed[None])
+        changed = (functions @ changes.T * unit)[None] if self._whole is not self else np.zeros(())
+        (information,) = self._beside([key], of_whole, changed)
         return functions @ pull * unit, information, *self._of_groups(np.any(column, 1))
 
     def of_sums(self, sums: Sums, added_up: Callable[[Array], Array], key: Hashable) -> Array:

@@ -88,6 +88,8 @@ class ScoreTest:
         acting: `(number, group)`, whether it acts on a group of noise.
         whole: the test of the model in whose noise and span this one is, with changes; None where it is that one.
         table: what was computed of candidates beside this model, by what they are; `beside` and `extend` change it.
+        grams: products of candidates with themselves in each group of noise of unit variance, by what they are: those
+            of all models of one linearisation.
     """
 
     problem: Problem
@@ -103,6 +105,7 @@ class ScoreTest:
     acting: NDArray[np.bool_]
     whole: "ScoreTest | None" = None
     table: dict[Hashable, Any] = field(default_factory=dict)
+    grams: dict[Hashable, Array] = field(default_factory=dict)
 
     @property
     def basis(self) -> Array:
@@ -218,7 +221,9 @@ class ScoreTest:
         """
         whole = self.whole or self
         missing = [k for k in range(len(functions)) if not keys or keys[k] not in whole.table]
-        new = whole._products(column, functions[missing]) if missing else (np.zeros(0),) * 2
+        new = (np.zeros(0),) * 2
+        if missing:
+            new = whole._products(column, functions[missing], [keys[k] if keys else None for k in missing])
         if keys:
             whole.table.update((keys[k], parts) for k, parts in zip(missing, zip(*new, strict=True), strict=True))
             information, norms = map(np.stack, zip(*(whole.table[key] for key in keys), strict=True))
@@ -234,18 +239,61 @@ class ScoreTest:
         along = np.einsum("gji,gj->gi", V, functions @ pull / norms)
         return 0.5 * np.sum(inverse * along**2, 1)
 
-    def _products(self, column: Array, functions: Array) -> tuple[Array, Array]:
+    def _products(self, column: Array, functions: Array, keys: Sequence[Hashable]) -> tuple[Array, Array]:
         """The information `(group, number, number)` of functions at a site, as columns of unit length, and lengths."""
-        if self.fit.noise.white:
-            weight, directions, _ = self.over_rows(column)
-            gram = (functions * weight) @ functions.swapaxes(1, 2)
-            return _of_unit_columns(gram, functions @ directions.T)
-        # whitening mixes the samples of a column, which then is no product of site and function
+        gram = self.gram(column, keys, lambda some: self.white_gram(column, functions[some]))
+        return _of_unit_columns(gram, functions @ self.unwhitened_sums(column)[0].T)
+
+    def gram(self, column: Array, keys: Sequence[Hashable], computed: Callable[[Sequence[int]], Array]) -> Array:
+        """Products `(candidate, number, number)` of columns at a site with themselves, over the first group's noise.
+
+        Args:
+            column: `(row, sample)`, of the site.
+            keys: what each candidate is, so that its products are kept; None of one that is not.
+            computed: those of some candidates `(candidate, group, number, number)`, of the groups of noise in which the
+                site is seen, each over its own noise.
+        """
+        names = [None if key is None else (key, self._noise) for key in keys]
+        missing = [k for k, name in enumerate(names) if name is None or name not in self.grams]
+        new = dict(zip(missing, computed(missing) if missing else (), strict=True))
+        self.grams.update((names[k], parts) for k, parts in new.items() if names[k] is not None)
+        parts = np.stack([new[k] if k in new else self.grams[name] for k, name in enumerate(names)])
+        return np.tensordot((self.scale[0] / self.scale[self.groups_of(column)]) ** 2, parts, (0, 1))
+
+    def white_gram(self, column: Array, functions: Array) -> Array:
+        """As `computed` of `gram`, of functions `(candidate, number, sample)`, in any noise."""
         rows = np.flatnonzero(column.any(1))
-        white = _white(self.fit, functions[:, :, None] * column[rows], self.scale, rows)
-        flat = white.reshape(*functions.shape[:2], -1)
-        directions, _ = self.of_rows(rows)
-        return _of_unit_columns(flat @ flat.swapaxes(1, 2), flat @ directions.T)
+        groups = self.fit.residuals.groups[rows]
+        if self.fit.noise.white:
+            weights = column[rows] ** 2 * self.fit.training
+            sums = (weights[groups == group].sum(0) for group in self.groups_of(column))
+            return np.stack([(functions * weight) @ functions.swapaxes(1, 2) for weight in sums], 1)
+        # whitening mixes the samples of a column, which then is no product of site and function
+        noise = replace(self.fit.noise, groups=groups)
+        white = noise.whitened(functions[:, :, None] * column[rows]) * self.fit.training
+        parts = (white[:, :, groups == group] for group in self.groups_of(column))
+        flat = [part.reshape(*functions.shape[:2], -1) for part in parts]
+        return np.stack([part @ part.swapaxes(1, 2) for part in flat], 1)
+
+    def weights(self, column: Array) -> Array:
+        """The squares of a whitened column `(row, sample)`, summed over the rows of each group in which it is seen.
+
+        `(group, sample)`, over the noise of the group.
+        """
+        squares = (self.fit.noise.whitened(column) * self.fit.training) ** 2
+        groups = self.fit.residuals.groups
+        return np.stack([squares[groups == group].sum(0) for group in self.groups_of(column)])
+
+    def groups_of(self, column: Array) -> NDArray[np.integer]:
+        """The groups of noise in which a site's column `(row, sample)` is seen; one of a site that is seen in none."""
+        groups = self.fit.residuals.groups
+        return np.unique(groups[column.any(1)]) if column.any() else groups[:1]
+
+    @cached_property
+    def _noise(self) -> Hashable:
+        """What `grams` depend on."""
+        models = tuple((model.coefficient, model.share) for model in self.fit.noise.models)
+        return models, self.fit.noise.starts, self.fit.training.tobytes()
 
     def over_rows(self, column: Array) -> tuple[Array, Array, Array]:
         """Sums over the rows of each sample of products of a whitened column `(row, sample)`.
@@ -262,38 +310,30 @@ class ScoreTest:
         return np.sum(white**2, 0), with_directions, np.sum(white * self.left_of_rows[rows], 0)
 
     def unwhitened_sums(self, column: Array) -> tuple[Array, Array]:
-        """As `over_rows`, with the changes of the span `(change, sample)` and with what the model leaves `(sample,)`.
+        """As `over_rows`, with each of the directions `(k, sample)`, and with what the model leaves `(sample,)`.
 
         Times any function of the samples they are sums of products with its whitened column, in any noise.
         """
-        changes, left = self.unwhitened
-        return np.einsum("rs,krs->ks", column, changes), np.sum(column * left, 0)
+        key = "unwhitened", id(column)
+        if key not in self.table:
+            directions, left = self.unwhitened
+            rows = np.flatnonzero(column.any(1))
+            some = slice(rows.min(initial=len(column)), rows.max(initial=-1) + 1)
+            sums = np.einsum("rs,krs->ks", column[some], directions[:, some]), np.sum(column * left, 0)
+            self.table[key] = column, sums  # the column is kept, so that no other one has its identity
+        return self.table[key][1]
 
     @cached_property
     def unwhitened(self) -> tuple[Array, Array]:
-        """Changes of the span `(change, row, sample)` and what the model leaves `(row, sample)`, whitened once more,
-        backwards: their products with columns are those of whitened columns with the changes and with what is left.
-        """
-        shape = self.problem.rows, self.problem.samples
-        rows = self.left_of_rows[None]
-        if self.whole is not None:
-            changes = self.span.changes[:, : shape[0] * shape[1]].reshape(-1, *shape)
-            rows = np.concatenate([changes, rows])
-        weights = (self.scale[0] / self.scale)[self.fit.residuals.groups, None] * self.fit.training
-        backwards = self.fit.noise.transposed(rows * weights)
-        return backwards[:-1], backwards[-1]
+        """Directions `(k, row, sample)` and what the model leaves `(row, sample)`, whitened once more, backwards.
 
-    def of_rows(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
-        """The directions `(k, reading)` and what the model leaves `(reading,)`, of some rows of the measurements."""
-        directions = self._directions
-        left = self.left_of_rows
-        if len(rows) == self.problem.rows:
-            return directions.reshape(len(directions), left.size), left.ravel()
-        key = rows.tobytes()
-        if key not in self._of_rows:
-            chosen = left[rows].ravel()
-            self._of_rows[key] = directions[:, rows].reshape(len(directions), chosen.size), chosen
-        return self._of_rows[key]
+        Their products with columns are those of whitened columns with the directions and with what is left.
+        """
+        weights = (self.scale[0] / self.scale)[self.fit.residuals.groups, None] * self.fit.training
+        return (
+            self.fit.noise.transposed(self._directions * weights),
+            self.fit.noise.transposed(self.left_of_rows * weights),
+        )
 
     @property
     def _directions(self) -> Array:
@@ -301,10 +341,6 @@ class ScoreTest:
         shape = self.problem.rows, self.problem.samples
         directions = self.span.basis if self.whole is None else self.span.changes
         return directions[:, : shape[0] * shape[1]].reshape(len(directions), *shape)
-
-    @cached_property
-    def _of_rows(self) -> dict[bytes, tuple[Array, Array]]:
-        return {}
 
     @property
     def left(self) -> Array:
@@ -428,13 +464,16 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
     return centred @ centred.T * per_block.shape[1] / (per_block.shape[1] - 1)
 
 
-def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
+def score_test(
+    problem: Problem, fit: Fit, options: EngineOptions, grams: dict[Hashable, Array] | None = None
+) -> ScoreTest:
     """The score test against a fitted model.
 
     Args:
         problem: the data.
         fit: the model.
         options: thresholds.
+        grams: what tests of other models of this problem know of candidates, and to which this one adds.
 
     Returns:
         the test, of the problem whose columns are those at the fit.
@@ -463,7 +502,9 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
     blocks = _blocks(problem.samples, time, options)
     spanned = _spanned(problem, fit, scale, options)
-    return ScoreTest(problem, fit, options, residual, blocks, n - fit.parameters, time, scale, *spanned)
+    freedom = n - fit.parameters
+    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned)
+    return test if grams is None else replace(test, grams=grams)
 
 
 def _named_columns(problem: Problem, fit: Fit) -> tuple[Array, dict[Term, Array]]:

@@ -794,7 +794,7 @@ class Weighed:
 
     def _is_exact(self, component: Component) -> bool:
         """Whether sums over rows suffice: in white noise, or of a component of one row."""
-        return self._test.fit.noise.white or self._sums(component).row is not None
+        return self._sums(component).exact
 
     def _equations(
         self, component: Component, functions: Array, which: Sequence[Hashable], exact: bool = False

@@ -132,3 +132,19 @@ def test_a_group_that_a_term_couples_is_not_coupled_without_it():
     test = score_test(problem, fitted, OPTIONS)
     assert test.coupled.all()
     assert not test.beside([False, False]).coupled[0, 1]
+
+
+def test_what_one_model_knows_of_candidates_serves_another_in_other_noise(whole):
+    """Products of candidates with themselves are kept over each group's own noise: scales change, they do not."""
+    problem, scan, test = whole
+    grams = {}
+    known = score_test(problem, test.fit, OPTIONS, grams)
+    all_weighed(scan, known)
+    count = len(grams)
+    assert count > 1000
+    fewer = fit(problem, test.fit.terms.part(test.fit.values, [True, False, False])[0], OPTIONS, noise=test.fit.noise)
+    assert np.abs(np.log(fewer.scale / test.fit.scale)).max() > 0.1
+    expected = all_weighed(scan, score_test(problem, fewer, OPTIONS))
+    found = all_weighed(scan, score_test(problem, fewer, OPTIONS, grams))
+    assert len(grams) < 1.5 * count
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8)
