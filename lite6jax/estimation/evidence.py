@@ -11,7 +11,7 @@ their χ² statistic. The scale of the noise is not known: integrated over, it m
 −½ ν ln(1 − q / S), of ν degrees of freedom and the sum of squares S that is left without the term.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb
@@ -57,21 +57,23 @@ class Sums(NamedTuple):
     """A site's column summed over the rows of each sample.
 
     Attributes:
+        column: `(row, sample)`.
         weight: `(sample,)`, its square.
         pull: `(sample,)`, its product with what the model leaves.
-        inside: `(k, sample)`, with each direction of the model.
+        inside: `(k, sample)`, with each direction of the model, or with those by which it differs from a whole one.
         left: the sum of squares that is left in the groups of rows on which it acts.
         freedom: their degrees of freedom.
-        row: of a site that acts on one row, in autocorrelated noise: what whitens functions `(…, sample)` there, and
-            what the model leaves, white, `(sample,)`. Else functions are to vary slowly beside such noise.
+        exact: whether they hold of any function: in white noise, or of a site that acts on one row. Else functions are
+            to vary slowly beside the noise.
     """
 
+    column: Array
     weight: Array
     pull: Array
     inside: Array
     left: float
     freedom: float
-    row: tuple[Callable[[Array], Array], Array] | None = None
+    exact: bool
 
 
 @final
@@ -120,48 +122,115 @@ class Marginal:
             (len(self._coupled(np.any(component.column, 1))) for component in self.test.problem.components), default=1
         )
 
+    @cached_property
+    def _whole(self) -> "Marginal":
+        """That of the model from which this one differs by a few directions; itself where that is this one."""
+        return self if self.test.whole is None else Marginal(self.test.whole)
+
+    def _beside(
+        self, keys: Sequence[Hashable], of_whole: Callable[["Marginal", Sequence[int]], Array], inside: Array
+    ) -> Array:
+        """The information `(group, number, number)` of groups of columns beside the model.
+
+        It is computed beside the whole model once. Directions that this one does not have add to it, and further ones
+        take from it (M. Tipping and A. Faul, 2003, for a term that goes or comes).
+
+        Args:
+            keys: what each group is, so that its information is kept; None of one that is not.
+            of_whole: computes that of some groups beside the whole model.
+            inside: `(group, number, change)`, products of the columns with the changes.
+        """
+        whole = self._whole
+        table = whole.test.table
+        missing = [k for k, key in enumerate(keys) if key is None or key not in table]
+        new = dict(zip(missing, of_whole(whole, missing) if missing else (), strict=True))
+        table.update((keys[k], information) for k, information in new.items() if keys[k] is not None)
+        information = np.stack([new[k] if k in new else table[key] for k, key in enumerate(keys)])
+        return information if whole is self else information - (inside * self.test.span.sign) @ inside.swapaxes(-1, -2)
+
     def sums(self, column: Array) -> Sums:
-        """Of a site's column `(row, sample)`."""
+        """Of a site's column `(row, sample)`; computed once."""
+        key = "sums", id(column)  # the sums have the column, so that no other one has its identity
+        if key not in self.test.table:
+            self.test.table[key] = self._sums(column)
+        return self.test.table[key]
+
+    def _sums(self, column: Array) -> Sums:
         test = self.test
-        rows = np.flatnonzero(np.any(column, 1))
-        weight, inside, pull = test.over_rows(column)
         unit = 1 / test.scale[0]
-        pull = pull - (test.basis @ test.residual) @ inside
-        residual_sum, freedom = self._of_groups(np.any(column, 1))
-        sums = Sums(weight * unit**2, pull * unit, inside * unit, residual_sum, freedom)
-        if test.fit.noise.white or len(rows) != 1:
-            return sums
-        residuals = test.left_of_rows[rows[0]]
-        # the transpose of a filter that does not change with time filters backwards
-        pull = test.whitened(residuals[None, ::-1], rows)[0, ::-1] * column[rows[0]] * unit
-        row = lambda functions: unit * test.whitened((functions * column[rows[0]])[..., None, :], rows)[..., 0, :]  # noqa: E731
-        return sums._replace(pull=pull, inside=test.of_rows(rows)[0], row=(row, residuals))
+        weight, inside, pull = test.over_rows(column)
+        white = test.fit.noise.white
+        exact = white or np.count_nonzero(column.any(1)) == 1
+        if exact and not white:
+            inside, pull = test.unwhitened_sums(column)
+        return Sums(column, weight * unit**2, pull * unit, inside * unit, *self._of_groups(column.any(1)), exact)
 
-    def equations(self, sums: Sums, functions: Array) -> tuple[Array, Array]:
-        """Pull `(…, number)` and information `(…, number, number)` of functions `(…, number, sample)` at a site."""
-        weight = sums.weight
-        pull = sums.pull
-        if sums.row is not None:
-            (whitened, pull), weight = sums.row, np.ones_like(weight)
-            functions = whitened(functions)
-        flat = functions.reshape(-1, functions.shape[-1])
-        inside = (flat @ sums.inside.T).reshape(*functions.shape[:-1], -1)
-        gram = (functions * weight) @ functions.swapaxes(-1, -2)
-        return functions @ pull, gram - inside @ inside.swapaxes(-1, -2)
+    def equations(self, sums: Sums, functions: Array, keys: Sequence[Hashable] = ()) -> tuple[Array, Array]:
+        """Pull `(group, number)` and information `(group, number, number)` of functions `(group, number, sample)`.
 
-    def dense(self, columns: Array) -> tuple[Array, Array, float, float]:
-        """Pull, information, sum of squares and freedom of columns `(number, row, sample)`, in any noise."""
+        Args:
+            sums: of the site.
+            functions: whose columns are their products with that of the site.
+            keys: what each group is, as of `_beside`; none is kept where these are not given.
+        """
         test = self.test
-        rows = np.flatnonzero(np.any(columns, (0, 2)))
-        if not rows.size:
-            return np.zeros(len(columns)), np.zeros((len(columns),) * 2), 1.0, 1.0
-        white = test.whitened(columns[:, rows], rows).reshape(len(columns), -1) / test.scale[0]
-        basis, _ = test.of_rows(rows)
-        residuals = test.left_of_rows[rows].ravel()
-        inside = white @ basis.T
-        acting = np.zeros(test.problem.rows, bool)
-        acting[rows] = True
-        return white @ residuals, white @ white.T - inside @ inside.T, *self._of_groups(acting)
+        unit = 1 / test.scale[0]
+
+        def products(groups: Array, of: Sums) -> Array:
+            return (groups.reshape(-1, groups.shape[-1]) @ of.inside.T).reshape(*groups.shape[:-1], -1)
+
+        def squares(some: Sequence[int]) -> Array:
+            groups = functions[some]
+            if sums.exact:
+                return test.white_gram(sums.column, groups)
+            weights = test.weights(sums.column)
+            return np.stack([(groups * weight) @ groups.swapaxes(-1, -2) for weight in weights], 1)
+
+        def of_whole(whole: Marginal, some: Sequence[int]) -> Array:
+            groups = functions if len(some) == len(functions) else functions[some]
+            inside = products(groups, whole.sums(sums.column))
+            gram = test.gram(sums.column, [keys[k] for k in some], lambda few: squares([some[k] for k in few]))
+            return gram * unit**2 - inside @ inside.swapaxes(-1, -2)
+
+        keys = keys or [None] * len(functions)
+        changed = products(functions, sums) if self._whole is not self else np.zeros(())
+        return functions @ sums.pull, self._beside(keys, of_whole, changed)
+
+    def dense(self, column: Array, functions: Array, key: Hashable = None) -> tuple[Array, Array, float, float]:
+        """Pull, information, sum of squares and freedom of functions at a site, in any noise.
+
+        Args:
+            column: `(row, sample)`, of the site.
+            functions: `(number, sample)`.
+            key: as of `equations`.
+        """
+        test = self.test
+        unit = 1 / test.scale[0]
+
+        def of_whole(whole: Marginal, _: Sequence[int]) -> Array:
+            inside = functions @ whole.test.unwhitened_sums(column)[0].T
+            gram = test.gram(column, [key], lambda _: test.white_gram(column, functions[None]))
+            return (gram - inside @ inside.T) * unit**2
+
+        changes, pull = test.unwhitened_sums(column)
+        changed = (functions @ changes.T * unit)[None] if self._whole is not self else np.zeros(())
+        (information,) = self._beside([key], of_whole, changed)
+        return functions @ pull * unit, information, *self._of_groups(np.any(column, 1))
+
+    def of_sums(self, sums: Sums, added_up: Callable[[Array], Array], key: Hashable) -> Array:
+        """The information `(function,)` of functions, each alone, which are 1 in some samples and 0 in all others.
+
+        Args:
+            sums: of the site.
+            added_up: the sums `(…, function)` of `(…, sample)` over the samples in which each of them is 1.
+            key: what they are.
+        """
+        table = self._whole.test.table
+        if key not in table:
+            table[key] = added_up(sums.weight) - np.sum(added_up(self._whole.sums(sums.column).inside) ** 2, 0)
+        if self._whole is self:
+            return table[key]
+        return table[key] - self.test.span.sign @ added_up(sums.inside) ** 2
 
     def of_noise(self, column: Array) -> Evidence:
         """The evidence that a component moves by a number of its own in each sample: the site is known, its cause not.
@@ -176,7 +245,9 @@ class Marginal:
         squares = np.sum(white * self.test.left_of_rows, 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
 
-    def of_names(self, groups: Sequence[Array], together: bool = False) -> list[Evidence]:
+    def of_names(
+        self, groups: Sequence[Array], together: bool = False, keys: Sequence[Hashable] = ()
+    ) -> list[Evidence]:
         """The evidence of named terms, some of whose numbers may be zero.
 
         The numbers that are not have no prior: all their directions count as equally determined. How many there are,
@@ -185,39 +256,34 @@ class Marginal:
         Args:
             groups: of each term its columns `(number, row, sample)`.
             together: whether the noise of all rows on which any of them acts is one scale, as parts of one term need.
+            keys: what each term is, so that what is computed of its columns beside the whole model is kept; None of one
+                of which nothing is.
         """
-        columns = np.concatenate(groups)
         problem = self.test.problem
-        acting = np.any(columns, 2)
+        rows_of = [np.any(columns, (0, 2)) for columns in groups]
         if together:
-            acting = np.broadcast_to(acting.any(0), acting.shape)
-        white = self.test.whitened(columns).reshape(len(columns), -1) / self.test.scale[0]
-        basis = self.test.basis[:, : white.shape[1]]
+            rows_of = [np.any(rows_of, 0)] * len(groups)
+        groups_of = [self._coupled(rows) for rows in rows_of]
+        in_one_scale = [together or len(of) <= self._together for of in groups_of]
+        sizes, informations = self._of_columns(groups, keys, in_one_scale)
+        unit = 1 / self.test.scale[0]
         residuals = self.test.left_of_rows
-        inside = white @ basis.T
-        lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
+        apart = [columns for columns, one_scale in zip(groups, in_one_scale, strict=True) if not one_scale]
+        outside = iter(self._outside(apart))
         squares, freedom = self._by_group
         evidence_by_term = [_NOTHING] * len(groups)
-        ends = np.cumsum([0, *map(len, groups)])
         by_shape: dict[tuple[int, ...], list[tuple[int, tuple[Array, ...]]]] = {}
-        for k, term_columns in enumerate(map(slice, ends[:-1], ends[1:])):
-            of = self._coupled(np.asarray(acting[term_columns].any(0)))
-            if not of.size:
+        for k, (columns, of, size) in enumerate(zip(groups, groups_of, sizes, strict=True)):
+            if not of.size:  # in one scale, as `_together` is one at least
                 continue
-            size = lengths[term_columns]
-            if together or len(of) <= self._together:
+            if in_one_scale[k]:
                 noise = squares[of].sum()[None], freedom[of].sum()[None]
-                pull = (white[term_columns] @ residuals.ravel() / size)[None]
-                information = (
-                    (white[term_columns] @ white[term_columns].T - inside[term_columns] @ inside[term_columns].T)
-                    / np.outer(size, size)
-                )[None]
+                pull = (np.tensordot(columns, self.test.unwhitened[1], 2) * unit / size)[None]
+                information = informations[k][None]
             else:
                 rows = [problem.groups == group for group in of]
-                outside = ((white[term_columns] - inside[term_columns] @ basis) / size[:, None]).reshape(
-                    len(size), problem.rows, -1
-                )
-                parts = [outside[:, group_rows].reshape(len(size), -1) for group_rows in rows]
+                alone = next(outside) * unit / size[:, None, None]
+                parts = [alone[:, group_rows].reshape(len(size), -1) for group_rows in rows]
                 pull = np.stack(
                     [part @ residuals[group_rows].ravel() for part, group_rows in zip(parts, rows, strict=True)]
                 )
@@ -231,6 +297,64 @@ class Marginal:
             for place, (k, _) in enumerate(members):
                 evidence_by_term[k] = Evidence(*(part[place] for part in evidence))
         return evidence_by_term
+
+    def _outside(self, groups: Sequence[Array]) -> list[Array]:
+        """Columns `(number, row, sample)` of terms, whitened and outside the model."""
+        if not groups:
+            return []
+        return np.split(self.test.outside(np.concatenate(groups)), np.cumsum([*map(len, groups)])[:-1])
+
+    def _of_columns(
+        self, groups: Sequence[Array], keys: Sequence[Hashable], needed: Sequence[bool]
+    ) -> tuple[list[Array], list[Array]]:
+        """The lengths `(number,)` of the columns of terms, and the information `(number, number)` of their directions.
+
+        Arguments as of `of_names`; `needed` says of each term whether its information is: else it is empty.
+        """
+        whole = self._whole.test
+        keys = keys or [None] * len(groups)
+        known = [None if key is None else whole.table.get(("columns", key)) for key in keys]
+        # a term that is not linear has other columns elsewhere
+        missing = [
+            k
+            for k, columns in enumerate(groups)
+            if (entry := known[k]) is None or (needed[k] and not entry[2].size) or not np.array_equal(entry[0], columns)
+        ]
+        entries = dict(
+            zip(missing, self._beside_whole([groups[k] for k in missing], [needed[k] for k in missing]), strict=True)
+        )
+        whole.table.update((("columns", keys[k]), entry) for k, entry in entries.items() if keys[k] is not None)
+        sizes = list[Array]()
+        informations = list[Array]()
+        for k, columns in enumerate(groups):
+            _, size, information = entries[k] if k in entries else known[k]
+            if needed[k] and self._whole is not self:
+                changes, _ = self.test.unwhitened
+                inside = np.tensordot(columns, changes, ((1, 2), (1, 2))) / (self.test.scale[0] * size[:, None])
+                information = information - (inside * self.test.span.sign) @ inside.T
+            sizes.append(size)
+            informations.append(information)
+        return sizes, informations
+
+    def _beside_whole(self, groups: Sequence[Array], needed: Sequence[bool]) -> list[tuple[Array, Array, Array]]:
+        """Columns of terms, and their lengths and information beside the whole model, as of `_of_columns`."""
+        if not groups:
+            return []
+        whole = self._whole.test
+        columns = np.concatenate(groups)
+        white = whole.whitened(columns).reshape(len(columns), -1) / whole.scale[0]
+        inside = white @ whole.basis[:, : white.shape[1]].T if any(needed) else white[:, :0]
+        lengths = np.sqrt(np.maximum(np.sum(white**2, 1), 1e-300))
+        ends = np.cumsum([0, *map(len, groups)])
+        entries = list[tuple[Array, Array, Array]]()
+        for k, part in enumerate(map(slice, ends[:-1], ends[1:])):
+            size = lengths[part]
+            information = np.zeros((0, 0))
+            if needed[k]:
+                information = white[part] @ white[part].T - inside[part] @ inside[part].T
+                information = information / np.outer(size, size)
+            entries.append((groups[k], size, information))
+        return entries
 
 
 def _of_numbers(pull: Array, information: Array, residual_sums: Array, freedom: Array, confounded: float) -> Evidence:

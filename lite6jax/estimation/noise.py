@@ -53,8 +53,7 @@ class Autocorrelation:
         theta, sigma = self._innovation
         first = np.asarray(starts)
         out = np.empty_like(rows)
-        # so that the second sample of a run is predicted from the first by their correlation
-        ahead = ((self.share - 1) * self.coefficient / theta if theta else 1.0) - 1
+        ahead = self._ahead
         for begin, end in pairwise([*starts, rows.shape[-1]]):
             before = rows[..., begin : begin + 1] * (ahead / sigma)
             run = scipy.signal.lfilter(
@@ -62,6 +61,28 @@ class Autocorrelation:
             )
             out[..., begin:end] = run[0]
         out[..., first] = rows[..., first]
+        return out
+
+    def transposed(self, rows: Array, starts: Sequence[int]) -> Array:
+        """The transpose of `whitened`: sums of products with rows `(…, sample)` of whitened ones are those with this.
+
+        Args:
+            rows: the sample last.
+            starts: the first sample of each run.
+        """
+        if not self.share or not rows.size:
+            return rows
+        theta, sigma = self._innovation
+        out = np.empty_like(rows)
+        for begin, end in pairwise([*starts, rows.shape[-1]]):
+            later = rows[..., begin + 1 : end][..., ::-1]
+            first = rows[..., begin]
+            if later.shape[-1]:
+                run = scipy.signal.lfilter([1 / sigma, -self.coefficient / sigma], [1.0, theta], later)
+                out[..., begin + 1 : end] = run[..., ::-1]
+                echoes = scipy.signal.lfilter([1.0], [1.0, theta], later)[..., -1]
+                first = first + self._after_first * echoes
+            out[..., begin] = first
         return out
 
     def log_volume(self, samples: int, runs: int) -> float:
@@ -72,6 +93,21 @@ class Autocorrelation:
     def time(self) -> float:
         """The autocorrelation time in samples: the noise's spectrum at frequency zero over that of white noise."""
         return 1 + 2 * self.share * self.coefficient / (1 - self.coefficient)
+
+    @property
+    def _ahead(self) -> float:
+        """What the state of the filter is before a run, over its first sample and by σ.
+
+        The second sample is then predicted from the first by their correlation.
+        """
+        theta, _ = self._innovation
+        return ((self.share - 1) * self.coefficient / theta if theta else 1.0) - 1
+
+    @property
+    def _after_first(self) -> float:
+        """What the state of the filter is after the first sample of a run, over it."""
+        theta, sigma = self._innovation
+        return (-self.coefficient - theta * (1 + self._ahead)) / sigma
 
     @cached_property
     def _innovation(self) -> tuple[float, float]:
@@ -105,6 +141,16 @@ class NoiseModel:
     def white(self) -> bool:
         """Whether no group is autocorrelated."""
         return not any(model.share for model in self.models)
+
+    def transposed(self, rows: Array) -> Array:
+        """The transpose of `whitened`, of rows `(…, row, sample)`."""
+        if self.white:
+            return rows
+        out = np.empty_like(rows)
+        for group, model in enumerate(self.models):
+            in_group = self.groups == group
+            out[..., in_group, :] = model.transposed(rows[..., in_group, :], self.starts)
+        return out
 
     def whitened(self, rows: Array) -> Array:
         """Innovations of rows `(…, row, sample)`."""

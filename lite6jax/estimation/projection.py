@@ -1,5 +1,9 @@
 """Orthonormal bases, rank, and projections onto complements."""
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
@@ -62,30 +66,6 @@ def half_inverse(H: Array, rounding: float) -> tuple[Array, float]:
     return V[:, determined] / (np.sqrt(eigenvalues[determined]) * root[:, None]), volume
 
 
-def part_of_span(basis: Array, coordinates: Array, kept: NDArray[np.bool_], rounding: float) -> tuple[Array, Array]:
-    """An orthonormal basis `(rank, reading)` of the span of some of the rows of another, and their coordinates in it.
-
-    Of independent rows, directions that those left out alone have are reflected onto the first ones, which then go:
-    that costs as much as there are rows to leave out.
-
-    Args:
-        basis: `(k, reading)`, orthonormal.
-        coordinates: `(number, k)`, of the rows in it, of unit length.
-        kept: `(number,)`.
-        rounding: as of `orthonormal`.
-    """
-    if kept.all():
-        return basis, coordinates
-    stay = coordinates[kept]
-    if len(coordinates) != len(basis) or not len(stay):
-        turn = orthonormal(stay, rounding)
-        return turn @ basis, stay @ turn.T
-    directions = np.linalg.solve(coordinates, np.eye(len(coordinates))[:, ~kept])
-    reflectors, tau, *_ = _geqrf(directions)
-    turned, of_rows = (_ormqr("R", "N", reflectors, tau, matrix, _BLOCK * len(matrix))[0] for matrix in (basis.T, stay))
-    return turned[:, directions.shape[1] :].T, of_rows[:, directions.shape[1] :]
-
-
 def rank(columns: Array, rounding: float) -> int:
     """The numerical rank of columns `(number, reading)`."""
     return len(orthonormal(unit_rows(columns), rounding))
@@ -94,6 +74,76 @@ def rank(columns: Array, rounding: float) -> int:
 def outside(columns: Array, basis: Array) -> Array:
     """Columns `(number, reading)` less their projection on an orthonormal basis `(rank, reading)`."""
     return columns - (columns @ basis.T) @ basis
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Span:
+    """The span of some rows `(number, reading)`, or what becomes of it as rows go and others come.
+
+    A projection on what remains is that on all directions, less that on those which the rows that went had alone. So
+    sums of products with the many directions are taken once, and changed by those with few.
+
+    Attributes:
+        whole: `(k, reading)`, orthonormal, of all rows.
+        coordinates: `(number, k)`, in it, of the rows that stay, of unit length.
+        changes: `(change, reading)`, orthonormal directions in the whole that go, and directions beside it that come.
+        sign: `(change,)`, -1 of those that go, 1 of those that come.
+    """
+
+    whole: Array
+    coordinates: Array
+    changes: Array
+    sign: Array
+
+    @classmethod
+    def of_rows(cls, rows: Array, rounding: float) -> "Span":
+        """Of unit rows `(number, reading)`, `rounding` as of `orthonormal`."""
+        whole = orthonormal(rows, rounding)
+        return cls(whole, rows @ whole.T, np.zeros((0, rows.shape[1])), np.zeros(0))
+
+    @cached_property
+    def basis(self) -> Array:
+        """An orthonormal basis `(rank, reading)`: directions that go are reflected onto the first ones of the whole."""
+        basis = self.whole
+        going = self.changes[self.sign < 0]
+        if len(going):
+            reflectors, tau, *_ = _geqrf(basis @ going.T)
+            basis = _ormqr("R", "N", reflectors, tau, basis.T, _BLOCK * basis.shape[1])[0][:, len(going) :].T
+        coming = self.changes[self.sign > 0]
+        return np.concatenate([basis, coming]) if len(coming) else basis
+
+    def part(self, stays: NDArray[np.bool_], rounding: float) -> "Span":
+        """The span of those rows alone that stay, `(number,)`."""
+        if len(self.changes):
+            basis = self.basis
+            rows = np.concatenate([self.coordinates @ self.whole, self.changes[self.sign > 0]])
+            unchanged = Span(basis, rows @ basis.T, self.changes[:0], self.sign[:0])
+            return unchanged.part(stays, rounding)
+        if stays.all():
+            return self
+        count = len(self.coordinates)
+        if not stays.any():
+            going = np.eye(len(self.whole))
+        elif count == len(self.whole):
+            going = np.linalg.qr(np.linalg.solve(self.coordinates, np.eye(count)[:, ~stays]))[0].T
+        else:
+            staying = orthonormal(self.coordinates[stays], rounding)
+            going = np.linalg.qr(staying.T, mode="complete")[0][:, len(staying) :].T
+        return replace(
+            self, coordinates=self.coordinates[stays], changes=going @ self.whole, sign=np.full(len(going), -1.0)
+        )
+
+    def extended(self, rows: Array, rounding: float) -> "Span":
+        """The span with more rows `(number, reading)`, as directions of their own."""
+        further = orthonormal(self.outside(unit_rows(rows)), rounding)
+        changes = np.concatenate([self.changes, further])
+        return replace(self, changes=changes, sign=np.append(self.sign, np.ones(len(further))))
+
+    def outside(self, columns: Array) -> Array:
+        """Columns `(number, reading)` less their projection on it."""
+        beside = outside(columns, self.whole)
+        return beside - ((columns @ self.changes.T) * self.sign) @ self.changes if len(self.changes) else beside
 
 
 def scaled_solve(H: Array, b: Array, rounding: float = ROUNDING) -> Array:

@@ -5,11 +5,11 @@ which is robust to correlated and unequal noise. `Score.familywise` multiplies i
 are not tested here: their p-value is the posterior odds against them (`search/search.py`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, contribution, linearised_at, prior_precision
-from lite6jax.estimation.projection import orthonormal, outside, part_of_span, unit_rows
+from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -63,8 +63,7 @@ def gain_p_value(gain: float, size: int, time: float) -> float:
 class Spanned(NamedTuple):
     """The columns of nuisance and model, attributes as of `ScoreTest`."""
 
-    span: Array
-    coordinates: Array
+    span: Span
     owners: NDArray[np.integer]
     acting: NDArray[np.bool_]
 
@@ -84,10 +83,13 @@ class ScoreTest:
         freedom: residual degrees of freedom.
         time: autocorrelation time of the residual, in samples; 1 where it is white.
         scale: `(group,)`, of the noise over the declared one.
-        span: orthonormal `(k, reading)`, of nuisance and model, with further readings of the other numbers' priors.
-        coordinates: `(number, k)`, the columns of nuisance and model in `span`, of unit length.
-        owners: `(number,)` int, the place of the term that each is of; -1 of the nuisance.
+        span: of the columns of nuisance and model, with further readings of the other numbers' priors.
+        owners: `(number,)` int, the place of the term that each of these columns is of; -1 of the nuisance.
         acting: `(number, group)`, whether it acts on a group of noise.
+        whole: the test of the model in whose noise and span this one is, with changes; None where it is that one.
+        table: what was computed of candidates beside this model, by what they are; `beside` and `extend` change it.
+        grams: products of candidates with themselves in each group of noise of unit variance, by what they are: those
+            of all models of one linearisation.
     """
 
     problem: Problem
@@ -98,15 +100,17 @@ class ScoreTest:
     freedom: float
     time: float
     scale: Array
-    span: Array
-    coordinates: Array
+    span: Span
     owners: NDArray[np.integer]
     acting: NDArray[np.bool_]
+    whole: "ScoreTest | None" = None
+    table: dict[Hashable, Any] = field(default_factory=dict)
+    grams: dict[Hashable, Array] = field(default_factory=dict)
 
     @property
     def basis(self) -> Array:
         """`(k, reading)`, the span in the readings of the residual."""
-        return self.span[:, : len(self.residual)]
+        return self.span.basis[:, : len(self.residual)]
 
     @cached_property
     def coupled(self) -> NDArray[np.bool_]:
@@ -143,23 +147,26 @@ class ScoreTest:
         if self._alike(part):
             stay = np.append(kept, True)[self.owners]
             place = np.append(np.cumsum(kept) - 1, -1)
-            span, coordinates = part_of_span(self.span, self.coordinates, stay, self.options.rounding)
-            spanned = Spanned(span, coordinates, place[self.owners[stay]], self.acting[stay])
+            span = self.span.part(stay, self.options.rounding)
+            spanned = Spanned(span, place[self.owners[stay]], self.acting[stay])
+            whole = None if span.whole is not self.span.whole else self.whole or self
         else:
             spanned = _spanned(self.problem, part, self.scale, self.options)
-        return replace(self, fit=part, residual=residual, **spanned._asdict())
+            whole = None
+        return replace(self, fit=part, residual=residual, whole=whole, table={}, **spanned._asdict())
 
     def extend(self, columns: Array) -> "ScoreTest":
         """The test of the model with more columns `(number, row, sample)`, to first order; the fit is as it was."""
         flat = self._flat(columns)
-        further = orthonormal(outside(unit_rows(flat[flat.any(1)]), self.span), self.options.rounding)
-        padded = np.pad(self.coordinates, ((0, 0), (0, len(further))))
+        span = self.span.extended(flat[flat.any(1)], self.options.rounding)
+        further = len(span.changes) - len(self.span.changes)
         return replace(
             self,
-            span=np.concatenate([self.span, further]),
-            coordinates=np.concatenate([padded, np.eye(len(further), padded.shape[1], len(self.span))]),
-            owners=np.append(self.owners, np.full(len(further), len(self.fit.terms.terms))),
-            acting=np.concatenate([self.acting, np.tile(_acting(self.problem, columns).any(0), (len(further), 1))]),
+            span=span,
+            owners=np.append(self.owners, np.full(further, len(self.fit.terms.terms))),
+            acting=np.concatenate([self.acting, np.tile(_acting(self.problem, columns).any(0), (further, 1))]),
+            whole=self.whole or self,
+            table={},
         )
 
     def _alike(self, part: Fit) -> bool:
@@ -188,7 +195,7 @@ class ScoreTest:
         """A score for each group of columns `(number, row, sample)`."""
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
-        projected = outside(flat, self.span)
+        projected = self.span.outside(flat)
         per_block = self._by_block(projected * self.left_of_span)
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
@@ -200,86 +207,151 @@ class ScoreTest:
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
             for block in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
                 flat = self._flat(block)
-                information, _ = _of_unit_columns(flat @ flat.T, flat @ self.span.T)
+                information, _ = _of_unit_columns(flat @ flat.T, flat @ self.span.basis.T)
                 is_confounded.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
         return is_confounded
 
-    def gains(self, column: Array, functions: Array) -> Array:
+    def gains(self, column: Array, functions: Array, keys: Sequence[Hashable] = ()) -> Array:
         """The gains in log-likelihood `(group,)` of many groups of functions at one site, without their tests.
 
         Args:
             column: `(row, sample)`, how residuals change with the site's deflection.
             functions: `(group, number, sample)`, deflections.
+            keys: what each group is, so that what is computed of it beside the whole model is kept.
         """
-        if self.fit.noise.white:
-            weight, basis, residual = self.over_rows(column)
-            gram = (functions * weight) @ functions.swapaxes(1, 2)
-            inside = functions @ basis.T
-            score = functions @ residual
-        else:  # whitening mixes the samples of a column, which then is no product of site and function
-            rows = np.flatnonzero(column.any(1))
-            white = _white(self.fit, functions[:, :, None] * column[rows], self.scale, rows)
-            flat = white.reshape(*functions.shape[:2], -1)
-            basis, residual = self.of_rows(rows)
-            gram = flat @ flat.swapaxes(1, 2)
-            inside = flat @ basis.T
-            score = flat @ residual
-        information, norms = _of_unit_columns(gram, inside)
+        whole = self.whole or self
+        missing = [k for k in range(len(functions)) if not keys or keys[k] not in whole.table]
+        new = (np.zeros(0),) * 2
+        if missing:
+            new = whole._products(column, functions[missing], [keys[k] if keys else None for k in missing])
+        if keys:
+            whole.table.update((keys[k], parts) for k, parts in zip(missing, zip(*new, strict=True), strict=True))
+            information, norms = map(np.stack, zip(*(whole.table[key] for key in keys), strict=True))
+        else:
+            information, norms = new
+        unwhitened, pull = self.unwhitened_sums(column)
+        if self.whole is not None:
+            inside = functions @ unwhitened.T / norms[..., None]
+            information = information - (inside * self.span.sign) @ inside.swapaxes(1, 2)
         eigenvalues, V = np.linalg.eigh(information)
         threshold = self.options.confounded
         inverse = np.where(eigenvalues > threshold, 1 / np.maximum(eigenvalues, threshold), 0.0)
-        along = np.einsum("gji,gj->gi", V, (score - inside @ self._inside) / norms)
+        along = np.einsum("gji,gj->gi", V, functions @ pull / norms)
         return 0.5 * np.sum(inverse * along**2, 1)
+
+    def _products(self, column: Array, functions: Array, keys: Sequence[Hashable]) -> tuple[Array, Array]:
+        """The information `(group, number, number)` of functions at a site, as columns of unit length, and lengths."""
+        gram = self.gram(column, keys, lambda some: self.white_gram(column, functions[some]))
+        return _of_unit_columns(gram, functions @ self.unwhitened_sums(column)[0].T)
+
+    def gram(self, column: Array, keys: Sequence[Hashable], computed: Callable[[Sequence[int]], Array]) -> Array:
+        """Products `(candidate, number, number)` of columns at a site with themselves, over the first group's noise.
+
+        Args:
+            column: `(row, sample)`, of the site.
+            keys: what each candidate is, so that its products are kept; None of one that is not.
+            computed: those of some candidates `(candidate, group, number, number)`, of the groups of noise in which the
+                site is seen, each over its own noise.
+        """
+        names = [None if key is None else (key, self._noise) for key in keys]
+        missing = [k for k, name in enumerate(names) if name is None or name not in self.grams]
+        new = dict(zip(missing, computed(missing) if missing else (), strict=True))
+        self.grams.update((names[k], parts) for k, parts in new.items() if names[k] is not None)
+        parts = np.stack([new[k] if k in new else self.grams[name] for k, name in enumerate(names)])
+        return np.tensordot((self.scale[0] / self.scale[self.groups_of(column)]) ** 2, parts, (0, 1))
+
+    def white_gram(self, column: Array, functions: Array) -> Array:
+        """As `computed` of `gram`, of functions `(candidate, number, sample)`, in any noise."""
+        rows = np.flatnonzero(column.any(1))
+        groups = self.fit.residuals.groups[rows]
+        if self.fit.noise.white:
+            weights = column[rows] ** 2 * self.fit.training
+            sums = (weights[groups == group].sum(0) for group in self.groups_of(column))
+            return np.stack([(functions * weight) @ functions.swapaxes(1, 2) for weight in sums], 1)
+        # whitening mixes the samples of a column, which then is no product of site and function
+        noise = replace(self.fit.noise, groups=groups)
+        white = noise.whitened(functions[:, :, None] * column[rows]) * self.fit.training
+        parts = (white[:, :, groups == group] for group in self.groups_of(column))
+        flat = [part.reshape(*functions.shape[:2], -1) for part in parts]
+        return np.stack([part @ part.swapaxes(1, 2) for part in flat], 1)
+
+    def weights(self, column: Array) -> Array:
+        """The squares of a whitened column `(row, sample)`, summed over the rows of each group in which it is seen.
+
+        `(group, sample)`, over the noise of the group.
+        """
+        squares = (self.fit.noise.whitened(column) * self.fit.training) ** 2
+        groups = self.fit.residuals.groups
+        return np.stack([squares[groups == group].sum(0) for group in self.groups_of(column)])
+
+    def groups_of(self, column: Array) -> NDArray[np.integer]:
+        """The groups of noise in which a site's column `(row, sample)` is seen; one of a site that is seen in none."""
+        groups = self.fit.residuals.groups
+        return np.unique(groups[column.any(1)]) if column.any() else groups[:1]
+
+    @cached_property
+    def _noise(self) -> Hashable:
+        """What `grams` depend on."""
+        models = tuple((model.coefficient, model.share) for model in self.fit.noise.models)
+        return models, self.fit.noise.starts, self.fit.training.tobytes()
 
     def over_rows(self, column: Array) -> tuple[Array, Array, Array]:
         """Sums over the rows of each sample of products of a whitened column `(row, sample)`.
 
-        With itself `(sample,)`, with the basis `(k, sample)`, and with the residual `(sample,)`.
+        With itself `(sample,)`, with each of the `directions` `(k, sample)`, and with what the model leaves
+        `(sample,)`.
         """
-        basis, residual = self._measured
+        directions = self._directions
         white = _white(self.fit, column, self.scale)
         acting = np.flatnonzero(np.any(white, 1))
-        rows = slice(acting.min(initial=self.problem.rows), acting.max(initial=-1) + 1)  # no copy of the basis
+        rows = slice(acting.min(initial=self.problem.rows), acting.max(initial=-1) + 1)  # no copy of the directions
         white = white[rows]
-        with_basis = np.einsum("rs,krs->ks", white, basis[:, rows])
-        return np.sum(white**2, 0), with_basis, np.sum(white * residual[rows], 0)
+        with_directions = np.einsum("rs,krs->ks", white, directions[:, rows])
+        return np.sum(white**2, 0), with_directions, np.sum(white * self.left_of_rows[rows], 0)
 
-    def of_rows(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
-        """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
-        basis, residual = self._measured
-        if len(rows) == self.problem.rows:
-            return basis.reshape(len(basis), residual.size), residual.ravel()
-        key = rows.tobytes()
-        if key not in self._of_rows:
-            chosen = residual[rows].ravel()
-            self._of_rows[key] = basis[:, rows].reshape(len(basis), chosen.size), chosen
-        return self._of_rows[key]
+    def unwhitened_sums(self, column: Array) -> tuple[Array, Array]:
+        """As `over_rows`, with each of the directions `(k, sample)`, and with what the model leaves `(sample,)`.
+
+        Times any function of the samples they are sums of products with its whitened column, in any noise.
+        """
+        key = "unwhitened", id(column)
+        if key not in self.table:
+            directions, left = self.unwhitened
+            rows = np.flatnonzero(column.any(1))
+            some = slice(rows.min(initial=len(column)), rows.max(initial=-1) + 1)
+            sums = np.einsum("rs,krs->ks", column[some], directions[:, some]), np.sum(column * left, 0)
+            self.table[key] = column, sums  # the column is kept, so that no other one has its identity
+        return self.table[key][1]
+
+    @cached_property
+    def unwhitened(self) -> tuple[Array, Array]:
+        """Directions `(k, row, sample)` and what the model leaves `(row, sample)`, whitened once more, backwards.
+
+        Their products with columns are those of whitened columns with the directions and with what is left.
+        """
+        weights = (self.scale[0] / self.scale)[self.fit.residuals.groups, None] * self.fit.training
+        return (
+            self.fit.noise.transposed(self._directions * weights),
+            self.fit.noise.transposed(self.left_of_rows * weights),
+        )
 
     @property
-    def _measured(self) -> tuple[Array, Array]:
-        """Basis `(k, row, sample)` and residual `(row, sample)` of the measurements, without the prior's readings."""
+    def _directions(self) -> Array:
+        """`(k, row, sample)` in the measurements: those of the whole span, or those by which this one differs."""
         shape = self.problem.rows, self.problem.samples
-        measured = shape[0] * shape[1]
-        return self.basis[:, :measured].reshape(len(self.basis), *shape), self.residual[:measured].reshape(shape)
+        directions = self.span.basis if self.whole is None else self.span.changes
+        return directions[:, : shape[0] * shape[1]].reshape(len(directions), *shape)
 
-    @cached_property
-    def _of_rows(self) -> dict[bytes, tuple[Array, Array]]:
-        return {}
-
-    @cached_property
-    def _inside(self) -> Array:
-        """`(k,)`, the residual in the basis."""
-        return self.basis @ self.residual
-
-    @cached_property
+    @property
     def left(self) -> Array:
         """`(reading,)`, what the model, integrated over, leaves of the residual."""
-        return self.residual - self._inside @ self.basis
+        return self.left_of_span[: len(self.residual)]
 
     @cached_property
     def left_of_span(self) -> Array:
         """`left`, and what the model leaves of the priors' further readings, which are zero."""
-        return np.concatenate([self.left, -self._inside @ self.span[:, len(self.residual) :]])
+        readings = self.span.whole.shape[1]
+        return self.span.outside(np.pad(self.residual, (0, readings - len(self.residual)))[None])[0]
 
     @property
     def left_of_rows(self) -> Array:
@@ -291,12 +363,17 @@ class ScoreTest:
         """Columns `(…, row, sample)` of some rows, whitened, of training samples, over the first group's noise."""
         return _white(self.fit, columns, self.scale, rows)
 
+    def outside(self, columns: Array) -> Array:
+        """Columns `(number, row, sample)` whitened and outside nuisance and model, in the measurements."""
+        measured = self.problem.rows * self.problem.samples
+        return self.span.outside(self._flat(columns))[:, :measured].reshape(columns.shape)
+
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:
         return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
 
     def _flat(self, columns: Array) -> Array:
         """Columns `(number, row, sample)` as readings of the span: whitened, zero of held-out samples and priors."""
-        flat = np.zeros((len(columns), self.span.shape[1]))
+        flat = np.zeros((len(columns), self.span.whole.shape[1]))
         white = _white(self.fit, columns, self.scale)
         flat[:, : self.problem.rows * self.problem.samples] = white.reshape(len(columns), -1)
         return flat
@@ -387,13 +464,16 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
     return centred @ centred.T * per_block.shape[1] / (per_block.shape[1] - 1)
 
 
-def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
+def score_test(
+    problem: Problem, fit: Fit, options: EngineOptions, grams: dict[Hashable, Array] | None = None
+) -> ScoreTest:
     """The score test against a fitted model.
 
     Args:
         problem: the data.
         fit: the model.
         options: thresholds.
+        grams: what tests of other models of this problem know of candidates, and to which this one adds.
 
     Returns:
         the test, of the problem whose columns are those at the fit.
@@ -422,7 +502,9 @@ def score_test(problem: Problem, fit: Fit, options: EngineOptions) -> ScoreTest:
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
     blocks = _blocks(problem.samples, time, options)
     spanned = _spanned(problem, fit, scale, options)
-    return ScoreTest(problem, fit, options, residual, blocks, n - fit.parameters, time, scale, *spanned)
+    freedom = n - fit.parameters
+    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned)
+    return test if grams is None else replace(test, grams=grams)
 
 
 def _named_columns(problem: Problem, fit: Fit) -> tuple[Array, dict[Term, Array]]:
@@ -459,8 +541,7 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
     rows = np.concatenate([columns, prior], 1)
     del columns  # with hundreds of terms these are half a gigabyte each
     rows = unit_rows(rows if is_nonzero.all() else rows[is_nonzero])
-    span = orthonormal(rows, options.rounding)
-    return Spanned(span, rows @ span.T, owners[is_nonzero], acting[is_nonzero])
+    return Spanned(Span.of_rows(rows, options.rounding), owners[is_nonzero], acting[is_nonzero])
 
 
 def _determined(

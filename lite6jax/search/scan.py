@@ -15,7 +15,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -152,6 +152,7 @@ class Scan:
 
     Attributes:
         names: all terms with a formula.
+        listed: the same as a set.
         quantities: what processes may depend on, and at last the order of recording, in which read-outs may wander.
         drivers: how many they are without that order.
         among: the processes to choose from; None where that is all.
@@ -172,6 +173,7 @@ class Scan:
         self.drivers = len(drivers)
         self.phrases = [quantity.driver.phrase for quantity in self.quantities]
         self.names = [*problem.candidates, *problem.shaped]
+        self.listed = frozenset(self.names)
         self._features: dict[tuple[Any, ...], Array] = {}
         self._products: dict[tuple[Any, ...], Array] = {}
         self._kept = 0
@@ -354,7 +356,6 @@ class ModelScan:
         self._problem = test.problem
         self._options = scan.options
         self._rows = slice(None) if rows is None else rows
-        self._known: dict[int, Sums] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
@@ -504,7 +505,8 @@ class ModelScan:
                 for term, block in zip(part, blocks, strict=True)
             ]
             acting = [k for k, block in enumerate(blocks) if np.any(block[:, self._rows])]
-            weighed = self._marginal.of_names([blocks[k] for k in acting]) if acting else []
+            keys = [part[k] if part[k] in self._scan.listed else None for k in acting]
+            weighed = self._marginal.of_names([blocks[k] for k in acting], keys=keys) if acting else []
             for term, evidence in zip((part[k] for k in acting), weighed, strict=True):
                 candidate = _of_term(evidence, self._scan.cost_of_name(term), term)
                 if candidate.gain > 0 and (term.label not in likeliest or candidate.net > likeliest[term.label].net):
@@ -549,7 +551,9 @@ class ModelScan:
         informations = []
         limits = []
         for component in self.components:
-            pull, information, residual_sum, freedom = self._equations(component, splines)
+            pull, information, residual_sum, freedom = self._equations(
+                component, splines, [((k,), "splines") for k in continuous]
+            )
             upper_bounds = bound(pull, information, residual_sum, freedom, self._options.confounded)
             costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in continuous])
             for i in np.flatnonzero(upper_bounds > costs):
@@ -627,7 +631,8 @@ class ModelScan:
         def after(of_samples: Array) -> Array:
             return np.cumsum(of_samples[..., backwards], -1)[..., count - 1]
 
-        information = np.maximum(after(sums.weight) - np.sum(after(sums.inside) ** 2, 0), 0.0)
+        key = component.site, component.name, "jumps"
+        information = np.maximum(self._marginal.of_sums(sums, after, key), 0.0)
         gains = of_process(
             after(sums.pull)[:, None],
             information[:, None, None],
@@ -650,7 +655,9 @@ class ModelScan:
     def _of_rolloffs(self, component: Component, k: int, kernel: str, exact: bool = False) -> list[Ranked]:
         """Every roll-off that is tried of a kernel: they differ in the size of their functions alone."""
         functions = self._scan.features((k,), kernel)[None]
-        (pull,), (information,), residual_sum, freedom = self._equations(component, functions, exact)
+        (pull,), (information,), residual_sum, freedom = self._equations(
+            component, functions, [((k,), kernel, ())], exact
+        )
         candidates = []
         for rolloff in _ROLLOFFS[kernel]:
             size = kernels.deviations(kernel, self._scan.quantities[k].bounds, rolloff)
@@ -688,7 +695,8 @@ class ModelScan:
                 for k in range(0, len(sets), batch_size):
                     batch = sets[k : k + batch_size]
                     functions = np.stack([self._scan.features(quantity_indices, kernel) for quantity_indices in batch])
-                    waiting.append(_Equations(component, batch, *self._equations(component, functions)))
+                    keys = [(quantity_indices, kernel, ()) for quantity_indices in batch]
+                    waiting.append(_Equations(component, batch, *self._equations(component, functions, keys)))
                     count += len(batch)
                     if count >= _WEIGHED:
                         candidates += self._together(waiting, kernel)
@@ -732,7 +740,9 @@ class ModelScan:
             return self._of_rolloffs(component, k, "wander", exact=True)
         continuous, splines = self._scan.splines
         if k in continuous:
-            (pull,), (information,), *noise = self._equations(component, splines[[continuous.index(k)]], exact)
+            (pull,), (information,), *noise = self._equations(
+                component, splines[[continuous.index(k)]], [((k,), "splines")], exact
+            )
             candidates = [
                 self._process(self._of_splines(name, pull, information, *noise), component, which, name)
                 for name in kernels.SCALED
@@ -775,9 +785,7 @@ class ModelScan:
         return [(components[site, name], a, b) for site, name, a, b in sorted(shortlist)]
 
     def _sums(self, component: Component) -> Sums:
-        if id(component) not in self._known:
-            self._known[id(component)] = self._marginal.sums(component.column)
-        return self._known[id(component)]
+        return self._marginal.sums(component.column)
 
     def exact(self, ranked: Ranked) -> Ranked:
         """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
@@ -788,21 +796,28 @@ class ModelScan:
 
     def _is_exact(self, component: Component) -> bool:
         """Whether sums over rows suffice: in white noise, or of a component of one row."""
-        return self._test.fit.noise.white or self._sums(component).row is not None
+        return self._sums(component).exact
 
     def _equations(
-        self, component: Component, functions: Array, exact: bool = False
+        self, component: Component, functions: Array, which: Sequence[Hashable], exact: bool = False
     ) -> tuple[Array, Array, float, float]:
-        """Pull and information of groups of functions `(group, function, sample)`, sum of squares and freedom."""
+        """Pull and information of groups of functions `(group, function, sample)`, sum of squares and freedom.
+
+        What is computed of each group at a component is kept by what it is, `which`.
+        """
         if exact and not self._is_exact(component):
-            dense = [self._marginal.dense(group[:, None] * component.column) for group in functions]
+            keys = [(component.site, component.name, what, "exact") for what in which]
+            dense = [
+                self._marginal.dense(component.column, group, key) for group, key in zip(functions, keys, strict=True)
+            ]
             return (
                 np.stack([equations[0] for equations in dense]),
                 np.stack([equations[1] for equations in dense]),
                 *dense[0][2:],
             )
         sums = self._sums(component)
-        return *self._marginal.equations(sums, functions), sums.left, sums.freedom
+        keys = [(component.site, component.name, what) for what in which]
+        return *self._marginal.equations(sums, functions, keys), sums.left, sums.freedom
 
     def of_kernel(
         self,
@@ -814,7 +829,8 @@ class ModelScan:
     ) -> Ranked:
         """A process of one kernel."""
         functions = self._scan.features(which, kernel, rolloff)[None]
-        evidence = of_process(*self._equations(component, functions, exact), self._options.confounded)
+        equations = self._equations(component, functions, [(which, kernel, rolloff)], exact)
+        evidence = of_process(*equations, self._options.confounded)
         return self._process(Evidence(*(part[0] for part in evidence)), component, which, kernel, rolloff)
 
     def _process(

@@ -18,7 +18,7 @@ could not be told apart from these. A term is rejected if independent noise at t
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +42,8 @@ _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
+_PRODUCTS = 1 << 25
+"""Of products of candidates that are kept from one model to the next: 256 MB."""
 
 
 class Selector:
@@ -51,6 +53,7 @@ class Selector:
         self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
         self._preset = problem.preset[0].terms
         self._latest: ScoreTest | None = None
+        self._grams: dict[Hashable, Array] = {}
         self._known: dict[tuple[int, int], tuple[Fit, list[Ranked]]] = {}
 
     # -------------------------------------------------------------- the search
@@ -288,7 +291,9 @@ class Selector:
     def test(self, state: State) -> ScoreTest:
         """The test of a model, kept for the latest."""
         if self._latest is None or self._latest.fit is not state.fit:
-            self._latest = score_test(self.problem, state.fit, self.options)
+            if sum(parts.size for parts in self._grams.values()) > _PRODUCTS:  # those of earlier noise are among them
+                self._grams.clear()
+            self._latest = score_test(self.problem, state.fit, self.options, self._grams)
         return self._latest
 
     def _estimated(self, state: State) -> State:

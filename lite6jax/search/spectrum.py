@@ -148,12 +148,18 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
     """The likeliest of some orders."""
-    gains = test.gains(family.column, family.waves_of(orders))
+    gains = _gains(test, family, orders)
     return float(orders[int(np.argmax(gains - log_orders_of(family, orders, test.options)))])
 
 
+def _gains(test: ScoreTest, family: PeriodicFamily, orders: Array) -> Array:
+    """The gains in log-likelihood `(order,)` of orders of a family, exactly."""
+    keys = [(family, order) for order in orders.tolist()]
+    return test.gains(family.column, family.waves_of(orders), keys)
+
+
 def _gain(test: ScoreTest, family: PeriodicFamily, order: float) -> float:
-    return float(test.gains(family.column, family.waves_of(np.array([order])))[0])
+    return float(_gains(test, family, np.array([order]))[0])
 
 
 def _pair_gain(s: Array, c: Array, ss: Array, cc: Array, sc: Array) -> Array:

@@ -117,7 +117,7 @@ def test_the_equations_of_a_process_are_those_outside_the_nuisance(beside):
     Z = Q.T @ X
     np.testing.assert_allclose(information[0], Z.T @ Z, rtol=1e-6, atol=1e-6 * np.abs(Z.T @ Z).max())
     np.testing.assert_allclose(pull[0], Z.T @ (Q.T @ y), rtol=1e-4, atol=1e-4 * np.abs(pull).max())
-    dense = marginal.dense(splines[:, None] * component.column)
+    dense = marginal.dense(component.column, splines)
     for one, other in zip(dense, (pull[0], information[0], sums.left, sums.freedom), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8 * np.abs(other).max())
     # the noise is declared, which counts as four more degrees of freedom at its declared size
@@ -199,10 +199,10 @@ def test_the_volume_of_a_name_is_what_a_fit_of_all_its_numbers_gains_beyond_its_
     columns = np.stack([np.sin(q), np.sin(q) + 3e-4 * np.sin(3 * q)])[:, None] * component.column
     marginal = Marginal(test)
     found = marginal.of_names([columns])[0]
-    *_, left, freedom = marginal.dense(columns)
+    sums = marginal.sums(component.column)
     Z = Q.T @ columns.reshape(2, -1).T / test.scale[0]
     explained = (Q.T @ y) @ Z @ np.linalg.lstsq(Z, Q.T @ y, rcond=None)[0]
-    likelihood = -0.5 * freedom * np.log(1 - explained / left)
+    likelihood = -0.5 * sums.freedom * np.log(1 - explained / sums.left)
     assert found.gain + found.volume == pytest.approx(likelihood, rel=1e-3)
     assert found.volume > 20  # of a bump of sin 3q
 

@@ -10,7 +10,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kinematic import FrameOffset, JointCompliance, JointOffset
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.estimation.projection import orthonormal, part_of_span, unit_rows
+from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
@@ -172,14 +172,20 @@ def test_a_part_of_a_span_is_that_of_the_rows_which_stay(dependent, left_out):
     if dependent:
         rows[5] = rows[1] + rows[2]
     rows = unit_rows(rows)
-    whole, kept = orthonormal(rows, 1e-12), np.ones(12, bool)
+    kept = np.ones(12, bool)
     kept[list(left_out)] = False
-    basis, coordinates = part_of_span(whole, rows @ whole.T, kept, 1e-12)
+    part = Span.of_rows(rows, 1e-12).part(kept, 1e-12)
+    basis = part.basis
     stay = np.linalg.svd(rows[kept], full_matrices=False)
     wanted = stay[2][stay[1] > 1e-6]
     np.testing.assert_allclose(basis.T @ basis, wanted.T @ wanted, rtol=0, atol=1e-10)
     np.testing.assert_allclose(basis @ basis.T, np.eye(len(wanted)), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(coordinates @ basis, rows[kept], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(part.coordinates @ part.whole, rows[kept], rtol=0, atol=1e-12)
+    others = rng.normal(size=(3, 40))
+    np.testing.assert_allclose(part.outside(others), others - others @ wanted.T @ wanted, rtol=0, atol=1e-10)
+    more = part.extended(others, 1e-12)
+    assert len(more.basis) == len(basis) + 3
+    np.testing.assert_allclose(more.outside(np.concatenate([rows[kept], others])), 0.0, rtol=0, atol=1e-10)
 
 
 def test_rows_left_out_are_not_evidence(arm, still):

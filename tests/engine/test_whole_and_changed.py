@@ -1,0 +1,150 @@
+"""What is weighed beside a model without a term, or with more, is what is weighed when nothing of the whole is used."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import OPTIONS, Made, static_motion, truth, with_effects
+from engine.linear_problem import Column, Process, linear_problem
+
+from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.estimation.evidence import Marginal
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
+from lite6jax.estimation.projection import Span
+from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Terms
+from lite6jax.search.scan import Scan, Weighed
+from lite6jax.search.spectrum import lines
+
+TEXTS = (
+    "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+    "joint_harmonic:joint=5,order=2,amplitude_rad=6e-4,phase_rad=-2",
+)
+CHANGES = {"without a name": (0,), "without a process": (2,), "without both": (0, 2)}
+
+
+def computed_anew(test):
+    """The same test, with an orthonormal basis of its own and nothing that is known of another one."""
+    basis = test.span.basis
+    span = Span(basis, np.eye(len(basis)), np.zeros((0, basis.shape[1])), np.zeros(0))
+    return replace(test, span=span, whole=None, table={})
+
+
+def assert_close(some, others, tolerance=1e-9):
+    scale = max(float(np.abs(others).max(initial=0.0)), 1e-300)
+    np.testing.assert_allclose(some, others, rtol=0, atol=tolerance * scale)
+
+
+def all_weighed(scan, test):
+    """Log odds of all that is tried, by what it is."""
+    weighed = Weighed(scan, test)
+    candidates = [*weighed.ranked(), *weighed.named()]
+    pairs = [((pair.names[0].cause, pair.names[1].cause), pair.net) for pair in weighed.pairs_at("joint5")]
+    by_name = {(one.key, one.process[2:], round(one.cost, 3)): one.net for one in candidates}
+    return by_name | dict(pairs) | {("line", line.family.site): line.gain for line in lines(test)}
+
+
+@pytest.fixture(scope="module", params=["white", "autocorrelated"])
+def whole(request, tmp_path_factory):
+    """A test beside two names and a process of a pose problem, in which the effect of a joint is left."""
+    made = with_effects(Made(tmp_path_factory.mktemp("arm"), seed=1), *TEXTS)
+    problem = pose_problem(made.recording(static_motion(7, 120), bump=(3, lambda q: 4e-4 * np.sin(3 * q))))
+    component = next(one for one in problem.components if one.site == "joint4")
+    process = problem.process(component, problem.quantities[:1], "medium", 1e-4)
+    model = Terms((*(truth(text)[0] for text in TEXTS), process))
+    groups = problem.groups
+    noise = None
+    if request.param != "white":
+        noise = NoiseModel((Autocorrelation(0.7, 0.8),) * (groups.max() + 1), groups, (0, 50))
+    fitted = fit(problem, model, OPTIONS, noise=noise)
+    return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_all_that_is_tried_is_worth_the_same_beside_a_part_of_a_model(whole, change):
+    _, scan, test = whole
+    part = test.beside([k not in CHANGES[change] for k in range(3)])
+    assert part.whole is test
+    expected = all_weighed(scan, computed_anew(part))
+    found = all_weighed(scan, part)
+    assert found.keys() == expected.keys()
+    assert len(found) > 40
+    for key, odds in expected.items():
+        assert found[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
+    # and once more, of what is kept by now
+    again = all_weighed(scan, test.beside([k not in CHANGES[change] for k in range(3)]))
+    assert again == pytest.approx(found, rel=1e-12, abs=1e-9)
+
+
+def test_all_that_is_tried_is_worth_the_same_beside_more(whole):
+    problem, scan, test = whole
+    part = test.beside([True, False, True])
+    columns = problem.columns([term for term in problem.candidates if term.site == "joint3"][:2])
+    more = part.extend(columns).extend(columns[:1] + problem.components[0].column)
+    assert more.whole is test
+    expected = all_weighed(scan, computed_anew(more))
+    found = all_weighed(scan, more)
+    assert found.keys() == expected.keys()
+    for key, odds in expected.items():
+        assert found[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
+
+
+def test_information_and_pull_are_those_computed_anew_to_nine_digits(whole):
+    problem, scan, test = whole
+    part = test.beside([False, True, False])
+    anew = computed_anew(part)
+    changed_marginal = Marginal(part)
+    marginal = Marginal(anew)
+    functions = scan.splines[1][:5]
+    keys = [(k, "splines") for k in range(5)]
+    for component in problem.components[::7]:
+        for _ in range(2):  # computed, and then known
+            of = changed_marginal.sums(component.column), marginal.sums(component.column)
+            found = changed_marginal.equations(of[0], functions, [(component.name, component.site, k) for k in keys])
+            for one, other in zip(found, marginal.equations(of[1], functions), strict=True):
+                assert_close(one, other)
+            exactly = changed_marginal.dense(component.column, functions[0], (component.site, component.name, "exact"))
+            for one, other in zip(exactly, marginal.dense(component.column, functions[0]), strict=True):
+                assert_close(one, other)
+
+
+def test_a_part_of_a_part_is_that_part_of_the_whole(whole):
+    _, _, test = whole
+    at_once = test.beside([False, True, False])
+    one_by_one = test.beside([False, True, True]).beside([True, False])
+    assert_close(one_by_one.basis.T @ one_by_one.basis, at_once.basis.T @ at_once.basis)
+    assert_close(one_by_one.left, at_once.left)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_the_transpose_of_whitening_is_its_transpose(share):
+    model = Autocorrelation(0.8, share)
+    starts = (0, 5, 6, 9)
+    whitening = model.whitened(np.eye(13), starts)
+    np.testing.assert_allclose(model.transposed(np.eye(13), starts), whitening.T, rtol=0, atol=1e-13)
+
+
+def test_a_group_that_a_term_couples_is_not_coupled_without_it():
+    problem = linear_problem(np.random.default_rng(2), 80, lambda d: d["u2"])
+    process = Process("x", (problem.quantities[0].driver,), problem.quantities[0].bounds, spread=1.0)
+    fitted = fit(problem, Terms((Column("u2"), process)), OPTIONS)
+    test = score_test(problem, fitted, OPTIONS)
+    assert test.coupled.all()
+    assert not test.beside([False, False]).coupled[0, 1]
+
+
+def test_what_one_model_knows_of_candidates_serves_another_in_other_noise(whole):
+    """Products of candidates with themselves are kept over each group's own noise: scales change, they do not."""
+    problem, scan, test = whole
+    grams = {}
+    known = score_test(problem, test.fit, OPTIONS, grams)
+    all_weighed(scan, known)
+    count = len(grams)
+    assert count > 1000
+    fewer = fit(problem, test.fit.terms.part(test.fit.values, [True, False, False])[0], OPTIONS, noise=test.fit.noise)
+    assert np.abs(np.log(fewer.scale / test.fit.scale)).max() > 0.1
+    expected = all_weighed(scan, score_test(problem, fewer, OPTIONS))
+    found = all_weighed(scan, score_test(problem, fewer, OPTIONS, grams))
+    assert len(grams) < 1.5 * count
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8)
