@@ -516,8 +516,9 @@ class Selector:
     def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
 
-        After each, the same beside a process of one of the two quantities that the process has, and beside a read-out
-        that wanders.
+        After each, two names of the site in the place of the last ones: one wave of any order may be as likely to first
+        order as two of whole ones. Then the same beside a process of one of the two quantities that the process has,
+        and beside a read-out that wanders.
         """
         process = state.tested[k].term
         test = self.beside(state, k)
@@ -538,11 +539,15 @@ class Selector:
             site_pair = self._likeliest_pair_at(test, process.site, excluded)
             if site_pair is not None and site_pair.net > net + self.options.margin:
                 more, net = site_pair
+                site_pair = None
+            before = names, gain
             excluded |= {name.cause[0] for name in more}
             names = [*names, *more]
             gain = gain + net
             test = test.extend(test.problem.columns([name.make() for name in more], beside=model))
             yield names, gain
+            if site_pair is not None:
+                yield [*before[0], *site_pair.names], before[1] + site_pair.net
             wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
             for less in self._processes(test, component, [*_either(quantity_indices), *wandering]):
                 if less.net >= self.options.margin:
