@@ -247,7 +247,10 @@ class Selector:
         return own[0] if alone else None
 
     def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
-        """Of a process that continues one, only the choice of the component costs."""
+        """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that."""
+        if not one.process:
+            cost = self.scan.cost_of_wave(one.make(), model)
+            return one if cost is None else replace(one, cost=min(one.cost, cost))
         own = sum(component.site == one.site for component in self.problem.components)
         return replace(one, cost=min(one.cost, float(np.log(own)))) if self._continues(one, model) else one
 
@@ -333,10 +336,15 @@ class Selector:
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
     def weighed(self, state: State) -> State:
-        """Each term weighed beside the others as it is."""
-        tested = [
-            one if one.term in self._preset else self._weighed_as_is(state, k) for k, one in enumerate(state.tested)
-        ]
+        """Each term weighed beside the others as it is; of waves of one angle the first costs most."""
+        tested = []
+        for k, selected in enumerate(state.tested):
+            if selected.term in self._preset:
+                tested.append(selected)
+                continue
+            cost = self.scan.cost_of_wave(selected.term, [before.term for before in tested])
+            weighed = self._weighed_as_is(state, k)
+            tested.append(weighed if cost is None else replace(weighed, cost=cost))
         return replace(state, tested=tuple(tested))
 
     def _dropped(self, state: State) -> State:
@@ -451,6 +459,9 @@ class Selector:
                 continue
             if not selected.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
+            absorbed = self._absorbed(state, k)
+            if absorbed is not None and absorbed.evidence > state.evidence:
+                return absorbed
             likeliest = next(iter(self._in_place(state, k)), None)
             if likeliest is None or self._is(likeliest, selected.term):
                 continue
@@ -479,6 +490,33 @@ class Selector:
             return None
         candidate = self._settled(self._estimated(self._with(self._left_out(state, k), *pair.names)))
         return candidate if candidate.evidence > state.evidence + self.options.better else None
+
+    def _absorbed(self, state: State, k: int) -> State | None:
+        """The state with one process in the place of the k-th term, a name, and of a process beside it at its site.
+
+        A step of the direction of motion and a curve of the velocity may be one function of both, of which the name
+        says a part. None where no such process is there, and of a name that nearly every problem has: it is known to
+        be there.
+        """
+        term = state.tested[k].term
+        if term.nonparametric or term.usual or self._component_of(term) is None:
+            return None
+        own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
+        for j, beside in enumerate(state.tested):
+            process = beside.term
+            if process.site != term.site or not process.nonparametric or _kernel_of(process) in ("wander", "spectrum"):
+                continue
+            component, quantity_indices = self._process_of(process)
+            together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})
+            if len(own) < len(_phrases(term)) or len(together) > 2:
+                continue
+            rest = [selected for n, selected in enumerate(state.tested) if n not in (j, k)]
+            test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
+            likeliest = self._processes(test, component, [tuple(together)])
+            if likeliest and likeliest[0].net >= self.options.margin:
+                bare = refitted(self.problem, state, rest, self.options)
+                return self._settled(self._estimated(self._with(bare, likeliest[0])))
+        return None
 
     def _has_number(self, term: Term) -> bool:
         """Whether a number of a name is tried."""
@@ -625,6 +663,12 @@ class Selector:
             alternatives += self._rivals(
                 test, selected, every, {alternative.term.label for alternative in alternatives}
             )
+            if every == 1 and (absorbed := self._absorbed(state, k)) is not None:
+                gap = state.evidence - absorbed.evidence
+                new = [test.term for test in absorbed.tested if test.term not in state.fit.terms.terms]
+                if gap < self.options.close and new:
+                    alternatives.append(Alternative(new[0], max(gap, 0.0)))
+                    alternatives.sort(key=lambda alternative: alternative.gap)
             if (wave := wave_of(self.problem, selected.term)) is not None:
                 waves = as_likely(test, *wave, self.options.close / every)
                 alternatives += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
