@@ -71,7 +71,8 @@ class Fit:
         noise: the noise model.
         penalty: sum over all numbers of the squared deviation from the prior's mean over the prior's variance.
         volume: ½ ln det(I + τ²λ) of all processes together, by which their evidence is less than the gain of the
-            likelihood: each alone beside the others would not count what two of them share.
+            likelihood: each alone beside the others would not count what two of them share. And what names share with
+            each other and with processes: the volumes of all terms are those of one determinant.
     """
 
     terms: Terms
@@ -313,7 +314,7 @@ def _fitted(
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
-    volume = _volume_of_processes(H, precision, terms)
+    volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, options.confounded)
     rest = covariance, state, training, effective, converged, noise, penalty, volume
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
 
@@ -334,6 +335,54 @@ def _volume_of_processes(H: Array, precision: Array, terms: Terms) -> float:
     beside = schur_complement(H, np.flatnonzero(~acting))[np.ix_(acting, acting)]
     root = np.sqrt(precision[acting])
     return 0.5 * float(np.linalg.slogdet(beside / np.outer(root, root))[1])
+
+
+def _shared_by_names(H: Array, inverse: Array, terms: Terms, confounded: float) -> float:
+    """What the volumes of names, each beside all others, leave out of the volume of all terms together.
+
+    That of a name counts the information that it has beside all others. With A the information of all names beside the
+    nuisance alone, and Aₙ that of a name beside all others, what is left out is ½ (ln det A − Σ ln det Aₙ). Of two
+    numbers of the correlation ρ it is −½ ln(1 − ρ²).
+
+    Args:
+        H: `(number, number)`, the normal equations with the priors; the nuisance first.
+        inverse: of H.
+        terms: of the model.
+        confounded: share of a direction's information that is left beside others, from which on it is determined.
+    """
+    if len(terms.terms) < 2 or not len(H):
+        return 0.0
+    count = len(H) - terms.size
+    names = [
+        np.arange(part.start, part.stop)
+        for term, part in zip(terms.terms, terms.slices, strict=True)
+        if not term.nonparametric
+    ]
+    acting = np.concatenate([np.arange(count), *(count + numbers for numbers in names)])
+    beside_nuisance = schur_complement(H[np.ix_(acting, acting)], np.arange(count))[count:, count:]
+    shared = 0.0
+    directions = []
+    place = 0
+    for numbers in names:
+        here = slice(place, place + len(numbers))
+        place += len(numbers)
+        at = count + numbers
+        size = np.sqrt(np.maximum(H[at, at], np.finfo(float).tiny))
+        eigenvalues, V = np.linalg.eigh(beside_nuisance[here, here] / np.outer(size, size))
+        determined = eigenvalues > confounded
+        root = np.sqrt(eigenvalues[determined])
+        # in these directions its information beside the nuisance is the identity
+        direction = np.zeros((len(root), len(acting) - count))
+        direction[:, here] = (V[:, determined] / root).T / size
+        directions.append(direction)
+        coordinates = (V[:, determined] * root).T * size
+        variances = np.linalg.eigvalsh(coordinates @ inverse[np.ix_(at, at)] @ coordinates.T)
+        shared += np.sum(np.log(np.clip(variances, 1.0, 1 / confounded)))
+    if names:
+        turned = np.concatenate(directions)
+        eigenvalues = np.linalg.eigvalsh(turned @ beside_nuisance @ turned.T)
+        shared += np.sum(np.log(np.maximum(eigenvalues, confounded)))
+    return 0.5 * float(max(shared, 0.0))
 
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:

@@ -8,6 +8,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders or jumps | −ln p |
 | a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
+| a wave beside one of its angle of which it is a multiple, or which is one of it | ln of the multiples alone |
 | a read-out that wanders | ln of these, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, of_process
+from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, log_orders_of, of_process
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
@@ -205,6 +206,29 @@ class Scan:
         cost += sum(self._cost_of_quantity(site, k) for k in which)
         cost += np.log(1 + len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)  # the spectrum is one more
         return self._costs.setdefault((site, which), float(cost))
+
+    def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
+        """Of a wave beside other terms; None of a term that is no wave of a fixed order.
+
+        An eccentric part makes waves of several whole multiples of its turn. Where one is there, another costs the
+        choice of the multiple alone, which is chosen as whole orders of all are.
+        """
+        wave = wave_of(self.problem, term)
+        if wave is None:
+            return None
+        family, order = wave
+        if term in self.names:  # the lowest orders are candidates of their own
+            cost = self.cost_of_name(term)
+        else:
+            families = max(len(self.problem.periodic), 1)
+            searched = log_orders_of(family, order, self.options)
+            cost = float(self.prior.cost("wave") + np.log(families) + searched)
+        waves = [wave_of(self.problem, other) for other in others if other.site == term.site]
+        for other_family, other_order in (other for other in waves if other is not None):
+            multiple = max(order, other_order) / min(order, other_order)
+            if other_family is family and multiple > 1 and multiple % 1 == 0:
+                cost = min(cost, float(log_orders_of(family, multiple, self.options)))
+        return cost
 
     @cached_property
     def cost_of_step(self) -> float:
@@ -461,9 +485,11 @@ class ModelScan:
         evidence = self._marginal.of_names([np.concatenate([columns[0][a], columns[1][b]]) for a, b in pairs])
         weighed = []
         for (a, b), joint_evidence in zip(pairs, evidence, strict=True):
+            cost_beside = self._scan.cost_of_wave(second[b], [first[a]])
+            costs = [self._scan.cost_of_name(first[a]), cost_beside or self._scan.cost_of_name(second[b])]
             names = [
-                _of_term(joint_evidence, self._scan.cost_of_name(name), name, self._label(name))
-                for name in (first[a], second[b])
+                _of_term(joint_evidence, cost, name, self._label(name))
+                for name, cost in zip((first[a], second[b]), costs, strict=True)
             ]
             weighed.append(Pair((names[0], names[1]), float(joint_evidence.gain) - names[0].cost - names[1].cost))
         return sorted(weighed, key=lambda pair: -pair.net)
@@ -523,18 +549,15 @@ class ModelScan:
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
         candidates = []
-        families = max(len(self._problem.periodic), 1)
         for line in lines(self._test):
             column = line.family.column
             if not np.any(column[self._rows]):
                 continue
             columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
             (evidence,) = self._marginal.of_names([columns])
-            is_listed = line.term in self._scan.names  # the lowest orders are candidates of their own
-            cost = self._scan.prior.cost("wave") + np.log(families) + line.searched
-            if is_listed:
-                cost = self._scan.cost_of_name(line.term)
-            candidates.append(_of_term(evidence, float(cost), line.term, f"{line.term.label} {line.order:.3g}"))
+            cost = self._scan.cost_of_wave(line.term, ())
+            assert cost is not None
+            candidates.append(_of_term(evidence, cost, line.term, f"{line.term.label} {line.order:.3g}"))
         return [candidate for candidate in candidates if candidate.gain > 0]
 
     def singles(self, least: float) -> list[Ranked]:

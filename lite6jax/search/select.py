@@ -250,7 +250,10 @@ class Selector:
         return own[0] if alone else None
 
     def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
-        """Of a process that continues one, only the choice of the component costs."""
+        """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that."""
+        if not one.process:
+            cost = self.scan.cost_of_wave(one.make(), model)
+            return one if cost is None else replace(one, cost=min(one.cost, cost))
         own = sum(component.site == one.site for component in self.problem.components)
         return replace(one, cost=min(one.cost, float(np.log(own)))) if self._continues(one, model) else one
 
@@ -338,10 +341,15 @@ class Selector:
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
     def weighed(self, state: State) -> State:
-        """Each term weighed beside the others as it is."""
-        tested = [
-            one if one.term in self._preset else self._weighed_as_is(state, k) for k, one in enumerate(state.tested)
-        ]
+        """Each term weighed beside the others as it is; of waves of one angle the first costs most."""
+        tested = []
+        for k, selected in enumerate(state.tested):
+            if selected.term in self._preset:
+                tested.append(selected)
+                continue
+            cost = self.scan.cost_of_wave(selected.term, [before.term for before in tested])
+            weighed = self._weighed_as_is(state, k)
+            tested.append(weighed if cost is None else replace(weighed, cost=cost))
         return replace(state, tested=tuple(tested))
 
     def _dropped(self, state: State) -> State:
@@ -456,6 +464,9 @@ class Selector:
                 continue
             if not selected.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
+            absorbed = self._absorbed(state, k)
+            if absorbed is not None and absorbed.evidence > state.evidence:
+                return absorbed
             likeliest = next(iter(self._in_place(state, k)), None)
             if likeliest is None or self._is(likeliest, selected.term):
                 continue
@@ -484,6 +495,33 @@ class Selector:
             return None
         candidate = self._settled(self._estimated(self._with(self._left_out(state, k), *pair.names)))
         return candidate if candidate.evidence > state.evidence + self.options.better else None
+
+    def _absorbed(self, state: State, k: int) -> State | None:
+        """The state with one process in the place of the k-th term, a name, and of a process beside it at its site.
+
+        A step of the direction of motion and a curve of the velocity may be one function of both, of which the name
+        says a part. None where no such process is there, and of a name that nearly every problem has: it is known to
+        be there.
+        """
+        term = state.tested[k].term
+        if term.nonparametric or term.usual or self._component_of(term) is None:
+            return None
+        own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
+        for j, beside in enumerate(state.tested):
+            process = beside.term
+            if process.site != term.site or not process.nonparametric or _kernel_of(process) in ("wander", "spectrum"):
+                continue
+            component, quantity_indices = self._process_of(process)
+            together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})
+            if len(own) < len(_phrases(term)) or len(together) > 2:
+                continue
+            rest = [selected for n, selected in enumerate(state.tested) if n not in (j, k)]
+            test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
+            likeliest = self._processes(test, component, [tuple(together)])
+            if likeliest and likeliest[0].net >= self.options.margin:
+                bare = refitted(self.problem, state, rest, self.options)
+                return self._settled(self._estimated(self._with(bare, likeliest[0])))
+        return None
 
     def _has_number(self, term: Term) -> bool:
         """Whether a number of a name is tried."""
@@ -521,8 +559,9 @@ class Selector:
     def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
 
-        After each, the same beside a process of one of the two quantities that the process has, and beside a read-out
-        that wanders.
+        After each, two names of the site in the place of the last ones: one wave of any order may be as likely to first
+        order as two of whole ones. Then the same beside a process of one of the two quantities that the process has,
+        and beside a read-out that wanders.
         """
         process = state.tested[k].term
         test = self.beside(state, k)
@@ -543,11 +582,15 @@ class Selector:
             site_pair = self._likeliest_pair_at(test, process.site, excluded)
             if site_pair is not None and site_pair.net > net + self.options.margin:
                 more, net = site_pair
+                site_pair = None
+            before = names, gain
             excluded |= {name.cause[0] for name in more}
             names = [*names, *more]
             gain = gain + net
             test = test.extend(test.problem.columns([name.make() for name in more], beside=model))
             yield names, gain
+            if site_pair is not None:
+                yield [*before[0], *site_pair.names], before[1] + site_pair.net
             wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
             for less in self._processes(test, component, [*_either(quantity_indices), *wandering]):
                 if less.net >= self.options.margin:
@@ -625,6 +668,12 @@ class Selector:
             alternatives += self._rivals(
                 test, selected, every, {alternative.term.label for alternative in alternatives}
             )
+            if every == 1 and (absorbed := self._absorbed(state, k)) is not None:
+                gap = state.evidence - absorbed.evidence
+                new = [test.term for test in absorbed.tested if test.term not in state.fit.terms.terms]
+                if gap < self.options.close and new:
+                    alternatives.append(Alternative(new[0], max(gap, 0.0)))
+                    alternatives.sort(key=lambda alternative: alternative.gap)
             if (wave := wave_of(self.problem, selected.term)) is not None:
                 waves = as_likely(test, *wave, self.options.close / every)
                 alternatives += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
