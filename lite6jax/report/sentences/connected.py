@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.controller.recorder import LiveRecording
-from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, KinematicsCheck
 from lite6jax.report.words import fixed, number, paragraph
 
 
@@ -28,7 +28,7 @@ def _offset(offset: NDArray[np.floating]) -> str:
     return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
 
 
-def tool_verified(verification: Verification) -> str:
+def tool_verified(verification: KinematicsCheck) -> str:
     """Says how the tool offset enters the controller's forward kinematics, and whether that agrees."""
     offset = "none in the controller's report"
     if verification.tool != "none":
@@ -47,7 +47,7 @@ def tool_verified(verification: Verification) -> str:
     )
 
 
-def verification_notes(verification: Verification) -> list[str]:
+def verification_notes(verification: KinematicsCheck) -> list[str]:
     """Says what the controller reports besides, a phrase each."""
     condition = verification.condition
     notes = []
@@ -58,7 +58,7 @@ def verification_notes(verification: Verification) -> list[str]:
     return notes
 
 
-def verification_verdict(verification: Verification) -> str:
+def verification_verdict(verification: KinematicsCheck) -> str:
     """Says whether controller and calibration agree, and within what."""
     if verification.passed:
         return (
@@ -72,7 +72,7 @@ def verification_verdict(verification: Verification) -> str:
     )
 
 
-def cause_of_difference(verification: Verification) -> str:
+def cause_of_difference(verification: KinematicsCheck) -> str:
     """Says why a controller computes otherwise than its calibration, and what to do."""
     if verification.hidden_tool is not None:
         return (
