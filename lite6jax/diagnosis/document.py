@@ -15,17 +15,17 @@ from typing import Annotated, Any, Literal, overload
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import asdict, astuple
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
-from lite6jax.arms.arm import DRIVE_FIELDS, Arm
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
 from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
-from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
+from lite6jax.domains.uncertainty import RecordedRange, ReferenceOrigin, Uncertainty, freed
 from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS, TRACKING_EFFECTS, kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
@@ -134,8 +134,8 @@ class PoseModel(Model, kw_only=True):
             raise ValueError("prismatic_joints are not joints of its chain in order")
         if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
             raise ValueError("joint_limits are not the lower and the upper one of each joint")
-        for name in ("T_sensor_base", "T_flange_tool"):
-            T = np.array(getattr(self, name), float)
+        for name, rows in (("T_sensor_base", self.T_sensor_base), ("T_flange_tool", self.T_flange_tool)):
+            T = np.array(rows, float)
             if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
                 raise ValueError(f"{name} is no rigid transform")
         # the last mass contains by how much the payload is lighter than declared
@@ -182,34 +182,27 @@ class TrackingModelEntry(Model, kw_only=True):
             raise ValueError(f"it has {joints} joints, but other numbers of links or ranges")
 
 
-class Reference(msgspec.Struct):
-    """The reference that a diagnosis is relative to, and what its model contains: see `ReferenceOrigin`."""
-
-    file: str
-    basis: Basis
-
-
 class PoseDocument(msgspec.Struct, kw_only=True):
     """What is read of a diagnosis of poses beside its report."""
 
     model: PoseModel
     before: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     after: dict[str, NonNegative] = msgspec.field(default_factory=dict)
-    against: Reference | None = None
+    against: ReferenceOrigin | None = None
 
 
 class TorqueDocument(msgspec.Struct, kw_only=True):
     """What is read of a diagnosis of torques beside its report."""
 
     model: TorqueModel
-    against: Reference | None = None
+    against: ReferenceOrigin | None = None
 
 
 class TrackingDocument(msgspec.Struct, kw_only=True):
     """What is read of a diagnosis of commands and joints beside its report."""
 
     model: TrackingModelEntry
-    against: Reference | None = None
+    against: ReferenceOrigin | None = None
 
 
 AnyDocument = PoseDocument | TorqueDocument | TrackingDocument
@@ -250,7 +243,7 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
     if isinstance(model, DiagnosedMotors):
         arm = model.arm
         parts = pairs(model.terms)
-        drives = {field: values.tolist() for field in DRIVE_FIELDS if (values := getattr(arm, field)) is not None}
+        drives = {field: values.tolist() for field, values in arm.drives.items()}
         domain_fields: dict[str, Any] = {
             "arm": arm.name,
             "kinematics": arm.kinematics.tolist(),
@@ -307,7 +300,12 @@ def model_entry(model: AnyModel, covariances: Sequence[Array]) -> dict[str, Any]
 def _uncertainty_entry(uncertainty: Uncertainty) -> dict[str, Any]:
     C, recorded = uncertainty.covariance, uncertainty.recorded
     ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
-    lists = {name: getattr(uncertainty, name) for name in ("left", "unseen", "noise", "typical")}
+    lists = {
+        "left": uncertainty.left,
+        "unseen": uncertainty.unseen,
+        "noise": uncertainty.noise,
+        "typical": uncertainty.typical,
+    }
     return {
         "sites": [list(site) for site in uncertainty.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
@@ -388,7 +386,7 @@ def _model(read: AnyDocument, effects: Sequence[Effect]) -> AnyModel:
     shared: dict[str, Any] = {
         "values": join(numbers),
         "reference_temperature": model.reference_temperature_degC,
-        "reference": None if against is None or against.basis == "effects" else ReferenceOrigin(*astuple(against)),
+        "reference": None if against is None or against.basis == "effects" else against,
         "uncertainty": _uncertainty(model.uncertainty, model_effects, joints, torques),
     }
     if isinstance(model, TorqueModel):
@@ -507,7 +505,8 @@ def _uncertainty(
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
-    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in _RANGES)]
+    recorded_ranges = (entry.joint_range_rad, entry.velocity_range_rad_per_s, entry.acceleration_range_rad_per_s2)
+    ranges = [None if part is None else np.asarray(part, float) for part in recorded_ranges]
     present_ranges = [part for part in ranges if part is not None]
     positions = np.asarray(entry.joint_position_rad, float)
     if any(part.shape != (joints, 2) for part in present_ranges) or positions.shape != (len(positions) or 1, joints):

@@ -39,10 +39,6 @@ STATISTICS: Mapping[str, Callable[[Array], Any]] = {
 """Of errors, none of which is missing."""
 
 
-_SOURCES: Mapping[Domain, str] = {"poses": "pose_source", "torques": "torque_source", "tracking": "joint_source"}
-"""The key of the sidecar that says from where the numbers of a domain are."""
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Finding:
@@ -354,6 +350,11 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/3`: codes and numbers in SI units."""
         settings = self.recording.settings
+        sources: dict[Domain, Any] = {
+            "poses": settings.pose_source,
+            "torques": settings.torque_source,
+            "tracking": settings.joint_source,
+        }
         inliers = ~self.outliers
         nearest = self.nearest
         again, withdrawn = self.searched_again, self.withdrawn
@@ -373,7 +374,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "quick": self.options.quick,
             "date": settings.date,
             "instrument": settings.instrument,
-            "source": getattr(settings, _SOURCES[self.domain]),
+            "source": sources[self.domain],
             "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
             "before": self._statistics(self.errors.before, inliers),
