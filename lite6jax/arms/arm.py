@@ -154,7 +154,7 @@ class Arm:
         self._require(self.source.isprintable(), "the source must be one printable line; write it without line breaks")
         joints = len(np.atleast_1d(np.asarray(self.kinematics, object)))
         self._require(joints > 0, "has no joint; give one row x y z roll pitch yaw per joint")
-        self._store("kinematics", (joints, 6))
+        self._store("kinematics", self.kinematics, (joints, 6))
         self._require(
             list(self.sliding) == [i for i in range(joints) if i in self.sliding],
             f"sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}",
@@ -165,22 +165,28 @@ class Arm:
         name_count = len(self.joint_names)
         self._require(name_count in (0, joints), f"has {name_count} joint_names for {joints} joints; name each")
         widest = np.where(self.slides, 1.0, 2 * np.pi)
-        for field, usual in (("joint_limits", np.column_stack([-widest, widest])), ("T_joint_flange", np.eye(4))):
-            if getattr(self, field) is None:
-                object.__setattr__(self, field, usual)
-        for quantity, companion in (("mass", "center_of_mass"), ("spring_stiffness", "spring_rest")):
-            paired = (getattr(self, quantity) is None) == (getattr(self, companion) is None)
-            self._require(paired, f"{quantity} and {companion} belong together; give both or neither")
+        joint_limits = np.column_stack([-widest, widest]) if self.joint_limits is None else self.joint_limits
+        flange = np.eye(4) if self.T_joint_flange is None else self.T_joint_flange
+        paired = (self.mass is None) == (self.center_of_mass is None)
+        self._require(paired, "mass and center_of_mass belong together; give both or neither")
+        paired = (self.spring_stiffness is None) == (self.spring_rest is None)
+        self._require(paired, "spring_stiffness and spring_rest belong together; give both or neither")
         self._require(
             self.inertia is None or self.mass is not None,
             "inertia needs the links' masses; give mass and center_of_mass too",
         )
-        shapes: dict[str, tuple[int, ...]] = {"joint_limits": (2,), "center_of_mass": (3,), "dh": (4,)}
-        shapes |= {"inertia": (3, 3), "mass": ()} | dict.fromkeys(DRIVE_FIELDS, ())
-        self._store("T_joint_flange", (4, 4))
-        for field, shape in shapes.items():
-            if getattr(self, field) is not None:
-                self._store(field, (joints, *shape))
+        self._store("T_joint_flange", flange, (4, 4))
+        self._store("joint_limits", joint_limits, (joints, 2))
+        if self.center_of_mass is not None:
+            self._store("center_of_mass", self.center_of_mass, (joints, 3))
+        if self.dh is not None:
+            self._store("dh", self.dh, (joints, 4))
+        if self.inertia is not None:
+            self._store("inertia", self.inertia, (joints, 3, 3))
+        if self.mass is not None:
+            self._store("mass", self.mass, (joints,))
+        for field, values in self.drives.items():
+            self._store(field, values, (joints,))
         for i, ((lower, upper), unit) in enumerate(zip(self.joint_limits, self.joint_units, strict=True), 1):
             limits = f"joint{i}'s limits {lower:g} … {upper:g} {unit}"
             self._require(lower < upper, f"{limits} are empty; write lower, upper")
@@ -189,11 +195,12 @@ class Arm:
             frames.is_rotation(T[:3, :3]), "T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
         )
         self._require(np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]), "T_joint_flange's last row must be 0 0 0 1")
-        for field, term in ({"mass": "mass"} | JOINT_TERMS).items():
-            values = getattr(self, field)
-            part = "link" if field == "mass" else "joint"
-            for i in [] if values is None else np.flatnonzero(values < 0)[:1]:
-                self._require(False, f"{part}{i + 1}'s {term} is negative; correct it")
+        for i in [] if self.mass is None else np.flatnonzero(self.mass < 0)[:1]:
+            self._require(False, f"link{i + 1}'s mass is negative; correct it")
+        drives = self.drives
+        for field, term in JOINT_TERMS.items():
+            for i in np.flatnonzero(drives.get(field, np.zeros(0)) < 0)[:1]:
+                self._require(False, f"joint{i + 1}'s {term} is negative; correct it")
         for i, tensor in enumerate([] if self.inertia is None else self.inertia, 1):
             wrong = frames.defect(tensor)
             self._require(not wrong, f"link{i}'s inertia {wrong}; correct it, or leave out all inertia")
@@ -210,15 +217,27 @@ class Arm:
         if not fine:
             raise InputError(f"arm {self.name!r}: {message}")
 
-    def _store(self, field: str, shape: tuple[int, ...]) -> None:
+    def _store(self, field: str, numbers: object, shape: tuple[int, ...]) -> None:
         try:
-            value = np.array(getattr(self, field), np.float64)
+            value = np.array(numbers, np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"arm {self.name!r}: {field} is not an array of numbers of shape {shape}") from error
         self._require(value.shape == shape, f"{field} has the shape {value.shape}; it must be {shape}")
         self._require(np.isfinite(value).all(), f"{field} has a number that is not finite; correct it")
         value.flags.writeable = False
         object.__setattr__(self, field, value)
+
+    @property
+    def drives(self) -> dict[str, Array]:
+        """What is known of the joints' friction, rotors and springs, `(joint,)` each, by the fields `DRIVE_FIELDS`."""
+        values = (
+            self.viscous_friction,
+            self.coulomb_friction,
+            self.rotor_inertia,
+            self.spring_stiffness,
+            self.spring_rest,
+        )
+        return {field: value for field, value in zip(DRIVE_FIELDS, values, strict=True) if value is not None}
 
     @property
     def possible_positions(self) -> Array:

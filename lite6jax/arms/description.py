@@ -276,10 +276,11 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 def _drive(arm: Arm, i: int) -> dict[str, Any]:
     """What the arm knows of joint `i`, from 0, as `_dynamics` reads it."""
     drive: dict[str, Any] = {}
+    drives = arm.drives
     for group, key, field in _DRIVES:
-        if (values := getattr(arm, field)) is not None:
+        if field in drives:
             within = drive.setdefault(group, {}) if group else drive
-            within[joint_unit(key, bool(arm.slides[i]))] = float(values[i])
+            within[joint_unit(key, bool(arm.slides[i]))] = float(drives[field][i])
     return drive
 
 

@@ -221,7 +221,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     phrases = []
     if form not in WHOLE_ARM and not calibrated:
         bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
-        drives = [term for field, term in JOINT_TERMS.items() if getattr(arm, field) is not None]
+        drives = [term for field, term in JOINT_TERMS.items() if field in arm.drives]
         phrases += [f"joint limits{bodies}", *drives]
     if form in ("vendor", "ur") and arm.sliding:
         phrases.append("which joints are prismatic (name the arm where the file is read)")

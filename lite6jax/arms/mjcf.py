@@ -245,8 +245,10 @@ def mjcf_tree(arm: Arm, path: str | Path) -> ET.Element:
         parent = _add_body(parent, f"link{i + 1}", row)
         link = {"mass": format_numbers(arm.mass[i : i + 1]), "pos": format_numbers(arm.center_of_mass[i])}
         ET.SubElement(parent, "inertial", link, fullinertia=format_numbers(frames.six_entries(arm.inertia[i])))
-        drive = {key: values for field, key in _DRIVES.items() if (values := getattr(arm, field)) is not None}
-        drive_attributes = {key: format_numbers(values[i : i + 1]) for key, values in drive.items()}
+        drives = arm.drives
+        drive_attributes = {
+            key: format_numbers(drives[field][i : i + 1]) for field, key in _DRIVES.items() if field in drives
+        }
         joint = {
             "type": "slide" if arm.slides[i] else "hinge",
             "axis": "0 0 1",

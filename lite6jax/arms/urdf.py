@@ -117,7 +117,7 @@ def _parse(path: str | Path) -> ET.Element:
     try:
         robot = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
     except (ET.ParseError, ValueError) as error:
-        line = getattr(error, "position", (0,))[0]
+        line = error.position[0] if isinstance(error, ET.ParseError) else 0
         raise InputError(f"{path}: line {line}: not valid XML ({error}); a URDF is needed here") from error
     elements = [element for element in robot.iter() if isinstance(element.tag, str)]  # a comment's tag is a function
     values = [value for element in elements for value in element.attrib.values()]
@@ -334,7 +334,7 @@ def write_into_urdf(
             _set_origin(elements[last.child], T)
         else:
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
-    bodies = [(getattr(arm, field), getattr(old, field)) for field in ("mass", "center_of_mass", "inertia")]
+    bodies = [(arm.mass, old.mass), (arm.center_of_mass, old.center_of_mass), (arm.inertia, old.inertia)]
     has_bodies = all(values is not None for values, _ in bodies)
     if has_bodies and not all(
         was is not None and np.allclose(values, was, rtol=1e-12, atol=1e-15) for values, was in bodies
@@ -403,10 +403,11 @@ def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
     """Writes friction and spring of an arm's joint `i`, from 0; what the arm does not know stays."""
     entry = joint.find("dynamics")
     extensions = _extensions(robot, joint)
+    drives = arm.drives
     for field, key in (_DYNAMICS | _SPRINGS).items():
-        if (values := getattr(arm, field)) is None:
+        if field not in drives:
             continue
-        value = repr(float(values[i]))
+        value = repr(float(drives[field][i]))
         if field in _DYNAMICS:
             entry = ET.SubElement(joint, "dynamics") if entry is None else entry
             entry.set(key, value)

@@ -156,8 +156,10 @@ def fit_chunks(
         NumPy arrays, a row an arm.
     """
     arms, samples = weight.shape
-    device: Any = getattr(jax.config, "jax_default_device", None)
-    platform = jax.default_backend() if device is None else getattr(device, "platform", device)
+    device = jax.config.jax_default_device
+    platform = jax.default_backend()
+    if device is not None:
+        platform = device if isinstance(device, str) else device.platform
     chunk = min(CHUNK if platform == "cpu" else ON_ACCELERATOR, arms)
     size, block = padded_size(samples)
 

@@ -101,7 +101,7 @@ def parse_pairs(option: str, given: tuple[str, ...], as_yaml: bool = False) -> d
 
 def assumptions(options: Any) -> dict[str, bool]:
     """What a command takes the units of a recording for, as readers want it."""
-    return {name: getattr(options, name) for name in ("assume_degrees", "assume_millimetres")}
+    return {"assume_degrees": options.assume_degrees, "assume_millimetres": options.assume_millimetres}
 
 
 def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":

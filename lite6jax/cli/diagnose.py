@@ -127,21 +127,23 @@ class DiagnoseCommand:
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
-        domain_options = [f"--{name}" for name in ("poses", "torques", "tracking") if getattr(self, name)]
+        domains = {"--poses": self.poses, "--torques": self.torques, "--tracking": self.tracking}
+        domain_options = [option for option, is_chosen in domains.items() if is_chosen]
         if len(domain_options) > 1:
             raise InputError(
                 f"{' and '.join(domain_options)}: give one of them, or none to diagnose both poses and torques"
             )
         if self.simulator is not None:
-            for option in ("poses", "torques", "arm", "reference"):
-                if getattr(self, option):
+            of_arm = {"poses": self.poses, "torques": self.torques, "arm": self.arm, "reference": self.reference}
+            for option, value in of_arm.items():
+                if value:
                     raise InputError(f"--{option}: does not go with --simulator, the nominal arm of commands; keep one")
         if _is_folder(self.source):
             if self.more:
                 raise InputError(f"{self.source}: is a folder; name a folder, or files of one arm")
             return self._diagnose_folder()
-        for option in ("fleet", "scheduler"):
-            if getattr(self, option):
+        for option, value in (("fleet", self.fleet), ("scheduler", self.scheduler)):
+            if value:
                 raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
         command.check_processes(self.processes, None)
         read = [self.source, *self.more, self.reference, self.arm, self.simulator, self.effects]
@@ -244,8 +246,14 @@ class DiagnoseCommand:
     def _diagnose_folder(self) -> int:
         """Diagnoses every recording, writes documents and table, and with --fleet pools them into fleet.json."""
         reason = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
-        for option in ("reference", "simulator", "report", "figures"):
-            if getattr(self, option) is not None:
+        of_one_recording = {
+            "reference": self.reference,
+            "simulator": self.simulator,
+            "report": self.report,
+            "figures": self.figures,
+        }
+        for option, value in of_one_recording.items():
+            if value is not None:
                 raise InputError(f"--{option}: is of one recording, and {reason}; leave it out")
         if self.out is None:
             raise InputError(f"{self.source}: is a folder; add --out DIR for the documents of its recordings")
@@ -484,7 +492,7 @@ class PredictCommand:
         if self.json:
             return command.present(True, documents.prediction_document(prediction, registered), (), [path])
         if model.reference is not None:
-            screen.show([statements.model_statement(*model.reference)])
+            screen.show([statements.model_statement(model.reference.file, model.reference.basis)])
         if registered is not None:
             screen.show(compensations.registration_report(registered))
         elif of_poses and (said_frame := compensations.frame_of_stations(document)):
@@ -606,7 +614,9 @@ class CompensateCommand:
             ]
         if beyond := compensations.outside_warning(compensation, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
-        origin = [] if model.reference is None else [statements.model_statement(*model.reference)]
+        origin = []
+        if model.reference is not None:
+            origin.append(statements.model_statement(model.reference.file, model.reference.basis))
         page = compensations.compensation_report(compensation, model, str(self.targets), self.frame)
         code = command.DONE if compensation.reached.all() else command.NOT_REACHED
         return command.present(self.json, compensation, chain(origin, page), written, code)

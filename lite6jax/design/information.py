@@ -145,9 +145,10 @@ class Experiment:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", ArmModel(*(np.asarray(leaf) for leaf in self.model)))  # type: ignore[arg-type]
-        for name, default in (("movable", np.ones(self.form.size, bool)), ("precision", np.zeros(self.form.size))):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, default)
+        if self.movable is None:
+            object.__setattr__(self, "movable", np.ones(self.form.size, bool))
+        if self.precision is None:
+            object.__setattr__(self, "precision", np.zeros(self.form.size))
 
     @property
     def own(self) -> tuple[OwnNumber, ...]:

@@ -117,9 +117,9 @@ class MotionRoom:
     rate: float = 100.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("velocity", "rad/s"), ("acceleration", "rad/s²")):
-            limits = per_joint(self.arm, getattr(self, name), f"{name} limit", unit)
-            object.__setattr__(self, name, limits)
+        object.__setattr__(self, "velocity", per_joint(self.arm, self.velocity, "velocity limit", "rad/s"))
+        acceleration = per_joint(self.arm, self.acceleration, "acceleration limit", "rad/s²")
+        object.__setattr__(self, "acceleration", acceleration)
         for name, value, unit in (("duration", self.duration, "s"), ("rate", self.rate, "samples a second")):
             if not 0 < value < np.inf:
                 raise InputError(f"{name} {value:g}: give a number of {unit}, above 0")

@@ -18,7 +18,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
 from lite6jax.design.information import Experiment
-from lite6jax.design.sensor import BoardView, PlacedReading, Point
+from lite6jax.design.sensor import BoardView, PlacedReading, Point, Sensor
 from lite6jax.domains.pose.inverse import Target, reach
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
@@ -210,7 +210,7 @@ def draw_readings(
         if passed >= count:
             break
     if passed < min(count, 10):
-        quantity = getattr(sensor, "quantity", "images")
+        quantity = sensor.quantity if isinstance(sensor, Sensor | PlacedReading) else "images"
         raise InputError(
             f"candidates: {passed} of {drawn} poses for {quantity} are reached and pass; take another place of the "
             "tool (`tool_at=(X, Y, Z)`), another arm, or widen the filters"

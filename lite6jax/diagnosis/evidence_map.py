@@ -311,8 +311,9 @@ def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
     shape = (len(dynamics.torque), len(velocity))
     motion = dynamics.motion
     typical = {}
-    for name in ("joint_temperature_rise", "temperature_rise"):
-        if (rise := getattr(motion, name)) is not None:
+    rises = {"joint_temperature_rise": motion.joint_temperature_rise, "temperature_rise": motion.temperature_rise}
+    for name, rise in rises.items():
+        if rise is not None:
             rise = np.median(np.asarray(rise), axis=-1, keepdims=True)
             typical[name] = np.broadcast_to(rise, (*rise.shape[:-1], len(velocity)))
     alone = motion_of_joint(j, velocity, motion.sliding.mask(shape[0]))._replace(**typical)

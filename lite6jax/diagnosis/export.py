@@ -153,7 +153,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
             assert isinstance(effect, OfJoint)
             field = FIELDS[kind]
             at = effect.joint - 1
-            before = getattr(arm, field)
+            before = arm.drives.get(field)
             joint_values = joints.setdefault(field, np.zeros(arm.dof) if before is None else np.array(before))
             # an estimate may scatter below nothing, which no simulator takes
             joint_values[at] = max(joint_values[at] + value, 0.0)
@@ -204,7 +204,7 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     """
     bent = isinstance(effect, ViscousFriction) and effect.fixed_number is not None
     if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and not bent:
-        transition = getattr(effect, "transition_rad_per_s", 0.0)
+        transition = effect.transition_rad_per_s if isinstance(effect, CoulombFriction) else 0.0
         unit = "m/s" if effect.of_slide else "rad/s"
         phrase = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
         return {type(effect): float(values[0])}, phrase

@@ -369,7 +369,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "quick": self.options.quick,
             "date": settings.date,
             "instrument": settings.instrument,
-            "source": getattr(settings, DOMAINS[self.domain].source),
+            "source": DOMAINS[self.domain].source(settings),
             "data_faults": [fault.to_dict() for fault in faults],
             "ruled_out": [fault.to_dict() for fault in self.ruled_out],
             "before": self._statistics(self.errors.before, inliers),

@@ -174,7 +174,7 @@ def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
         return (servo.sine != 0) | (servo.cosine != 0)
     if name == "spring":
         return (servo.spring != 0) | (servo.spring_torque != 0)
-    values = np.asarray(getattr(servo, name), float)
+    values = np.asarray(servo._asdict()[name], float)
     return values < UNLIMITED if name in ("rate_limit", "torque_limit") else values != 0
 
 

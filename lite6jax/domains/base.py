@@ -15,7 +15,7 @@ from lite6jax.domains.entries import Document
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.terms import Terms
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, RecordingSettings
 
 Array = NDArray[np.floating]
 DomainName = str
@@ -111,7 +111,7 @@ class Domain:
     Attributes:
         name: by which it is asked for, such as "poses".
         measured: what is measured, in a word for messages.
-        source: the key of the sidecar that says from where its numbers are.
+        source: what the sidecar says from where its numbers are.
         document: what is read of its diagnosis.
         is_recorded: whether a recording holds what is measured.
         is_last_resort: whether it is diagnosed unasked only where no other domain is recorded.
@@ -119,7 +119,7 @@ class Domain:
 
     name: str
     measured: str
-    source: str
+    source: Callable[[RecordingSettings], str]
     document: type[Document[Any]]
     is_recorded: Callable[[Recording], bool]
     is_last_resort: bool = False

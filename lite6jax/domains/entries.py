@@ -10,12 +10,11 @@ from typing import Annotated, Any, ClassVar, Generic, TypeVar
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.domains.uncertainty import Basis, RecordedRange, ReferenceOrigin, Uncertainty, freed
+from lite6jax.domains.uncertainty import RecordedRange, ReferenceOrigin, Uncertainty, freed
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
@@ -102,18 +101,6 @@ class ModelEntry(Strict, kw_only=True):
         return tuple(joint - 1 for joint in self.prismatic_joints)
 
 
-class ReferenceEntry(msgspec.Struct):
-    """The reference that a diagnosis is relative to, and what its model contains: see `ReferenceOrigin`."""
-
-    file: str
-    basis: Basis
-
-    @property
-    def origin(self) -> ReferenceOrigin | None:
-        """The reference that a model is relative to; None where the model contains all that the recording shows."""
-        return None if self.basis == "effects" else ReferenceOrigin(*astuple(self))
-
-
 class Document(msgspec.Struct, Generic[M], kw_only=True):
     """What is read of a diagnosis of a domain beside its report.
 
@@ -126,12 +113,12 @@ class Document(msgspec.Struct, Generic[M], kw_only=True):
     catalogue: ClassVar[Mapping[str, type[Effect]]]
 
     model: M
-    against: ReferenceEntry | None = None
+    against: ReferenceOrigin | None = None
 
     @property
     def origin(self) -> ReferenceOrigin | None:
-        """The reference that the model is relative to."""
-        return None if self.against is None else self.against.origin
+        """The reference that the model is relative to; None where it contains all that the recording shows."""
+        return None if self.against is None or self.against.basis == "effects" else self.against
 
     def unknown_effect(self, effects: Sequence[Effect]) -> str | None:
         """The name of an effect of the model that is neither in the catalogue nor among a user's `effects`; or None."""
@@ -185,7 +172,12 @@ def shared_fields(model: Any, parts: Sequence[tuple[Effect, slice]], covariances
 def _uncertainty_entry(uncertainty: Uncertainty) -> dict[str, Any]:
     C, recorded = uncertainty.covariance, uncertainty.recorded
     ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
-    lists = {name: getattr(uncertainty, name) for name in ("left", "unseen", "noise", "typical")}
+    lists = {
+        "left": uncertainty.left,
+        "unseen": uncertainty.unseen,
+        "noise": uncertainty.noise,
+        "typical": uncertainty.typical,
+    }
     return {
         "sites": [list(site) for site in uncertainty.sites],
         "covariance": C[np.tril_indices(len(C))].tolist(),  # row by row
@@ -260,7 +252,8 @@ def restored_uncertainty(
 
 def _recorded(entry: Recorded, joints: int) -> RecordedRange:
     """Where a model of so many joints was recorded."""
-    ranges = [None if part is None else np.asarray(part, float) for part in (getattr(entry, name) for name in _RANGES)]
+    recorded_ranges = (entry.joint_range_rad, entry.velocity_range_rad_per_s, entry.acceleration_range_rad_per_s2)
+    ranges = [None if part is None else np.asarray(part, float) for part in recorded_ranges]
     present_ranges = [part for part in ranges if part is not None]
     positions = np.asarray(entry.joint_position_rad, float)
     if any(part.shape != (joints, 2) for part in present_ranges) or positions.shape != (len(positions) or 1, joints):

@@ -5,12 +5,24 @@ from lite6jax.domains.pose.entry import PoseDocument
 from lite6jax.domains.torque.entry import TorqueDocument
 from lite6jax.domains.tracking.entry import TrackingDocument
 
-POSES = Domain("poses", "poses", "pose_source", PoseDocument, lambda recording: recording.numbers_per_sample > 0)
-TORQUES = Domain("torques", "torques", "torque_source", TorqueDocument, lambda recording: recording.has_torques)
+POSES = Domain(
+    "poses",
+    "poses",
+    lambda settings: settings.pose_source,
+    PoseDocument,
+    lambda recording: recording.numbers_per_sample > 0,
+)
+TORQUES = Domain(
+    "torques",
+    "torques",
+    lambda settings: settings.torque_source,
+    TorqueDocument,
+    lambda recording: recording.has_torques,
+)
 TRACKING = Domain(
     "tracking",
     "commands",
-    "joint_source",
+    lambda settings: settings.joint_source,
     TrackingDocument,
     lambda recording: recording.commanded_position is not None,
     is_last_resort=True,

@@ -7,7 +7,7 @@ range of its driver a nonparametric effect goes back to its prior, whose varianc
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, final
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,9 @@ MARGIN = 0.02
 Basis = Literal["rigid", "flexible", "rows", "effects"]
 
 
-class ReferenceOrigin(NamedTuple):
+@final
+@dataclass(frozen=True)
+class ReferenceOrigin:
     """The reference recording relative to which a model was estimated.
 
     Attributes:

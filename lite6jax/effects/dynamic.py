@@ -793,7 +793,7 @@ FIELDS: dict[type, str] = {
 def declared(arm: Arm, effect: object) -> float:
     """The number of the description from which an effect is a deviation; 0 where it declares none."""
     field = FIELDS.get(type(effect))
-    values = None if field is None else getattr(arm, field)
+    values = None if field is None else arm.drives.get(field)
     return 0.0 if values is None else float(values[effect.joint - 1])  # type: ignore[attr-defined]
 
 

@@ -75,7 +75,7 @@ def final_effect(kind: Kind) -> Kind:
 
 def slides(effect: "Effect") -> bool:
     """Whether an effect is one of a prismatic joint."""
-    return bool(getattr(effect, "of_slide", False))
+    return isinstance(effect, OfJoint) and effect.of_slide
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ class Effect(ABC):
 
     def __post_init__(self) -> None:
         """Refuses a number that is chosen and not possible."""
-        number = getattr(self, self.fixed or "") if self.searched else None
-        if number in (None, self.plain) or 0 < number < np.inf or (self.may_be_zero and number == 0):
+        number = self._fixed_value if self.searched else None
+        if number is None or number == self.plain or 0 < number < np.inf or (self.may_be_zero and number == 0):
             return
         accepted = "zero or a positive number" if self.may_be_zero else "a positive number"
         raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {accepted}")
@@ -188,8 +188,13 @@ class Effect(ABC):
     @property
     def fixed_number(self) -> float | None:
         """What the field `fixed` says; None where it says nothing or the simplest form, or there is none."""
-        number = None if self.fixed is None else getattr(self, self.fixed)
+        number = self._fixed_value
         return None if number == self.plain else number
+
+    @property
+    def _fixed_value(self) -> float | None:
+        """What is in the field `fixed`; None where there is no such field."""
+        return None if self.fixed is None else getattr(self, self.fixed)
 
     @property
     def rivals(self) -> "tuple[Effect, ...]":
@@ -199,7 +204,7 @@ class Effect(ABC):
     @property
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero, or in its simplest form."""
-        if self.fixed is None or self.plain in (None, getattr(self, self.fixed)):
+        if self.fixed is None or self.plain in (None, self._fixed_value):
             return ()
         return (replace(self, **{self.fixed: self.plain}),)
 

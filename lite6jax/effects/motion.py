@@ -213,8 +213,12 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     velocity = 6 * u * (1 - u) * (end - start) / step + (1 - u) * (1 - 3 * u) * v_start + u * (3 * u - 2) * v_end
     # at a sample's own instant its own values, at whichever end of the interval it lies
     source_sample = jnp.where(u < 1, before, after)
-    stepwise = ("temperature_rise", "joint_temperature_rise", "payload")
-    replaced = {name: at(value, source_sample) for name in stepwise if (value := getattr(motion, name)) is not None}
+    stepwise = {
+        "temperature_rise": motion.temperature_rise,
+        "joint_temperature_rise": motion.joint_temperature_rise,
+        "payload": motion.payload,
+    }
+    replaced = {name: at(value, source_sample) for name, value in stepwise.items() if value is not None}
     if motion.joint_acceleration is not None:
         a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)
         replaced["joint_acceleration"] = (1 - u) * a_start + u * a_end

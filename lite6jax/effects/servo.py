@@ -126,8 +126,9 @@ class ServoEffect(OfJoint, TrackingEffect, ABC):
 def change(servo: Servo, joint: int, added: Mapping[str, float], factors: Mapping[str, float] | None = None) -> Servo:
     """A servo with numbers of a joint, counted from 1, added or multiplied."""
     is_joint = np.arange(len(servo.stiffness)) == joint - 1
-    more = {name: getattr(servo, name) + np.where(is_joint, number, 0.0) for name, number in added.items()}
-    times = {name: getattr(servo, name) * np.where(is_joint, number, 1.0) for name, number in (factors or {}).items()}
+    present = servo._asdict()
+    more = {name: present[name] + np.where(is_joint, number, 0.0) for name, number in added.items()}
+    times = {name: present[name] * np.where(is_joint, number, 1.0) for name, number in (factors or {}).items()}
     return servo._replace(**more, **times)
 
 
@@ -197,7 +198,7 @@ class Limit(ServoEffect, ABC):
         """Takes the lower limit."""
         is_joint = np.arange(len(servo.stiffness)) == self.joint - 1
         limit = np.where(is_joint & (values[0] > 0), 1 / max(float(values[0]), 1 / UNLIMITED), UNLIMITED)
-        return servo._replace(**{self.limited: np.minimum(getattr(servo, self.limited), limit)})
+        return servo._replace(**{self.limited: np.minimum(servo._asdict()[self.limited], limit)})
 
     @property
     @abstractmethod

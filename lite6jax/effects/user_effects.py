@@ -117,7 +117,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     try:
         exec(compile(text, str(path), "exec"), module.__dict__)
     except Exception as error:
-        line = getattr(error, "lineno", None)
+        line = error.lineno if isinstance(error, SyntaxError) else None
         for entry in traceback.extract_tb(error.__traceback__):
             line = entry.lineno if entry.filename == str(path) else line
         raise InputError(

@@ -9,7 +9,8 @@ from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.effects.effect import Effect, Loading, slides
+from lite6jax.effects.effect import Effect, Loading, Wave
+from lite6jax.effects.nonparametric import Process
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.fleet.reduced import Heading, ReducedArm, readings
@@ -93,14 +94,14 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
 def _is_pooled(term: Term, candidates: Sequence[Effect], problem: PoseProblem | TorqueProblem) -> bool:
     """Whether a term is tested where recordings are pooled: a name, a wave of a whole angle, or a process."""
     if term.nonparametric:
-        kernel = getattr(term, "kernel", "")
+        kernel = term.kernel if isinstance(term, Process) else ""
         sites = {term.site, ""}
         sites_of = {quantity.driver.phrase: quantity.own for quantity in problem.quantities}
         if kernel in PAIRS:
             return all(sites & sites_of.get(driver.phrase, frozenset()) for driver in term.drivers)
         return kernel in SINGLE
     if term.periodic:
-        return isinstance(term, Effect) and not slides(term) and getattr(term, "order", None) is not None
+        return isinstance(term, Wave) and not term.of_slide and term.order is not None
     return term in candidates
 
 

@@ -206,7 +206,8 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     if recording.quaternion is not None:
         turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
         orientation = T_base_sensor[:3, :3] @ turned
-    remarks = [] if model.reference is None else [statements.model_statement(*model.reference)]
+    origin = model.reference
+    remarks = [] if origin is None else [statements.model_statement(origin.file, origin.basis)]
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])

@@ -178,15 +178,12 @@ class TrackingSimulation:
     def moved(self) -> Array:
         """`(joint,)` rad RMS, by which the effects move the joints."""
         plain = replace(self.model, terms=Terms(), values=np.zeros(0))
-        true, without = (_follow(model, self.recording) for model in (self.model, plain))
-        return np.sqrt(np.mean((true - without) ** 2, 0))
-
-
-def _follow(model: DiagnosedServos, log: Recording) -> Array:
-    """`(sample, joint)` rad."""
-    assert log.time is not None
-    assert log.commanded_position is not None
-    return model.predict(log.time, log.commanded_position, log.run).position
+        log = self.recording
+        assert log.time is not None
+        assert log.commanded_position is not None
+        followed = self.model.predict(log.time, log.commanded_position, log.run).position
+        followed_without = plain.predict(log.time, log.commanded_position, log.run).position
+        return np.sqrt(np.mean((followed - followed_without) ** 2, 0))
 
 
 def simulate_tracking(

@@ -1,7 +1,7 @@
 """What a sensor measures of a simulated arm with effects in a motion, and what is true of it."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple, final
 
 import jax
@@ -85,8 +85,8 @@ class UndeclaredNoise:
             "correlation": (self.correlation < 1, "0 to below 1"),
             "outlier_share": (self.outlier_share <= 1, "0 to 1"),
         }
-        for name in (field.name for field in fields(self)):
-            (below, limits), value = inside.get(name, (True, "0 or more")), getattr(self, name)
+        for name, value in asdict(self).items():
+            below, limits = inside.get(name, (True, "0 or more"))
             if not (below and 0 <= value < np.inf):
                 raise InputError(f"simulation: {name} is {value}; give a number, {limits}")
 

@@ -446,9 +446,12 @@ class _Search:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""
         differ = np.zeros(before.samples, bool)
         drivers = {driver.quantity for effect in self.model.physics.effects for driver in effect.drivers}
-        for quantity, name, within in (("direction of motion", "direction", 0.0), ("velocity", "joint_velocity", 1e-9)):
+        for quantity, values_before, values_after, within in (
+            ("direction of motion", before.direction, after.direction, 0.0),
+            ("velocity", before.joint_velocity, after.joint_velocity, 1e-9),
+        ):
             if quantity in drivers:
-                change = np.abs(np.asarray(getattr(before, name)) - np.asarray(getattr(after, name)))
+                change = np.abs(np.asarray(values_before) - np.asarray(values_after))
                 differ |= (change > within).any(0)
         return differ
 

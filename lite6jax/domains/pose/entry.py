@@ -59,8 +59,8 @@ class PoseModelEntry(ModelEntry, kw_only=True):
             raise ValueError("prismatic_joints are not joints of its chain in order")
         if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
             raise ValueError("joint_limits are not the lower and the upper one of each joint")
-        for name in ("T_sensor_base", "T_flange_tool"):
-            T = np.array(getattr(self, name), float)
+        for name, rows in (("T_sensor_base", self.T_sensor_base), ("T_flange_tool", self.T_flange_tool)):
+            T = np.array(rows, float)
             if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
                 raise ValueError(f"{name} is no rigid transform")
         # the last mass contains by how much the payload is lighter than declared

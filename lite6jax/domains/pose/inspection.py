@@ -101,7 +101,13 @@ class Pose(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values, of which the error may be infinite."""
-        return {name: getattr(self, name) for name in ("columns", "role", "error", "computed", "taken")}
+        return {
+            "columns": self.columns,
+            "role": self.role,
+            "error": self.error,
+            "computed": self.computed,
+            "taken": self.taken,
+        }
 
 
 @final

@@ -449,7 +449,8 @@ class PoseProblem(RigidArm):
         errors = self.joint_errors(nuisance)
         if errors.any():
             shifts["joint"] = errors
-        return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
+        unshifted = bent._asdict()
+        return motion, bent._replace(**{name: unshifted[name] + shift for name, shift in shifts.items()})
 
     def _moved(self, nuisance: Array) -> dict[Site, float]:
         """What is left of frame jumps, at a nuisance `(unknown,)`; where there is something left."""

@@ -338,8 +338,12 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
         position = corrected[:, :3, 3]
         quaternion = unit_quaternions(corrected[:, :3, :3])
     combined = {}
-    for key in ("position_noise_m", "orientation_noise_rad", "joint_noise_rad"):
-        noise, reference_noise = getattr(settings, key), getattr(reference.settings, key)
+    of_reference = reference.settings
+    for key, noise, reference_noise in (
+        ("position_noise_m", settings.position_noise_m, of_reference.position_noise_m),
+        ("orientation_noise_rad", settings.orientation_noise_rad, of_reference.orientation_noise_rad),
+        ("joint_noise_rad", settings.joint_noise_rad, of_reference.joint_noise_rad),
+    ):
         combined[key] = noise if noise is None else float(np.hypot(noise, reference_noise or 0.0))
     return replace(recording, position=position, quaternion=quaternion, settings=replace(settings, **combined))
 

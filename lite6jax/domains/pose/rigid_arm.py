@@ -268,8 +268,13 @@ class RigidArm(NuisanceProblem):
 
     def keeping(self, mask: Sequence[bool]) -> Self:
         """The arm with some of its unknowns; all others stay where they are."""
-        parts = {name: getattr(self, name)[mask] for name in ("precision", "offset", "informative")}
-        return replace(self, unknown=tuple(compress(self.unknown, mask)), **parts)
+        return replace(
+            self,
+            unknown=tuple(compress(self.unknown, mask)),
+            precision=self.precision[mask],
+            offset=self.offset[mask],
+            informative=self.informative[mask],
+        )
 
     def fitted(self, limit: int) -> Self:
         """The arm with its unknowns fitted, to `limit` evenly spaced samples where there are more."""

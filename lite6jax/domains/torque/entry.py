@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import DRIVE_FIELDS, Arm
+from lite6jax.arms.arm import Arm
 from lite6jax.domains.entries import (
     Document,
     Gravity,
@@ -67,7 +67,7 @@ class TorqueDocument(Document[TorqueModelEntry], kw_only=True):
 def model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     arm = model.arm
-    drives = {field: values.tolist() for field in DRIVE_FIELDS if (values := getattr(arm, field)) is not None}
+    drives = {field: values.tolist() for field, values in arm.drives.items()}
     return {
         "arm": arm.name,
         "kinematics": arm.kinematics.tolist(),

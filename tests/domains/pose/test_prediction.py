@@ -434,7 +434,7 @@ def test_register_as_it_is_typed(capsys, arm, tmp_path, orientation):
 def test_a_model_relative_to_a_reference_says_so(arm):
     against = {"file": "gazebo.csv", "basis": "flexible", "statement": "The model is this arm's own."}
     relative = model_from_document(document(arm, []) | {"against": against})
-    assert "the difference from gazebo.csv" in model_statement(*relative.reference)
+    assert "the difference from gazebo.csv" in model_statement(relative.reference.file, relative.reference.basis)
     assert model_from_document(document(arm, [])).reference is None
 
 

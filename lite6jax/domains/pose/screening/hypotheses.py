@@ -367,20 +367,13 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[PoseFau
     comparable = [change for change in changes if fits[likeliest] - fits[change] < options.prior.cost("data_fault")]
     comparable.sort(key=lambda change: simplicity((change,)))
     valued = [deviation.valued(change, weighed[change]) for change in comparable]
-    if not _is_gross(valued[0], deviation.share(comparable[0], weighed[comparable[0]]), options):
+    if valued[0].code == "sensor_scale":
+        is_gross = _is_gross_scale(valued[0], options)
+    else:  # by its displacement over what factories grant
+        is_gross = deviation.share(comparable[0], weighed[comparable[0]]) > options.least_gross
+    if not is_gross:  # a chain and a sensor do as much by themselves
         return None
     return valued[0], [(change,) for change in valued[1:]]
-
-
-def _is_gross(change: PoseFault, share: float, options: ScreeningOptions) -> bool:
-    """Whether a change is more than what a chain and a sensor do by themselves.
-
-    Args:
-        change: with its value.
-        share: its displacement over what factories grant.
-        options: the thresholds.
-    """
-    return _is_gross_scale(change, options) if change.code == "sensor_scale" else share > options.least_gross
 
 
 def _is_gross_scale(change: PoseFault, options: ScreeningOptions) -> bool:
