@@ -3,6 +3,10 @@
 Of joint i the rest of the arm exerts L = τ(q, q̇, q̈) − M·q̈ᵢ, with the inverse dynamics τ of rigid bodies and M the
 diagonal of the mass matrix. L is taken along one rollout of all joints and held in the next one. Its fixed point is the
 coupled arm, whatever M is taken.
+
+Joints of which each moves the others by nearly as much as itself make that iteration go apart, for want of inertia of
+their own. So M is taken larger there, and L is mixed with those of a few sweeps before, such that what is left is least
+(D. G. Anderson, Journal of the ACM 12, 1965).
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +25,12 @@ Array = NDArray[np.floating]
 
 _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
+_MIXED = 6
+"""Sweeps before the last one, whose loads are mixed with its own."""
+_POSTURES = 20
+"""Of a motion, in which the inertias of joints are compared."""
+_ALIKE = 1e-10
+"""Relative eigenvalue below which two of them are alike."""
 SETTLED = 1e-8
 """rad RMS, by which read-outs of two sweeps differ at the end."""
 _NEAR = 1e-3
@@ -130,6 +140,54 @@ def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Ar
     return JointLoads(interpolate(load, commands), interpolate(diagonal, commands))
 
 
+def _own_masses(bodies: Bodies, q: Array, servo: Servo) -> Array:
+    """kg·m² `(joint, sample)`, M by which an iteration comes closer fastest, at positions `(joint, sample)`.
+
+    With the rotors it is the diagonal of the mass matrix times the middle of the eigenvalues of that matrix over it.
+    """
+    matrix = bodies.mass_matrix(q)
+    diagonal = np.diagonal(matrix).T
+    rotor = np.asarray(servo.inertia, float)[:, None]
+    some = slice(None, None, max(q.shape[1] // _POSTURES, 1))
+    size = np.sqrt(np.maximum(diagonal + rotor, 1e-12))[:, some]
+    with_rotors = matrix[:, :, some] + rotor[:, None] * np.eye(len(q))[:, :, None]
+    scaled = with_rotors / (size[:, None] * size[None])
+    eigenvalues = np.linalg.eigvalsh(np.moveaxis(np.nan_to_num(scaled), 2, 0))
+    middle = max(float(np.max(eigenvalues[:, 0] + eigenvalues[:, -1])) / 2, 1.0)
+    return middle * (diagonal + rotor) - rotor
+
+
+class _Mixture:
+    """Anderson's mixture of the loads of several sweeps.
+
+    Args:
+        weights: `(joint,)` rad/Nm, by which what is left is compared between joints.
+    """
+
+    def __init__(self, weights: Array) -> None:
+        self._weights = weights[:, None]
+        self._last: tuple[Array, Array] | None = None
+        self._moved: list[Array] = []
+        self._left: list[Array] = []
+
+    def next(self, held: Array, along: Array) -> Array:
+        """The loads to hold next, after some `(joint, step)` Nm were held and others found along the rollout."""
+        left = along - held
+        if not np.isfinite(left).all():
+            return along
+        if self._last is not None:
+            self._moved = [*self._moved, held - self._last[0]][-_MIXED:]
+            self._left = [*self._left, left - self._last[1]][-_MIXED:]
+        self._last = held, left
+        if not self._left:
+            return along
+        columns = np.stack([(self._weights * part).ravel() for part in self._left])
+        target = columns @ (self._weights * left).ravel()
+        shares = np.linalg.lstsq(columns @ columns.T, target, rcond=_ALIKE)[0]
+        pairs = zip(shares, self._moved, self._left, strict=True)
+        return along - np.sum([share * (moved + change) for share, moved, change in pairs], 0)
+
+
 def roll_coupled(
     servo: Servo,
     commands: Commands,
@@ -155,12 +213,15 @@ def roll_coupled(
     if not bodies.links.any():
         return rolled, loads
     # of these bodies: rollouts with the inertia of an arm without its payload may go apart
-    mass = interpolate(bodies.masses(rolled.position[:, :: commands.steps]), commands)
+    mass = interpolate(_own_masses(bodies, rolled.position[:, :: commands.steps], servo), commands)
+    load = loads.load + (loads.mass - mass) * rolled.acceleration
+    mixture = _Mixture(1 / np.maximum(np.asarray(servo.stiffness, float), 1e-9))
     for _ in range(_SWEEPS):
         before = rolled.readout
-        torques = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration)
-        loads = JointLoads(torques - mass * rolled.acceleration, mass)
-        rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+        along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
+        load = mixture.next(load, along)
+        loads = JointLoads(load, mass)
+        rolled = roll(servo, commands, joints, load, mass, extra=extra, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
             change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))
         if np.all(change < settled) or not np.all(change < _APART):

@@ -171,6 +171,24 @@ def test_half_the_step_changes_a_coupled_arm_by_microradians(numbers):
     assert np.sqrt(np.mean((roll_arm(servo, 0.001) - roll_arm(servo, 0.0005)) ** 2)) < 5e-6
 
 
+def test_joints_that_move_each_other_as_much_as_themselves_settle():
+    u = 0.3 * np.sin(2 * np.pi * np.array([0.4, 0.7, 1.1, 1.6]) * np.maximum(TIME - 0.5, 0.0)[:, None])
+    rows = np.zeros((4, 6))
+    rows[1:, 0] = 0.25
+    light = np.array([[m, 0.12 * m, 0.0, 0.0, 1e-4, 0.015 * m, 0.015 * m, 0.0, 0.0, 0.0] for m in (1.5, 1.2, 1.0, 0.8)])
+    arm = Bodies(rows, light, np.zeros(3), np.array([0.0, -9.81, 0.0]))
+    servo = Servo.ideal(np.array([250.0, 150.0, 80.0, 40.0]), np.array([10.0, 6.0, 3.0, 1.2]))
+    servo = servo._replace(inertia=np.array([0.4, 0.3, 0.15, 0.05]), coulomb=np.full(4, 0.02))
+    held = hold_commands(u, np.zeros(len(u), int), PERIOD, np.tile(u[0], (len(u), 1)))
+    still = np.zeros_like(u.T)
+    rolled, loads = roll_coupled(servo, held, arm, loads_along(arm, held, u.T, still, still))
+    torques = arm.torques(rolled.position, rolled.velocity, rolled.acceleration)
+    along = torques - loads.mass * rolled.acceleration
+    again = roll(servo, held, np.arange(4), along, loads.mass).readout
+    # each sweep alone would go apart, to more than a radian after twelve
+    assert np.sqrt(np.mean((again - rolled.readout) ** 2)) < 3e-3
+
+
 def test_lanes_do_not_depend_on_each_other():
     u = commands_of(3)
     held = hold_commands(u, np.repeat([0, 1], 200), PERIOD, u)
