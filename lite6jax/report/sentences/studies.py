@@ -223,8 +223,8 @@ def quality_of_motion(identification: TorqueIdentification, weak: Sequence[str])
 def gain_of_motion(median: str, best: str, count: int) -> str:
     """Says how many times smaller the standard deviations of a designed motion are than those of random ones.
 
-    Each is the ratio as shown: beside the median, and beside the best, of `count` motions; empty where random motions do
-    not determine all parameters.
+    Each is the ratio as shown: beside the median, and beside the best, of `count` motions; empty where random motions
+    do not determine all parameters.
     """
     if not best:
         return f"None of {count} random motions of the same limits determines all of them."
