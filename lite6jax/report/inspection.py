@@ -1,6 +1,7 @@
 """What was recognised in a table, in words: on the screen, and as the comments of the sidecar that `init` writes.
 
-The texts are in `templates/inspection.yaml`, with the keys of a sidecar.
+The sentences are functions of `sentences.inspection`; `templates/inspection.yaml` has single words and the keys of a
+sidecar.
 """
 
 import re

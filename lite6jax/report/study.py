@@ -1,6 +1,6 @@
 """What a terminal shows of studies and designs: what poses and motions determine, and which of them to make.
 
-The sentences are functions of `sentences.studies`, and in `templates/studies.yaml` where they depend on no condition.
+The sentences are functions of `sentences.studies`; those that depend on no condition are in `templates/studies.yaml`.
 """
 
 from collections.abc import Iterator, Sequence
