@@ -228,8 +228,11 @@ class Simulate:
         recording = simulated.recording
         settings = recording.settings
         yield sentences.simulated_log(recording.samples, arm.name, self.runs)
-        yield sentences.simulated_servos(settings.servo if self.servo == "known" else None)
-        yield sentences.noise_of_log(settings.joint_noise_rad, self.joint_quantum)
+        servo = None
+        if self.servo == "known" and isinstance(settings.servo, sidecar_settings.ServoSettings):
+            servo = settings.servo
+        yield sentences.simulated_servos(servo)
+        yield sentences.noise_of_log(settings.joint_noise_rad or 0.0, self.joint_quantum)
         yield ""
         model = simulated.model
         if not model.terms.terms:

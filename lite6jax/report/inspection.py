@@ -291,7 +291,7 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
         ),
     ]
     if nothing:
-        declared = settings.get("pose_source")
+        declared = settings.get("pose_source", "")
         readings = [
             (reading_source, column, _TEXTS["readings"][quantity])
             for reading_source, column, quantity in inspection.likely_readings

@@ -26,6 +26,7 @@ from lite6jax.report.words import (
     SCREEN,
     capital,
     each_with_unit,
+    fill,
     joined,
     joint_units,
     listing,
@@ -139,7 +140,8 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
 def sensitivity_report(sensitivity: Sensitivity, source: str) -> Iterator[RenderableType]:
     """Which parameters make up the error of an arm as assembled."""
     tolerance = {"m": 0.0, "rad": 0.0} | dict(zip(sensitivity.units, sensitivity.tolerance.tolist(), strict=True))
-    yield from _begin(source, *_say("tolerances.studied", tolerance=tolerance))
+    studied = fill(_TEXTS["tolerances"]["studied"], {"tolerance": tolerance})
+    yield from _begin(source, studied)
     error = sensitivity.expected_error
     yield from (*_say("tolerances.error", rms=np.sqrt(np.mean(error**2)), least=error.min(), most=error.max()), "")
     table = listing("parameter", "mm per unit", "share")
@@ -314,8 +316,8 @@ def torque_plan_report(plan: TorquePlan, disabled: Sequence[tuple[str, str]], so
     for limit, per in ((room.velocity, "/s"), (room.acceleration, "/s²")):
         largest = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
         limits += [f"{largest[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in largest]
-    studied = _say("motion.studied", room=room, limits=limits, noise=_torque_noise(designed.model))
-    yield from _begin(source, *studied, disabled)
+    facts = {"room": room, "limits": limits, "noise": _torque_noise(designed.model)}
+    yield from _begin(source, fill(_TEXTS["motion"]["studied"], facts), disabled)
     yield _rank(designed)
     median, best_random = (of(plan.random_log_determinant) for of in (np.median, np.max))
     gains = {
