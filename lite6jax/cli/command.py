@@ -292,13 +292,13 @@ def present(
     return code
 
 
-def say(text: str, wrapped: bool = True, **facts: object) -> "Iterator[Text]":
+def say(text: str, **facts: object) -> "Iterator[Text]":
     """What a command says of its work: the sentences of `templates/commands.yaml` by this name, a line each."""
     from rich.text import Text
 
     for template in words.read_texts("commands.yaml")[text]:
         if (line := words.fill(template, facts)) or not template:
-            yield Text(line) if wrapped else screen.unbroken(line)
+            yield Text(line)
 
 
 def list_effects(effects: "Iterable[tuple[Any, Mapping[str, Any]]]") -> "Iterator[Text]":

@@ -28,6 +28,7 @@ with import_lazily():
     from lite6jax.controller import connection, recorder, station
     from lite6jax.effects import catalogue, composition, dynamic, serialization
     from lite6jax.report import connected, screen
+    from lite6jax.report.sentences import commands as sentences
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -289,7 +290,8 @@ class EmulateCommand:
         first = controllers[0]
         for controller in controllers:
             yield from command.say("emulated", one=controller)
-        yield from command.say("emulation", wrapped=False, c=self)
+        calibration = ", ".join(map(str, self.factory)) or "as drawn"
+        yield from map(screen.unbroken, sentences.emulated_motion(calibration, self.motion, self.speed))
         physics, of_torques = first.body.physics, first.body.torque_effects
         if physics.effects:
             yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
@@ -297,7 +299,7 @@ class EmulateCommand:
         if of_torques:
             yield Text("Hidden effects, in the torques")
             yield from command.list_effects((effect, effect.reported(values)) for effect, values in of_torques)
-        yield from command.say("emulation_faults", c=self, body=first.body)
+        yield from sentences.emulated_faults(first.body.torque_noise.tolist(), self.fault)
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
         arm_name = first.body.arm.name if self.arm is None else self.arm
         arm_option = "" if arm_name == "lite6" else f" --arm {arm_name}"  # the default of the commands

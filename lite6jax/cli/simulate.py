@@ -21,6 +21,7 @@ with import_lazily():
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.report import fits, screen, words
+    from lite6jax.report.sentences import commands as sentences
 
 if TYPE_CHECKING:
     import numpy as np
@@ -225,8 +226,13 @@ class SimulateCommand:
     def _log_page(self, arm: "arms.Arm", simulated: "simulation.TrackingSimulation") -> "Iterator[RenderableType]":
         """What was simulated, with which numbers, and how far the effects move the joints."""
         recording = simulated.recording
-        declared = self.servo == "known"
-        yield from command.say("simulated_log", c=self, r=recording, s=recording.settings, arm=arm.name, known=declared)
+        settings = recording.settings
+        yield sentences.simulated_log(recording.samples, arm.name, self.runs)
+        servo = None
+        if self.servo == "known" and isinstance(settings.servo, sidecar_settings.ServoSettings):
+            servo = settings.servo
+        yield sentences.simulated_servos(servo)
+        yield sentences.noise_of_log(settings.joint_noise_rad or 0.0, self.joint_quantum)
         yield ""
         model = simulated.model
         if not model.terms.terms:
@@ -234,7 +240,7 @@ class SimulateCommand:
             return
         yield "Effects on how the arm follows its commands"
         yield from command.list_effects(simulated.reported)
-        yield from command.say("moved_joints", moved=simulated.moved.tolist())
+        yield sentences.moved_joints(simulated.moved.tolist())
 
     def _physics(self, sliding: tuple[int, ...]) -> "tuple[composition.Physics, np.ndarray]":
         kinds = catalogue.kinds_of(command.load_own_effects(self.effects))
@@ -287,6 +293,17 @@ class SimulateCommand:
             payload_com_m=command.metres(self.payload_at),
         )
 
+    def _declared_model(self) -> "sentences.SimulatedModel":
+        """What is said of the geometry."""
+        geometry = "nominal, not declared"
+        if self.tolerance:
+            geometry = "as drawn"
+        elif self.factory:
+            geometry = f"that of {self.factory}"
+        undeclared = bool(self.tolerance or self.factory) and self.geometry == "unknown"
+        uncertain = self.factory_uncertainty is not None
+        return sentences.SimulatedModel(geometry, uncertain, undeclared, self.frame == "known")
+
     def _page(
         self, arm: "arms.Arm", physics: "composition.Physics", values: "np.ndarray", measured: "simulation.Measurement"
     ) -> "Iterator[RenderableType]":
@@ -294,7 +311,9 @@ class SimulateCommand:
         recording = measured.recording
         kind = "positions" if recording.quaternion is None else "poses"
         kind = fits.what_is_measured(recording) if recording.readings is not None else kind
-        yield from command.say("simulated", c=self, r=recording, s=recording.settings, kind=kind, arm=arm.name)
+        yield sentences.simulated_poses(recording, kind, arm.name, self.runs)
+        yield sentences.simulated_geometry(self._declared_model(), recording.settings)
+        yield sentences.simulated_noise(recording, self.joint_noise)
         yield from screen.notes(recording.notes)
         yield ""
         if not physics.effects:

@@ -1,6 +1,7 @@
 """What was recognised in a table, in words: on the screen, and as the comments of the sidecar that `init` writes.
 
-The texts are in `templates/inspection.yaml`, with the keys of a sidecar.
+The sentences are functions of `sentences.inspection`; `templates/inspection.yaml` has single words and the keys of a
+sidecar.
 """
 
 import re
@@ -290,7 +291,7 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
         ),
     ]
     if nothing:
-        declared = settings.get("pose_source")
+        declared = settings.get("pose_source", "")
         readings = [
             (reading_source, column, _TEXTS["readings"][quantity])
             for reading_source, column, quantity in inspection.likely_readings

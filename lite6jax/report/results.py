@@ -21,7 +21,7 @@ from rich.console import RenderableType
 from lite6jax import suffixes
 from lite6jax.calibration.fleet import Comparison, FleetSolution
 from lite6jax.calibration.quality import Result
-from lite6jax.calibration.solution import Errors, Solution, write_solution
+from lite6jax.calibration.solution import Solution, write_solution
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.diagnosis.document import document_text
@@ -48,17 +48,22 @@ from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, 
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sentences import diagnosis as diagnosis_sentences
 from lite6jax.report.sentences.document import units as units_of
-from lite6jax.report.sentences.faults import quality_statement
+from lite6jax.report.sentences.results import (
+    NOT_SAID,
+    describe_compensation,
+    describe_fleet,
+    describe_prediction,
+    describe_recording,
+    describe_solution,
+    describe_torques,
+)
 from lite6jax.report.words import (
     SCREEN,
     be,
     counted,
     each_with_unit,
-    fill,
     joint_units,
     number,
-    read_texts,
-    say,
     torque_units,
 )
 from lite6jax.results import Description, Figures, PublicResult
@@ -84,26 +89,12 @@ write = singledispatch(partial(_unregistered, "write"))
 # ------------------------------------------------------------------ summaries
 
 
-_TEXTS = read_texts("results.yaml")
 _MOST_FINDINGS = 4
-
-
-def _fill(name: str, result: Any, notes: Sequence[str] = (), **facts: object) -> Description:
-    """The texts of a kind of result, filled with it and with these facts."""
-    texts = _TEXTS[name]
-    facts = {"found": result, "errors": _errors, **facts}
-    return Description(fill(texts["title"], facts), tuple(say(texts["said"], facts)), tuple(notes))
-
-
-def _errors(errors: Errors) -> str:
-    turned = errors.orientation
-    shown = "" if turned is None else f" and {number(float(np.rad2deg(np.sqrt(np.mean(turned**2)))), 3)} deg RMS"
-    return f"{number(1e3 * errors.position_rms)} mm RMS{shown}"
 
 
 def _outside(result: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
     outside = result.outside
-    return _TEXTS["unsaid"] if outside is None else outside_sentence(int(outside.sum()), len(outside), "row")
+    return NOT_SAID if outside is None else outside_sentence(int(outside.sum()), len(outside), "row")
 
 
 @describe.register
@@ -111,47 +102,20 @@ def _recording(recording: Recording) -> Description:
     scales, units = joint_units(recording.sliding, recording.dof)
     span = scales * np.ptp(recording.joint_position, axis=0)
     least_span, largest_span = (f"{span[joint]:.0f} {units[joint]}" for joint in (np.argmin(span), np.argmax(span)))
-    extent = [] if recording.position is None else [f"{x:.3f}" for x in np.ptp(recording.position, axis=0)]
-    runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
-    measured = fits.what_is_measured(recording)
-    return _fill(
-        "recording",
-        recording,
-        recording.notes,
-        measured=measured,
-        runs=runs,
-        least=least_span,
-        most=largest_span,
-        extent=extent,
-    )
+    sentences = describe_recording(recording, fits.what_is_measured(recording), least_span, largest_span)
+    return Description(f"Recording of {recording.settings.arm or 'an arm'}", tuple(sentences), tuple(recording.notes))
 
 
 @describe.register
 def _solution(solution: Solution) -> Description:
-    return _fill(
-        "solution",
-        solution,
-        solution.notes,
-        data="calibration" if solution.noise is None else "recording",
-        noise=solution.noise,
-        quality=quality_statement(solution.quality.to_dict()),
-        held=[parameter.name for parameter in solution.held],
-        unsure=[solution.form.names[k] for k in np.flatnonzero(solution.free & ~solution.determined)],
-    )
+    data = "calibration" if solution.noise is None else "recording"
+    title = f"Fit of a {data}, {solution.arm.name}"
+    return Description(title, tuple(describe_solution(solution, data)), tuple(solution.notes))
 
 
 @describe.register
 def _fleet(fleet_solution: FleetSolution) -> Description:
-    good = fleet_solution.result == Result.CONVERGED
-    position = fleet_solution.position_rms[good]
-    description = _fill(
-        "fleet", fleet_solution, position=position, median=np.median(position) if len(position) else 0.0
-    )
-    failed = (
-        f"For {counted(int((fleet_solution.result == code).sum()), 'arm')} the fit {Result(code).message}."
-        for code in sorted(set(fleet_solution.result[~good].tolist()))
-    )
-    return description._replace(sentences=(*description.sentences, *failed))
+    return Description("Fits of a fleet", tuple(describe_fleet(fleet_solution)))
 
 
 def _as_shown(title: str, report: Iterable[RenderableType], *before: str) -> Description:
@@ -194,17 +158,18 @@ def _plan(plan: Plan | DiscriminationPlan) -> Description:
 
 @describe.register
 def _prediction(prediction: Prediction) -> Description:
-    std = np.zeros(1) if prediction.position_std is None else np.sqrt(np.nansum(prediction.position_std**2, 1))
-    facts = {"empty": int(prediction.empty.sum()), "median": np.median(std), "most": std.max()}
-    return _fill("prediction", prediction, outside=_outside(prediction), **facts)
+    return Description("Predicted poses", tuple(describe_prediction(prediction, _outside(prediction))))
 
 
 @describe.register
 def _torque_prediction(prediction: TorquePrediction) -> Description:
     units = torque_units(prediction.sliding, prediction.torque.shape[1])
     largest = each_with_unit(np.nanmax(np.abs(prediction.torque), 0).tolist(), units)
-    std = None if prediction.std is None else each_with_unit(np.nanmedian(prediction.std, 0).tolist(), units)
-    return _fill("torques", prediction, largest=largest, deviations=std, outside=_outside(prediction))
+    deviations = ""
+    if prediction.std is not None:
+        deviations = each_with_unit(np.nanmedian(prediction.std, 0).tolist(), units)
+    sentences = describe_torques(prediction, largest, deviations, _outside(prediction))
+    return Description("Predicted torques", tuple(sentences))
 
 
 @describe.register
@@ -223,21 +188,12 @@ def _corrected_commands(corrected: CorrectedCommands) -> Description:
 
 @describe.register
 def _compensation(compensation: Compensation) -> Description:
-    hit = int(compensation.reached.sum())
     largest = ""
-    largest_error = float(np.nanmax(compensation.position_error[compensation.reached])) if hit else 0.0
     if compensation.correction is not None:
         scales, units = joint_units(compensation.recording.sliding, compensation.correction.shape[1])
         largest = each_with_unit((scales * np.nanmax(np.abs(compensation.correction), 0)).tolist(), units)
-    return _fill(
-        "compensation",
-        compensation,
-        compensation.notes,
-        hit=hit,
-        most=largest_error,
-        largest=largest,
-        outside=_outside(compensation),
-    )
+    sentences = describe_compensation(compensation, largest, _outside(compensation))
+    return Description("Compensation", tuple(sentences), tuple(compensation.notes))
 
 
 @describe.register

@@ -1,6 +1,7 @@
 """The sentences of a diagnosis of poses or of torques, made from the codes and numbers of its JSON document alone.
 
-The texts are in `templates/diagnosis.yaml`; here is what they are filled with.
+The sentences are functions of `sentences.diagnosis`, and in `templates/diagnosis.yaml` where they depend on no
+condition; here is what they are filled with.
 """
 
 from collections.abc import Iterable, Iterator

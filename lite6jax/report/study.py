@@ -1,6 +1,6 @@
 """What a terminal shows of studies and designs: what poses and motions determine, and which of them to make.
 
-The sentences are in `templates/studies.yaml`.
+The sentences are functions of `sentences.studies`; those that depend on no condition are in `templates/studies.yaml`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,14 +17,16 @@ from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
 from lite6jax.design.sensor import PlacedReading, PlannedSensor
-from lite6jax.design.torques import JOINT, JOINT_UNITS, WELL, TorqueExperiment, TorqueIdentification, TorquePlan
+from lite6jax.design.torques import JOINT, JOINT_UNITS, TorqueExperiment, TorqueIdentification, TorquePlan
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
 from lite6jax.report.fits import parameter_tables
+from lite6jax.report.sentences import studies as sentences
 from lite6jax.report.words import (
     SCREEN,
     capital,
     each_with_unit,
+    fill,
     joined,
     joint_units,
     listing,
@@ -38,8 +40,6 @@ from lite6jax.report.words import (
 
 _TEXTS = read_texts("studies.yaml")
 _MOST_LISTED = 12
-_CLEAR = 5.0
-"""Standard deviations between two models at which a test at a level of 1 % has a power of 99 % or more."""
 
 
 def _say(text: str, **facts: object) -> Iterator[str]:
@@ -47,12 +47,10 @@ def _say(text: str, **facts: object) -> Iterator[str]:
     return say(reduce(lambda texts, name: texts[name], text.split("."), _TEXTS), facts)
 
 
-def _begin(
-    source: str, text: str, disabled: Sequence[tuple[str, str]] = (), **facts: object
-) -> Iterator[RenderableType]:
+def _begin(source: str, studied: str, disabled: Sequence[tuple[str, str]] = ()) -> Iterator[RenderableType]:
     """The arm or the file, what was studied, and which pairs of links are not checked against each other."""
     yield screen.unbroken(source)
-    yield from (*_say(text, **facts), *_say("beginning", disabled=disabled), "")
+    yield from (studied, *sentences.unchecked_pairs(disabled), "")
 
 
 # ------------------------------------------------------------------ what poses determine
@@ -67,16 +65,16 @@ def described(sensor: PlannedSensor) -> str:
 def identification_report(identification: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
     """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy."""
     experiment, d, arm = identification.experiment, identification.determination, identification.experiment.arm
-    yield from _begin(source, "poses.studied", e=experiment, d=d, drawn=drawn, sensor=described(experiment.sensor))
+    sensor = described(experiment.sensor)
+    yield from _begin(source, sentences.poses_studied(experiment, d.samples, drawn, sensor))
     narrow = identification.narrow()
     narrow_joints = _name_narrow(arm, narrow) if len(narrow) < arm.dof else ""
-    yield from (*_say("poses.rank", found=identification, d=d, narrow=narrow_joints), "")
+    yield from (*sentences.rank_of_poses(identification, narrow_joints), "")
     if d.dependencies:
         yield from (*_in_words(experiment, d.dependencies), "")
     yield from ("Predicted standard deviations (mm, deg)", "")
     yield from _deviation_tables(experiment, d)
-    pairs = [f"{a} with {b} ({rho:+.3f})" for a, b, rho in d.correlated()]
-    yield from (*_say("poses.accuracy", accuracy=identification.accuracy, weak=d.weak(), pairs=pairs), "")
+    yield from (*sentences.accuracy_of_poses(identification.accuracy, d), "")
     if (o := identification.observability) is not None:
         table = listing("O1", "O2", "O3", "O4", "O5", "condition", rows=[[f"{value:.4g}" for value in o[:6]]])
         table.columns[0].justify = "right"
@@ -142,7 +140,8 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
 def sensitivity_report(sensitivity: Sensitivity, source: str) -> Iterator[RenderableType]:
     """Which parameters make up the error of an arm as assembled."""
     tolerance = {"m": 0.0, "rad": 0.0} | dict(zip(sensitivity.units, sensitivity.tolerance.tolist(), strict=True))
-    yield from _begin(source, "tolerances.studied", tolerance=tolerance)
+    studied = fill(_TEXTS["tolerances"]["studied"], {"tolerance": tolerance})
+    yield from _begin(source, studied)
     error = sensitivity.expected_error
     yield from (*_say("tolerances.error", rms=np.sqrt(np.mean(error**2)), least=error.min(), most=error.max()), "")
     table = listing("parameter", "mm per unit", "share")
@@ -171,12 +170,14 @@ def design_report(
 
     Pairs of links that are `disabled` are not checked against each other. `accuracy` is a target in m.
     """
-    refused = [f"{name} refused {count}" for name, count in drawn.refused.items() if count]
     sensor = described(plan.experiment.sensor)
-    yield from _begin(source, "design.studied", disabled, found=plan, drawn=drawn, refused=refused, sensor=sensor)
+    yield from _begin(source, sentences.design_studied(plan, drawn, sensor), disabled)
     yield from plan_report(plan, accuracy) if isinstance(plan, Plan) else discrimination_report(plan)
     approached = any(driver.discrete for effect in plan.experiment.physics.effects for driver in effect.drivers)
-    yield from ("", *_say("design.approach", approached=approached), *_say("design.chosen", found=plan))
+    yield ""
+    if approached:
+        yield "For effects of the direction of motion, come to each pose from where all joints are at zero."
+    yield from _say("design.chosen", found=plan)
 
 
 def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterator[RenderableType]:
@@ -197,15 +198,8 @@ def plan_report(plan: Plan, accuracy: float | None = None) -> Iterator[Renderabl
     """What designed poses are worth, beside random ones; `accuracy` as of `design_report`."""
     reached = plan.accuracy[-1]
     random = np.quantile(plan.random_accuracy[:, plan.count - 1], 0.5, method="nearest")
-    yield from _say(
-        "design.worth",
-        found=plan,
-        accuracy=accuracy,
-        reached=reached,
-        determined=bool(np.isfinite(reached)),
-        random=float(random) if np.isfinite(random) else None,
-        tried=max(plan.count, min(MOST_POSES, plan.candidates)),
-    )
+    tried = max(plan.count, min(MOST_POSES, plan.candidates))
+    yield from sentences.worth_of_poses(plan, float(reached), float(random), accuracy, tried)
     yield ""
     if np.isfinite(reached):
         table = listing("best of these", "designed", "random", "ratio")
@@ -224,7 +218,7 @@ def plan_report(plan: Plan, accuracy: float | None = None) -> Iterator[Renderabl
 def discrimination_report(plan: DiscriminationPlan) -> Iterator[RenderableType]:
     """How far apart two effects are at designed poses, and at random ones."""
     random = float(np.median(np.nan_to_num(plan.random_distance)))
-    return _say("design.rivals", found=plan, reached=plan.distance[-1], random=random, clear=_CLEAR)
+    yield from sentences.rivals_apart(plan, plan.distance[-1], random)
 
 
 # ------------------------------------------------------------------ what motions determine
@@ -239,13 +233,11 @@ def _torque_noise(model: TorqueExperiment) -> str:
     return f"torques to ±{amounts} (one standard deviation, white)"
 
 
-def _rank(identification: TorqueIdentification) -> Iterator[str]:
+def _rank(identification: TorqueIdentification) -> str:
     base = identification.model.base
     links = sum(item.name.startswith("link") for item in base)
     rank = int(identification.determined.sum())
-    return _say(
-        "torques.rank", rank=rank, links=links, joints=len(base) - links, inertial=identification.model.inertial
-    )
+    return sentences.rank_of_motion(rank, links, len(base) - links, identification.model.inertial)
 
 
 def combination(terms: Sequence[tuple[str, float]]) -> str:
@@ -273,20 +265,15 @@ def torque_identification_report(
     narrow = identification.narrow()
     deviations = {item.name: "not" for item in model.base}
     deviations |= {name: plus_minus(deviation) for name, deviation in identification.deviations.items()}
-    yield from _begin(source, "torques.studied", arm=arm.name, motion=motion, noise=_torque_noise(model))
-    yield from _rank(identification)
-    yield from _say(
-        "torques.missed",
-        found=identification,
-        model=model,
-        missed=[name for name, deviation in deviations.items() if deviation == "not"],
-        none_moves=len(narrow) == arm.dof,
-        narrow=_name_narrow(arm, narrow),
-    )
+    yield from _begin(source, f"{arm.name}, {motion}; {_torque_noise(model)}.")
+    yield _rank(identification)
+    missed = [name for name, deviation in deviations.items() if deviation == "not"]
+    none_moves = len(narrow) == arm.dof
+    yield from sentences.missed_by_motion(identification, missed, _name_narrow(arm, narrow), none_moves)
     for name, carriers in model.confounded.items():
         if name.startswith("joint"):
             yield from _say("torques.confounded", name=name, carriers=carriers)
-    yield from (*_say("torques.links", names=[name for name in model.confounded if name.startswith("link")]), "")
+    yield from (*sentences.links_in_combinations(model), "")
     if model.inertial:
         rows = (
             (combination(item.terms), deviations[item.name], f"{item.scale:.2g}", item.unit)
@@ -314,7 +301,7 @@ def torque_identification_report(
         table.add_row(f"J{joint}{' P' * bool(slides)}", *cells)
     yield table
     weak = [item.name for item, is_weak in zip(model.base, identification.weak, strict=True) if is_weak]
-    yield from _say("torques.quality", found=identification, weak=weak, well=WELL)
+    yield from sentences.quality_of_motion(identification, weak)
     yield from screen.notes(map(capital, identification.notes))
 
 
@@ -329,14 +316,15 @@ def torque_plan_report(plan: TorquePlan, disabled: Sequence[tuple[str, str]], so
     for limit, per in ((room.velocity, "/s"), (room.acceleration, "/s²")):
         largest = {unit: max(scales[j] * limit[j] for j in range(room.arm.dof) if units[j] == unit) for unit in units}
         limits += [f"{largest[unit]:.4g} {unit}{per}" for unit in ("deg", "mm") if unit in largest]
-    yield from _begin(source, "motion.studied", disabled, room=room, limits=limits, noise=_torque_noise(designed.model))
-    yield from _rank(designed)
+    facts = {"room": room, "limits": limits, "noise": _torque_noise(designed.model)}
+    yield from _begin(source, fill(_TEXTS["motion"]["studied"], facts), disabled)
+    yield _rank(designed)
     median, best_random = (of(plan.random_log_determinant) for of in (np.median, np.max))
     gains = {
         name: f"{plan.gain(float(value)):.2f}" if np.isfinite(value) else ""
         for name, value in (("median", median), ("best", best_random))
     }
-    yield from (*_say("motion.gain", finite=np.isfinite(best_random), count=len(random), **gains), "")
+    yield from (sentences.gain_of_motion(gains["median"], gains["best"], len(random)), "")
     table = listing("", "designed", "random, median", "random, best")
     for name, of, best_of in (
         ("log determinant", lambda identification: identification.log_determinant, np.max),

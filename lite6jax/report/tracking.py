@@ -1,6 +1,7 @@
 """The report of a diagnosis of commands and measured joints: sentences and sections of its JSON document.
 
-The texts are in `templates/tracking.yaml`; causes of torques are those of `templates/remedies.yaml`.
+The texts are in `templates/tracking.yaml` and `sentences.tracking`; causes of torques are those of
+`templates/remedies.yaml`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_title, place_of
+from lite6jax.report.sentences import tracking as sentences
 from lite6jax.report.words import NAMED_OF_TORQUES, capital, fill, multiple, number, quantity, read_texts, row_ranges
 
 Document = Mapping[str, Any]
@@ -64,13 +66,8 @@ def finding_statement(finding: Entry) -> str:
     """A finding in a sentence, with its numbers and what it moves."""
     estimates = finding.get("peak_to_peak", finding["parameters"])
     numbers = ", ".join(str(quantity(name, estimate, _NAMED)) for name, estimate in estimates.items())
-    return fill(
-        _TEXTS["finding"],
-        finding,
-        title=capital(effect_title(finding)),
-        numbers=numbers,
-        moves=number(_MRAD * finding["moves_rms_rad"]),
-    )
+    moves = number(_MRAD * finding["moves_rms_rad"])
+    return sentences.finding_sentence(finding, capital(effect_title(finding)), numbers, moves)
 
 
 def cause_of(finding: Entry) -> str:
@@ -115,10 +112,11 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 def headline(document: Document) -> str:
     """The cause and its worth, in one sentence; what there is instead where none is."""
     findings = ranked(document)
-    sizes = {stage: number(_MRAD * document[stage][_ERROR]) for stage in ("before", "after")}
+    after = number(_MRAD * document["after"][_ERROR])
     if findings:
-        return fill(_TEXTS["headline"]["found"], sizes, cause=cause_of(findings[0]), count=len(findings))
-    sentence = fill(_TEXTS["headline"]["nothing"], sizes, verdict=document["verdict"])
+        before = number(_MRAD * document["before"][_ERROR])
+        return sentences.headline_of_findings(cause_of(findings[0]), before, after, len(findings))
+    sentence = sentences.headline_without_findings(document["verdict"], after)
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in document["data_faults"]))
     return f"The data have a fault ({', '.join(names)}), which was corrected. {sentence}" if names else sentence
 
@@ -128,12 +126,8 @@ def verdict_statement(document: Document) -> str:
     sizes = [ratio for ratio in document["left"]["over_noise"].values() if ratio is not None]
     ends = dict.fromkeys(multiple(size) for size in (min(sizes), max(sizes)))
     near = document["nearest"]
-    return fill(
-        _TEXTS["verdict"][document["verdict"]],
-        document,
-        ratios=" to ".join(ends),
-        near="" if near is None else effect_title({**near, "driver": "none"}),
-    )
+    near_title = "" if near is None else effect_title({**near, "driver": "none"})
+    return sentences.verdict_sentence(document, " to ".join(ends), near_title)
 
 
 def cautions(document: Document) -> list[str]:
@@ -141,7 +135,7 @@ def cautions(document: Document) -> list[str]:
     withdrawn = document["withdrawn"]
     if withdrawn is None:
         return []
-    return [fill(_TEXTS["withdrawn"], {"names": [effect_title(entry) for entry in withdrawn["effects"]]})]
+    return [sentences.withdrawn_effects([effect_title(entry) for entry in withdrawn["effects"]])]
 
 
 def simulator_statements(document: Document) -> list[str]:
@@ -171,8 +165,7 @@ def simulator_statements(document: Document) -> list[str]:
                 fine=number(_MRAD * fine[joint]),
             )
         )
-    sizes = {"apart": number(_MRAD * apart[joint]), "joint": joint + 1, "reasons": reasons}
-    return [*said, fill(_TEXTS["simulator"]["differs"], simulator, **sizes)]
+    return [*said, sentences.simulator_differs(joint + 1, number(_MRAD * apart[joint]), reasons)]
 
 
 def rivals(finding: Entry, rejected: bool = False) -> list[str]:
@@ -257,19 +250,19 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
     faults = [
         (fault_name(fault["fault"]), fault["statement"], row_ranges(fault["rows"])) for fault in document["data_faults"]
     ]
-    sentences = [verdict_statement(document), *cautions(document), fill(_TEXTS["setting"], document)]
+    lines = [verdict_statement(document), *cautions(document), sentences.setting(document)]
     ruled_out = [entry["statement"] for entry in document["ruled_out"]]
     commands = [] if files is None else steps(document, files.recording, files.diagnosis)
     drawn = [("picture", picture) for name, picture in pictures.items() if name == "over_time"]
     no_findings = [("text", "None: no effect of the catalogue, and no function of what was recorded, is significant.")]
     findings = [("bullets", _finding_lines(document, details))] if document["findings"] else no_findings
     return [
-        ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in sentences)]),
+        ("", [("cause", (document["verdict"], headline(document))), *(("text", line) for line in lines)]),
         (
             "Held-out rollouts from the commands alone",
             [
                 ("table", error_rows(document)),
-                ("text", fill(_TEXTS["held_out"], document)),
+                ("text", sentences.held_out(document)),
                 *(("text", line) for line in simulator_statements(document)),
                 *drawn,
             ],

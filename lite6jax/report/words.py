@@ -313,12 +313,8 @@ def say(texts: str | Iterable[str], numbers: Mapping[str, Any], /, **more: objec
 
 
 def _count_of(function: Callable[..., str]) -> Callable[..., str]:
-    """A function of a number, which takes rows or joints in its place."""
+    """A function of a number, which takes a list in its place."""
     return lambda of, *more: function(len(of) if isinstance(of, Sized) else of, *more)
-
-
-def _vector(numbers: Sequence[float], digits: int = 3) -> str:
-    return f"({', '.join(milli(value, digits) for value in numbers)})"
 
 
 @cache
@@ -333,16 +329,13 @@ def _environment() -> jinja2.Environment:
     environment.filters |= {
         "g": significant,
         "mm": milli,
-        "mm_vector": _vector,
         "joined": lambda parts, last="and": joined(map(str, parts), last),
         "count_of": _count_of(counted),
-        **{of.__name__: of for of in (capital, joints_named, number, multiple, rows_named)},
-        "plus_minus": plus_minus,
+        **{of.__name__: of for of in (capital, joints_named, number)},
     }
     environment.globals |= {
         "be": _count_of(be),
         "deg": lambda angle: float(np.rad2deg(angle)),
-        "chance": chance,
         "plain": lambda numbers: ", ".join(f"{value:g}" for value in numbers),
     }
     return environment
