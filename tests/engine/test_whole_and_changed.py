@@ -65,14 +65,14 @@ def test_all_that_is_tried_is_worth_the_same_beside_a_part_of_a_model(whole, cha
     part = test.beside([k not in CHANGES[change] for k in range(3)])
     assert part.whole is test
     expected = all_weighed(scan, computed_anew(part))
-    found = all_weighed(scan, part)
-    assert found.keys() == expected.keys()
-    assert len(found) > 15
+    odds_by_name = all_weighed(scan, part)
+    assert odds_by_name.keys() == expected.keys()
+    assert len(odds_by_name) > 15
     for key, odds in expected.items():
-        assert found[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
+        assert odds_by_name[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
     # and once more, of what is kept by now
     again = all_weighed(scan, test.beside([k not in CHANGES[change] for k in range(3)]))
-    assert again == pytest.approx(found, rel=1e-12, abs=1e-9)
+    assert again == pytest.approx(odds_by_name, rel=1e-12, abs=1e-9)
 
 
 def test_all_that_is_tried_is_worth_the_same_beside_more(whole):
@@ -82,10 +82,10 @@ def test_all_that_is_tried_is_worth_the_same_beside_more(whole):
     more = part.extend(columns).extend(columns[:1] + problem.columns([Column("u6")]))
     assert more.whole is test
     expected = all_weighed(scan, computed_anew(more))
-    found = all_weighed(scan, more)
-    assert found.keys() == expected.keys()
+    odds_by_name = all_weighed(scan, more)
+    assert odds_by_name.keys() == expected.keys()
     for key, odds in expected.items():
-        assert found[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
+        assert odds_by_name[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
 
 
 def test_information_and_pull_are_those_computed_anew_to_nine_digits(whole):
@@ -99,8 +99,8 @@ def test_information_and_pull_are_those_computed_anew_to_nine_digits(whole):
     for component in problem.components:
         for _ in range(2):  # computed, and then known
             of = changed_marginal.sums(component.column), marginal.sums(component.column)
-            found = changed_marginal.equations(of[0], functions, [(component.name, component.site, k) for k in keys])
-            for one, other in zip(found, marginal.equations(of[1], functions), strict=True):
+            changed = changed_marginal.equations(of[0], functions, [(component.name, component.site, k) for k in keys])
+            for one, other in zip(changed, marginal.equations(of[1], functions), strict=True):
                 assert_close(one, other)
             exactly = changed_marginal.dense(component.column, functions[0], (component.site, component.name, "exact"))
             for one, other in zip(exactly, marginal.dense(component.column, functions[0]), strict=True):
@@ -136,13 +136,12 @@ def test_what_one_model_knows_of_candidates_serves_another_in_other_noise(whole)
     """Products of candidates with themselves are kept over each group's own noise: scales change, they do not."""
     problem, scan, test = whole
     grams = {}
-    known = score_test(problem, test.fit, OPTIONS, grams)
-    all_weighed(scan, known)
+    all_weighed(scan, score_test(problem, test.fit, OPTIONS, grams))
     count = len(grams)
     assert count > 100
     fewer = fit(problem, test.fit.terms.part(test.fit.values, [True, False, False])[0], OPTIONS, noise=test.fit.noise)
     assert np.abs(np.log(fewer.scale / test.fit.scale)).max() > 0.1
     expected = all_weighed(scan, score_test(problem, fewer, OPTIONS))
-    found = all_weighed(scan, score_test(problem, fewer, OPTIONS, grams))
+    odds_by_name = all_weighed(scan, score_test(problem, fewer, OPTIONS, grams))
     assert len(grams) < 1.5 * count
-    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8)
+    assert odds_by_name == pytest.approx(expected, rel=1e-8, abs=1e-8)
