@@ -15,7 +15,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -313,21 +313,23 @@ class Marginal:
         """
         whole = self._whole.test
         keys = keys or [None] * len(groups)
-        known = [None if key is None else whole.table.get(("columns", key)) for key in keys]
+        entries: list[Any] = [None if key is None else whole.table.get(("columns", key)) for key in keys]
         # a term that is not linear has other columns elsewhere
         missing = [
             k
             for k, columns in enumerate(groups)
-            if (entry := known[k]) is None or (needed[k] and not entry[2].size) or not np.array_equal(entry[0], columns)
+            if (entry := entries[k]) is None
+            or (needed[k] and not entry[2].size)
+            or not np.array_equal(entry[0], columns)
         ]
-        entries = dict(
-            zip(missing, self._beside_whole([groups[k] for k in missing], [needed[k] for k in missing]), strict=True)
-        )
-        whole.table.update((("columns", keys[k]), entry) for k, entry in entries.items() if keys[k] is not None)
+        computed = self._beside_whole([groups[k] for k in missing], [needed[k] for k in missing])
+        for k, entry in zip(missing, computed, strict=True):
+            entries[k] = entry
+            if keys[k] is not None:
+                whole.table["columns", keys[k]] = entry
         sizes = list[Array]()
         informations = list[Array]()
-        for k, columns in enumerate(groups):
-            _, size, information = entries[k] if k in entries else known[k]
+        for k, (columns, size, information) in enumerate(entries):
             if needed[k] and self._whole is not self:
                 changes, _ = self.test.unwhitened
                 inside = np.tensordot(columns, changes, ((1, 2), (1, 2))) / (self.test.scale[0] * size[:, None])

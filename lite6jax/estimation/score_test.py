@@ -359,9 +359,9 @@ class ScoreTest:
         rows, samples = self.problem.rows, self.problem.samples
         return self.left[: rows * samples].reshape(rows, samples)
 
-    def whitened(self, columns: Array, rows: NDArray[np.integer] | None = None) -> Array:
-        """Columns `(…, row, sample)` of some rows, whitened, of training samples, over the first group's noise."""
-        return _white(self.fit, columns, self.scale, rows)
+    def whitened(self, columns: Array) -> Array:
+        """Columns `(…, row, sample)` whitened, of training samples, over the first group's noise."""
+        return _white(self.fit, columns, self.scale)
 
     def outside(self, columns: Array) -> Array:
         """Columns `(number, row, sample)` whitened and outside nuisance and model, in the measurements."""
@@ -607,16 +607,9 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     return model if model.white else replace(model, starts=run_starts(run))
 
 
-def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | None = None) -> Array:
-    """Columns `(…, row, sample)` whitened, of the training samples, in units of the first group's noise.
-
-    Of all rows where `rows` does not name those that the columns have.
-    """
-    groups = fit.residuals.groups
-    noise = fit.noise
-    if rows is not None:
-        groups, noise = groups[rows], replace(noise, groups=groups[rows])
-    return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
+def _white(fit: Fit, columns: Array, scale: Array) -> Array:
+    """Columns `(…, row, sample)` whitened, of the training samples, in units of the first group's noise."""
+    return fit.noise.whitened(columns) * ((scale[0] / scale)[fit.residuals.groups, None] * fit.training)
 
 
 def bounded_parts(terms: Sequence[Term], length: int) -> list[list[Term]]:
