@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Decay, Driver, linear_problem
+from engine.linear_problem import Column, Decay, Driver, Wave, linear_problem
 from scipy.integrate import quad
 
 from lite6jax.effects import kernels
@@ -118,6 +118,19 @@ def test_a_number_that_is_tried_costs_and_what_nearly_every_problem_has_does_not
     plain = scan.cost_of_name(Column("u3"))
     assert scan.cost_of_name(Decay("u3", 0.3)) > plain
     assert plain > scan.cost_of_name(Column("u3", usual=True)) == pytest.approx(np.log(2))
+
+
+def test_a_multiple_of_a_wave_costs_its_choice_alone(scan):
+    (family,) = scan.problem.periodic
+    twice = float(log_orders_of(family, 2.0, DEFAULTS))
+    for order, others in ((20.0, [Wave(10.0)]), (10.0, [Column("u1"), Wave(20.0)])):
+        assert scan.cost_of_wave(Wave(order), others) == pytest.approx(twice)
+        assert scan.cost_of_wave(Wave(order), ()) > twice + 2
+    assert scan.cost_of_wave(Wave(15.0), [Wave(10.0)]) == scan.cost_of_wave(Wave(15.0), ())
+    # the multiples of one wave have no more than all whole orders together
+    weights = [np.exp(-scan.cost_of_wave(Wave(10.0 * multiple), [Wave(10.0)])) for multiple in range(2, 41)]
+    assert 0.1 < sum(weights) <= DEFAULTS.prior.whole_order
+    assert scan.cost_of_wave(Column("u1"), ()) is None
 
 
 def test_a_kernel_of_angles_suits_no_other_quantity(scan):

@@ -491,3 +491,21 @@ def test_every_finding_is_significant_beside_the_others_in_the_end(seed):
     )
     for tested in search(problem, OPTIONS).state.tested:
         assert tested.p_value < OPTIONS.level
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_name_that_is_a_part_of_one_function_is_not_all_that_may_be(seed):
+    """A step of a sign and a curve of its regressor: one function of both, of which the step alone has a name."""
+    rng = np.random.default_rng(700 + seed)
+    problem = linear_problem(rng, 600)
+    u1 = problem.data["u1"]
+    sign = np.sign(u1)
+    curve = sign * (1.0 + 2.0 * np.exp(-((u1 / 0.4) ** 2)))
+    data = problem.data | {"sign": sign}
+    measured = problem.measured + np.outer(problem.shares, curve)
+    candidates = (*problem.candidates, Column("sign"))
+    state = search(replace(problem, data=data, measured=measured, candidates=candidates), OPTIONS).state
+    possible = [[test.term, *(other.term for other in test.alternatives)] for test in state.tested]
+    named = [terms for terms in possible if terms[0] == Column("sign")]
+    assert any(term.nonparametric for term in state.fit.terms.terms)
+    assert all(any(term.nonparametric and "u1" in term.phrases for term in terms[1:]) for terms in named)

@@ -1,0 +1,107 @@
+"""One evidence of a state: each step of a search changes it by what one dense determinant says."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from engine.linear_problem import Column, Driver, Process, linear_problem
+
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.terms import Terms
+from lite6jax.search.select import Selector
+from lite6jax.search.state import SelectedTerm, State, refitted
+
+FLAT = 1e6
+"""Variance of what nothing is known of beforehand."""
+
+
+def random_problem(seed):
+    """Of correlated regressors that act, in noise of the declared size; with a process of one of them."""
+    rng = np.random.default_rng(seed)
+    correlation = rng.uniform(0.3, 0.95)
+    problem = linear_problem(rng, 200, noise=(1.0, 1.0))
+    data = dict(problem.data)
+    data["u2"] = correlation * data["u1"] + np.sqrt(1 - correlation**2) * data["u2"]
+    data["u3"] = correlation * np.tanh(2 * data["u2"]) + np.sqrt(1 - correlation**2) * data["u3"]
+    sizes = rng.uniform(0.3, 0.6, 3) / np.sqrt(1 - correlation**2)
+    signal = sizes @ np.stack([data[f"u{k}"] for k in (1, 2, 3)])
+    problem = replace(problem, data=data, measured=problem.measured + np.outer(problem.shares, signal))
+    bounds = (float(data["u2"].min()), float(data["u2"].max()))
+    return problem, Process("x", (Driver("u2"),), bounds, "smooth", float(rng.uniform(0.2, 0.8)))
+
+
+def states_of(process):
+    """What a search passes: names and processes that are added, dropped, exchanged, and estimated anew."""
+    u1 = Column("u1")
+    u2 = Column("u2")
+    u3 = Column("u3")
+    finer = replace(process, kernel="medium", spread=0.6 * process.spread)
+    return {
+        "nothing": (),
+        "a name added": (u1,),
+        "exchanged for its neighbour": (u2,),
+        "both": (u1, u2),
+        "three": (u1, u2, u3),
+        "a process in the place of the neighbour": (u1, process, u3),
+        "estimated anew": (u1, finer, u3),
+        "one dropped": (finer, u3),
+        "a process beside a name of its driver": (u1, u2, process, u3),
+    }
+
+
+def state_of(problem, terms):
+    """Of these terms, fitted and weighed."""
+    selector = Selector(problem, DEFAULTS)
+    baseline = fit(problem, Terms(), DEFAULTS)
+    tested = [SelectedTerm(term) for term in terms]
+    return selector.weighed(refitted(problem, State(baseline, baseline), tested, DEFAULTS))
+
+
+def gross(state):
+    """Its evidence without the costs of the choice of its terms."""
+    return state.evidence + sum(test.cost for test in state.tested)
+
+
+def dense_evidence(problem, state):
+    """What the likelihood of the fit is less than by one determinant, that of the covariance of all readings.
+
+    The numbers of a name have the prior covariance τ² A⁻¹, A their information beside all others, τ² as the data say:
+    the shrinkage by it costs half a unit for each number.
+    """
+    fitted = state.fit
+    names = [term for term in fitted.terms.terms if not term.nonparametric]
+    root = np.sqrt(fitted.residuals.row_weight).ravel()[:, None]
+
+    def flat(columns):
+        return columns.reshape(len(columns), -1).T * root
+
+    # of a flat prior of the levels nothing is left in their directions
+    levels = flat(problem.levels)
+    Q = np.linalg.svd(levels, full_matrices=True)[0][:, levels.shape[1] :]
+    C = np.eye(Q.shape[1])
+    for process in (term for term in fitted.terms.terms if term.nonparametric):
+        F = Q.T @ flat(problem.columns([process]))
+        C += process.spread**2 * F @ F.T
+    outside = [Q.T @ flat(problem.columns([term])) for term in names]
+    total = C.copy()
+    further = 0.0
+    for k, (X, name) in enumerate(zip(outside, names, strict=True)):
+        rest = C + FLAT * sum((Y @ Y.T for j, Y in enumerate(outside) if j != k), np.zeros_like(C))
+        A = X.T @ np.linalg.solve(rest, X)
+        values = fitted.values[fitted.terms.slices[fitted.terms.terms.index(name)]]
+        ratio = max(values @ A @ values / len(values), 1.0)
+        further += 0.5 * len(values) * (1 - 1 / ratio)
+        total += (ratio - 1) * X @ np.linalg.solve(A, X.T)
+    return fitted.own_likelihood - 0.5 * np.linalg.slogdet(total)[1] - further
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_each_step_changes_the_evidence_by_what_one_determinant_says(seed):
+    problem, process = random_problem(seed)
+    states = {name: state_of(problem, terms) for name, terms in states_of(process).items()}
+    dense = {name: dense_evidence(problem, state) for name, state in states.items()}
+    for before, after in combinations(states, 2):
+        step = gross(states[after]) - gross(states[before])
+        assert step == pytest.approx(dense[after] - dense[before], abs=0.4), (before, after)
