@@ -354,7 +354,7 @@ def diagnose_tracking(
             entered("screening")
             screened = screen_tracking(recording, arm)
             problem = tracking_problem(screened.data)
-            problem = replace(problem, valid=problem.valid & ~screened.stale)
+            problem = replace(problem, valid=problem.valid & ~screened.unusable)
             if problem.unknowns:
                 memory = _MEMORY / problem.data.commands.period
                 engine = replace(engine, longest_memory=memory, damping=_DAMPING)

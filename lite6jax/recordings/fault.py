@@ -81,9 +81,15 @@ class DataFault:
 
     of commands and measured joints:
 
+        other_clock             shift_s, drift_s_per_s, count (rows that have no command)
         joints_swapped          joints, side ("measured" or "commanded": the columns that were exchanged)
         joint_sign              joints, side
+        degrees                 joints, side, decided: whether the log shows which side is wrong
+        gear                    joints, side, decided, ratio of read-outs to commands
         stale_rows              count
+        saturated_readout       joints, end_rad, count
+        torque_off              joints, from_s, to_s, count
+        zero_per_run            joints, zeros_rad of the runs, that were taken away
 
     Numbers of a fault that was ruled out:
 

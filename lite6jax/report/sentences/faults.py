@@ -845,6 +845,80 @@ def stale_rows_found(fault: DataFault) -> str:
     )
 
 
+def other_clock_found(fault: DataFault) -> str:
+    """Says by how much commands are stamped by another clock than the read-outs."""
+    numbers = fault.numbers
+    shift = numbers["shift_s"]
+    drift = numbers["drift_s_per_s"]
+    side = "behind" if shift > 0 else "ahead of"
+    growing = ""
+    if drift:
+        change = "more" if (shift > 0) == (drift > 0) else "less"
+        growing = f"at time zero, and {1e3 * abs(drift):.3g} ms a second {change} later on "
+    return (
+        f"Read-outs are {abs(shift):.3g} s {side} their commands {growing}beyond what the servos lag: commands are "
+        f"stamped by another clock. They were shifted, and {counted(numbers['count'], 'row')} without a command left "
+        "out. A delay that all joints have cannot be told from this. Stamp commands and read-outs by one clock."
+    )
+
+
+def degrees_found(fault: DataFault) -> str:
+    """Says which columns of a log of commands are in degrees."""
+    numbers = fault.numbers
+    joints = numbers["joints"]
+    undecided = "" if numbers["decided"] else "Whether these or the other columns are wrong does not show in this log. "
+    return (
+        f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')} 57 times as far as commanded, or a "
+        f"57th of that: the {numbers['side']} columns are in degrees where the name says radians, or the other way "
+        f"round. They were converted. {undecided}Check the unit of the columns."
+    )
+
+
+def gear_found(fault: DataFault) -> str:
+    """Says which joints have a gear between command and read-out."""
+    numbers = fault.numbers
+    joints = numbers["joints"]
+    undecided = "" if numbers["decided"] else "Whether this or the other column is wrong does not show in this log. "
+    return (
+        f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')} {numbers['ratio']:.3g} times as far as "
+        f"commanded, in all runs: the {numbers['side']} column is before a gear, or after another one. It was divided "
+        f"or multiplied by that. {undecided}Give both columns after the gear."
+    )
+
+
+def saturated_readout_found(fault: DataFault) -> str:
+    """Says in how many rows a read-out stays at its end."""
+    numbers = fault.numbers
+    return (
+        f"The read-out of {joints_named(numbers['joints'])} stays at {numbers['end_rad']:.4g} rad in "
+        f"{counted(numbers['count'], 'row')} while the command goes on: it is saturated, or the joint is at the end of "
+        "its range. These rows were left out. Check the range of the encoder and of its column."
+    )
+
+
+def torque_off_found(fault: DataFault) -> str:
+    """Says when the servos of which joints had no torque."""
+    numbers = fault.numbers
+    joints = numbers["joints"]
+    count = numbers["count"]
+    return (
+        f"{capital(joints_named(joints))} {plural(len(joints), 'falls or rests', 'fall or rest')} while the command goes "
+        f"on, between {numbers['from_s']:.2f} and {numbers['to_s']:.2f} s: the torque was off. {counted(count, 'row')} "
+        f"{plural(count, 'was', 'were')} left out. Cut such times from the log."
+    )
+
+
+def zero_per_run_found(fault: DataFault) -> str:
+    """Says by how much the zeros of joints differ between runs."""
+    numbers = fault.numbers
+    zeros = numbers["zeros_rad"]
+    return (
+        f"The zero of {joints_named(numbers['joints'])} differs from run to run, by {1e3 * (max(zeros) - min(zeros)):.3g} "
+        "mrad at most. Differences were taken away, so that the run nearest to its commands keeps its zero. Find out "
+        "where the encoder loses it."
+    )
+
+
 # ------------------------------------------------------------------ a model that does not describe the data
 
 
@@ -902,6 +976,12 @@ FOUND: Mapping[str, Statement] = {
     "contact": contact_found,
     "estimated_torque": estimated_torque_found,
     "stale_rows": stale_rows_found,
+    "other_clock": other_clock_found,
+    "degrees": degrees_found,
+    "gear": gear_found,
+    "saturated_readout": saturated_readout_found,
+    "torque_off": torque_off_found,
+    "zero_per_run": zero_per_run_found,
 }
 """What is wrong, how it was corrected, and the remedy."""
 

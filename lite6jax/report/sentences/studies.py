@@ -10,7 +10,7 @@ from lite6jax.design.determination import Determination
 from lite6jax.design.identify import Accuracy, Identification
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.torques import WELL, TorqueIdentification, TorqueModel
+from lite6jax.design.torques import WELL, TorqueIdentification, TorqueExperiment
 from lite6jax.report.words import be, capital, counted, joined, number, significant
 
 _MOST_PAIRS = 6
@@ -199,7 +199,7 @@ def _motion_to_record(identification: TorqueIdentification, narrow: str, none_mo
     return "Another motion determines them: record a longer one, or that of lite6jax design --torque."
 
 
-def links_in_combinations(model: TorqueModel) -> list[str]:
+def links_in_combinations(model: TorqueExperiment) -> list[str]:
     """Says which inertial numbers of links show only together with others."""
     names = [name for name in model.confounded if name.startswith("link")]
     if not names:

@@ -1,0 +1,152 @@
+"""How joints follow commands without a model of the arm: the lag, how far, and what a linear follower leaves.
+
+It is what data faults show in: clocks, units, gears and zeros change it by more than an arm can.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.tracking.coupling import Bodies
+from lite6jax.domains.tracking.predict import run_ends
+from lite6jax.estimation.problem import Mask
+from lite6jax.recordings import Recording
+
+Array = NDArray[np.floating]
+
+_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.5)
+"""s, between which commands of the past are averaged: a servo answers in a part of that."""
+_COARSE = 0.02
+"""s, the grid on which lags are looked for at first."""
+_LONGEST = 20.0
+"""s, of a lag that is looked for, of either sign."""
+_OVERLAP = 0.5
+"""Share of a run that is compared at the longest lag."""
+_RIDGE = 1e-8
+"""Of the mean square of a column of the follower, beside which it is no information."""
+
+
+class Follower(NamedTuple):
+    """The linear follower of a joint.
+
+    Attributes:
+        gain: how far the joint moves for a slow motion of its command.
+        added: `(feature,)`, the factors of what was fitted beside.
+        remaining: `(sample,)` rad, measured less followed, of all rows.
+    """
+
+    gain: float
+    added: Array
+    remaining: Array
+
+
+def past_commands(command: Array, run: NDArray[np.integer], period: float) -> Array:
+    """Averages of a command `(sample,)` over intervals of the past, `(interval, sample)`, at rest before each run."""
+    edges = np.unique([round(edge / period) for edge in _EDGES] + [1])
+    averages = np.empty((len(edges) - 1, len(command)))
+    for first, last in zip(*run_ends(run), strict=True):
+        part = command[first:last]
+        before = np.full(edges[-1], part[0])
+        summed = np.r_[0.0, np.cumsum(np.r_[before, part])]
+        newest = edges[-1] + np.arange(len(part)) + 1
+        for k, (near, far) in enumerate(itertools.pairwise(edges)):
+            averages[k, first:last] = (summed[newest - near] - summed[newest - far]) / (far - near)
+    return averages
+
+
+def fit_follower(
+    past: Array, measured: Array, features: Array | None = None, rows: Mask | None = None, gain: float | None = None
+) -> Follower:
+    """The linear follower of a joint.
+
+    Args:
+        past: `(interval, sample)` rad, averages of the command.
+        measured: `(sample,)` rad.
+        features: `(feature, sample)`, what else is fitted; a constant always is.
+        rows: `(sample,)`, which are fitted; all where not given.
+        gain: that it is held at; free where not given.
+    """
+    samples = len(measured)
+    more = np.zeros((0, samples)) if features is None else features
+    chosen = np.ones(samples, bool) if rows is None else rows
+    taps = past
+    target = measured
+    if gain is not None:  # the intervals differ from the newest one, which has what is missing of the gain
+        taps = past[1:] - past[0]
+        target = measured - gain * past[0]
+    columns = np.concatenate([taps, more, np.ones((1, samples))])
+    middle = columns[:, chosen].mean(1, keepdims=True)
+    middle[-1] = 0.0
+    shifted = columns - middle
+    size = np.sqrt(np.mean(shifted[:, chosen] ** 2, 1))
+    scaled = shifted / np.maximum(size, 1e-12)[:, None]
+    squares = scaled[:, chosen] @ scaled[:, chosen].T
+    squares[np.diag_indices(len(squares))] += _RIDGE * chosen.sum()
+    factors = np.linalg.solve(squares, scaled[:, chosen] @ target[chosen])
+    followed = factors @ scaled
+    plain = factors / np.maximum(size, 1e-12)
+    total = float(plain[: len(taps)].sum()) if gain is None else gain
+    return Follower(total, plain[len(taps) : -1], target - followed)
+
+
+def weight_features(even: Recording, bodies: Bodies, joint: int, late: Array) -> Array:
+    """What the weight of the arm does at a joint, from 0, by late commands `(sample, joint)` rad: `(feature, sample)`.
+
+    With masses that is its torque; without, sines and cosines of each sum of consecutive angles with this joint's.
+    """
+    if bodies.links.any():
+        at_rest = np.zeros_like(late.T)
+        return np.asarray(bodies.torques(late.T, at_rest, at_rest))[[joint]]
+    sums = np.concatenate([np.zeros((len(late), 1)), np.cumsum(late, 1)], 1)
+    angles = [sums[:, last] - sums[:, first] for first in range(joint + 1) for last in range(joint + 1, even.dof + 1)]
+    return np.concatenate([np.sin(angles), np.cos(angles)])
+
+
+class Lag(NamedTuple):
+    """The lag of read-outs behind commands, one for all joints.
+
+    Attributes:
+        lag: s.
+        missed: the mean over joints of the logarithm of one less the squared correlation, at that lag.
+        correlation: of the joints together, root of the mean square.
+    """
+
+    lag: float
+    missed: float
+    correlation: float
+
+
+def scan_lags(even: Recording, joints: NDArray[np.integer], rows: slice) -> tuple[Array, Array]:
+    """Lags `(lag,)` s of either sign, and squared correlations `(lag, joint)` of some rows of one run at each."""
+    assert even.time is not None
+    period = float(np.median(np.diff(even.time)))
+    every = max(1, round(_COARSE / period))
+    command = np.asarray(even.commanded_position)[rows][::every][:, joints]
+    measured = even.joint_position[rows][::every][:, joints]
+    count = len(command)
+    most = int(min(_LONGEST / (every * period), (1 - _OVERLAP) * count))
+    lags = np.arange(-most, most + 1)
+    squares = np.zeros((len(lags), len(joints)))
+    for place, lag in enumerate(lags):
+        first, last = max(lag, 0), count + min(lag, 0)
+        y = measured[first:last]
+        u = command[first - lag : last - lag]
+        squares[place] = _squared_correlations(u, y)
+    return lags * every * period, squares
+
+
+def _squared_correlations(u: Array, y: Array) -> Array:
+    """`(joint,)` of `(sample, joint)`; zero of what is at rest."""
+    u = u - u.mean(0)
+    y = y - y.mean(0)
+    sizes = (u * u).sum(0) * (y * y).sum(0)
+    return (u * y).sum(0) ** 2 / np.where(sizes > 0, sizes, 1.0)
+
+
+def likeliest_lag(lags: Array, squares: Array, within: Mask) -> Lag:
+    """Of lags `(lag,)` s that are within a range, the one at which joints together follow most closely."""
+    missed = np.log(np.maximum(1 - squares[within], 1e-9)).mean(1)
+    best = int(np.argmin(missed))
+    return Lag(float(lags[within][best]), float(missed[best]), float(np.sqrt(squares[within][best].mean())))
