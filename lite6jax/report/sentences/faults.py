@@ -879,9 +879,9 @@ def gear_found(fault: DataFault) -> str:
     numbers = fault.numbers
     joints = numbers["joints"]
     undecided = "" if numbers["decided"] else "Whether this or the other column is wrong does not show in this log. "
+    moving = f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
     return (
-        f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')} {numbers['ratio']:.3g} times as far as "
-        f"commanded, in all runs: the {numbers['side']} column is before a gear, or after another one. It was divided "
+        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is before a gear, or after another one. It was divided "
         f"or multiplied by that. {undecided}Give both columns after the gear."
     )
 
@@ -901,9 +901,9 @@ def torque_off_found(fault: DataFault) -> str:
     numbers = fault.numbers
     joints = numbers["joints"]
     count = numbers["count"]
+    falling = f"{capital(joints_named(joints))} {plural(len(joints), 'falls or rests', 'fall or rest')}"
     return (
-        f"{capital(joints_named(joints))} {plural(len(joints), 'falls or rests', 'fall or rest')} while the command goes "
-        f"on, between {numbers['from_s']:.2f} and {numbers['to_s']:.2f} s: the torque was off. {counted(count, 'row')} "
+        f"{falling} while the command goes on, between {numbers['from_s']:.2f} and {numbers['to_s']:.2f} s: the torque was off. {counted(count, 'row')} "
         f"{plural(count, 'was', 'were')} left out. Cut such times from the log."
     )
 
@@ -912,9 +912,10 @@ def zero_per_run_found(fault: DataFault) -> str:
     """Says by how much the zeros of joints differ between runs."""
     numbers = fault.numbers
     zeros = numbers["zeros_rad"]
+    largest = 1e3 * (max(zeros) - min(zeros))
     return (
-        f"The zero of {joints_named(numbers['joints'])} differs from run to run, by {1e3 * (max(zeros) - min(zeros)):.3g} "
-        "mrad at most. Differences were taken away, so that the run nearest to its commands keeps its zero. Find out "
+        f"The zero of {joints_named(numbers['joints'])} differs from run to run, by {largest:.3g} mrad at most."
+        " Differences were taken away, so that the run nearest to its commands keeps its zero. Find out "
         "where the encoder loses it."
     )
 

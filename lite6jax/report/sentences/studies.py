@@ -10,7 +10,7 @@ from lite6jax.design.determination import Determination
 from lite6jax.design.identify import Accuracy, Identification
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import DiscriminationPlan, Plan
-from lite6jax.design.torques import WELL, TorqueIdentification, TorqueExperiment
+from lite6jax.design.torques import WELL, TorqueExperiment, TorqueIdentification
 from lite6jax.report.words import be, capital, counted, joined, number, significant
 
 _MOST_PAIRS = 6
