@@ -881,7 +881,8 @@ def gear_found(fault: DataFault) -> str:
     undecided = "" if numbers["decided"] else "Whether this or the other column is wrong does not show in this log. "
     moving = f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
     return (
-        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is before a gear, or after another one. It was divided "
+        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is before "
+        "a gear, or after another one. It was divided "
         f"or multiplied by that. {undecided}Give both columns after the gear."
     )
 
@@ -903,7 +904,8 @@ def torque_off_found(fault: DataFault) -> str:
     count = numbers["count"]
     falling = f"{capital(joints_named(joints))} {plural(len(joints), 'falls or rests', 'fall or rest')}"
     return (
-        f"{falling} while the command goes on, between {numbers['from_s']:.2f} and {numbers['to_s']:.2f} s: the torque was off. {counted(count, 'row')} "
+        f"{falling} while the command goes on, between {numbers['from_s']:.2f} and {numbers['to_s']:.2f} s: the torque "
+        f"was off. {counted(count, 'row')} "
         f"{plural(count, 'was', 'were')} left out. Cut such times from the log."
     )
 
