@@ -881,8 +881,8 @@ def gear_found(fault: DataFault) -> str:
     undecided = "" if numbers["decided"] else "Whether this or the other column is wrong does not show in this log. "
     moving = f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
     return (
-        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is before "
-        "a gear, or after another one. It was divided "
+        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is "
+        "before a gear, or after another one. It was divided "
         f"or multiplied by that. {undecided}Give both columns after the gear."
     )
 
