@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Decay, LinearProblem, Number, Process, Wave, linear_problem
+from engine.linear_problem import Column, Decay, Driver, LinearProblem, Number, Process, Wave, linear_problem
 
 from lite6jax.estimation.documented import documented
 from lite6jax.estimation.least_squares import fit, weighed
@@ -15,7 +15,8 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import search
-from lite6jax.search.state import SelectedTerm, State
+from lite6jax.search.select import Selector
+from lite6jax.search.state import SelectedTerm, State, refitted
 
 OPTIONS = EngineOptions()
 
@@ -504,8 +505,16 @@ def test_a_name_that_is_a_part_of_one_function_is_not_all_that_may_be(seed):
     data = problem.data | {"sign": sign}
     measured = problem.measured + np.outer(problem.shares, curve)
     candidates = (*problem.candidates, Column("sign"))
-    state = search(replace(problem, data=data, measured=measured, candidates=candidates), OPTIONS).state
-    possible = [[test.term, *(other.term for other in test.alternatives)] for test in state.tested]
+    problem = replace(problem, data=data, measured=measured, candidates=candidates)
+    baseline = fit(problem, Terms(), OPTIONS)
+    process = Process("x", (Driver("u1"),), (float(u1.min()), float(u1.max())), "medium", 1.0)
+    begun = [SelectedTerm(Column("sign"), cost=4.0), SelectedTerm(process, cost=6.0)]
+    selector = Selector(problem, OPTIONS)
+    state = selector.selected(refitted(problem, State(baseline, baseline), begun, OPTIONS), thorough=True)
+    possible = [
+        [test.term, *(other.term for other in others)]
+        for test, others in zip(state.tested, selector.alternatives(state), strict=True)
+    ]
     named = [terms for terms in possible if terms[0] == Column("sign")]
     assert any(term.nonparametric for term in state.fit.terms.terms)
-    assert all(any(term.nonparametric and "u1" in term.phrases for term in terms[1:]) for terms in named)
+    assert all(any(term.nonparametric and {"sign", "u1"} == set(term.phrases) for term in terms) for terms in named)
