@@ -14,7 +14,7 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
-from lite6jax.domains.tracking.rollout import Commands, hold_commands
+from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.servo import Servo
@@ -27,7 +27,7 @@ Array = NDArray[np.floating]
 
 FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
-_COARSE = 3e-4
+COARSE = 3e-4
 """rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
 _LONG = 0.005
 """s, of an integration step of recordings with that noise."""
@@ -82,6 +82,11 @@ class TrackingRows:
     def has_masses(self) -> bool:
         """Whether the arm's description has masses."""
         return bool(self.bodies.links.any())
+
+    @cached_property
+    def coarse(self) -> "TrackingRows":
+        """The same, rolled out in long steps along the loads of the measured motion."""
+        return replace(self, commands=_held(self.recording, self.noise, _LONG), coupled=False)
 
     @cached_property
     def motion(self) -> Motion:
@@ -255,6 +260,16 @@ def _check_commands(even: Recording) -> None:
             )
 
 
+def _held(even: Recording, noise: Array, longest: float) -> Commands:
+    """The commands of an even recording, in integration steps of at most so many s."""
+    assert even.time is not None
+    period = float(np.median(np.diff(even.time)))
+    servo = even.settings.servo
+    interpolated = isinstance(servo, ServoSettings) and servo.hold == "interpolated"
+    command = np.asarray(even.commanded_position)
+    return hold_commands(command, even.run, period, _start(even, noise), None, interpolated, longest)
+
+
 def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     """The rows of a recording with commands.
 
@@ -285,12 +300,6 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     gravity = np.zeros(3) if compensated else np.array(settings.gravity_m_per_s2)
     bodies = Bodies.of_arm(arm, float(np.median(even.payload)), center, gravity)
     servo, known = declared_servo(settings, arm, bodies)
-    fine = bool(np.max(noise) < _COARSE)
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
-    interpolated = isinstance(settings.servo, ServoSettings) and settings.servo.hold == "interpolated"
-    longest = {} if fine else {"longest": _LONG}
-    commands = hold_commands(
-        np.asarray(even.commanded_position), even.run, period, _start(even, noise), None, interpolated, **longest
-    )
+    fine = bool(np.max(noise) < COARSE)
+    commands = _held(even, noise, LONGEST_STEP if fine else _LONG)
     return TrackingRows(even, arm, bodies, commands, even.joint_position.T.copy(), noise, servo, known, fine)
