@@ -23,7 +23,7 @@ from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import Limit
 from lite6jax.estimation.noise import autocorrelation_time
 from lite6jax.estimation.problem import Mask
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.terms import Term, Terms
 
 if TYPE_CHECKING:
     from lite6jax.domains.tracking.problem import TrackingProblem
@@ -315,7 +315,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
     nuisance = np.zeros(len(problem.unknowns))
     values = []
-    terms: list[Effect] = []
+    terms: list[Term] = []
     for model in models:
         count = len(lanes.unknowns[model.joint])
         nuisance[lanes.unknowns[model.joint]] = model.numbers[:count]

@@ -47,6 +47,10 @@ _UNRELATED = 0.5
 """Correlation below which it does not."""
 _GAIN = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
+_UNITS = (0.5, np.pi / 180)
+"""Gains of gears and units that are less than one."""
+_NEAR = 0.1
+"""Share of such a gain within which a joint may have it."""
 _FEWEST = 50
 """Samples of a recording at least."""
 
@@ -181,6 +185,8 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
             of_arm["torque_limit"] = np.array(given.torque_limit_Nm)
         if given.time_constant_s is not None:
             of_arm["time_constant"] = np.array(given.time_constant_s)
+    if not known:  # its damping is that of the servo and of friction: nothing in a log tells one from the other
+        of_arm.pop("viscous", None)
     servo = Servo.ideal(kp, kd)._replace(delay=np.full(joints, delay), grip=bodies.grip, **of_arm)
     return servo, known
 
@@ -253,7 +259,10 @@ def _check_commands(even: Recording) -> None:
                 "the columns"
             )
         gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
-        if follows > _FOLLOWS and not 1 / _GAIN < gain < _GAIN:
+        least = 1 / _GAIN
+        if not isinstance(even.settings.servo, ServoSettings) and min(abs(gain / unit - 1) for unit in _UNITS) > _NEAR:
+            least = 0.0  # a servo of which nothing is known may be so soft
+        if follows > _FOLLOWS and not least < gain < _GAIN:
             raise InputError(
                 f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
                 "unit, after the same gear"
