@@ -236,7 +236,9 @@ _IDLE = 0.03
 _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
 _FOLLOWS = 1.7
-"""Times the noise, or what rollouts in long steps are wrong by, within which a joint follows as described."""
+"""Times the noise, within which a joint follows as described."""
+_IN_LONG_STEPS = 0.01
+"""Of how far a joint is behind its commands, RMS, by which rollouts in long steps may be wrong."""
 _MOVES = 0.03
 """rad, the standard deviation of a joint that moves."""
 _COMPARED = 0.2
@@ -265,8 +267,8 @@ def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
     """The numbers of unknown servos, and the names of joints that predict rows which they were not fitted to."""
     data = problem.data
     problem = relinearise(replace(problem, data=data.coarse, known=Known()), options, problem.valid, _STARTS)
-    nuisance, terms, values = grown(problem, interleaved_folds(problem.run), _FOLLOWS * COARSE)
-    return _fitted(problem.relinearised(nuisance), terms, values, options)
+    nuisance, terms, values = grown(problem, interleaved_folds(problem.run), COARSE)
+    return _fitted(problem.relinearised(nuisance), terms, values, options.rough)
 
 
 def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: EngineOptions) -> Selection:
@@ -286,8 +288,11 @@ def _is_as_described(selection: Selection) -> bool:
     assert isinstance(problem, TrackingProblem)
     errors = selection.state.fit.residuals.rows * problem.sigma
     size = np.sqrt(np.mean(errors[:, problem.valid] ** 2, 1))
-    moves = np.std(problem.measured, 1) > _MOVES
-    return bool(np.any(moves & (size < _FOLLOWS * np.maximum(problem.noise, COARSE))))
+    measured = problem.measured[:, problem.valid]
+    moves = np.std(measured, 1) > _MOVES
+    command = np.asarray(problem.data.recording.commanded_position).T[:, problem.chosen][:, problem.valid]
+    behind = np.sqrt(np.mean((command - measured) ** 2, 1))
+    return bool(np.any(moves & (size < np.maximum(_FOLLOWS * problem.noise, _IN_LONG_STEPS * behind))))
 
 
 def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions) -> tuple[TrackingProblem, Selection]:
@@ -301,7 +306,8 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     f = named.state.fit
     problem = replace(rough.relinearised(f.nuisance), data=problem.data, known=Known())
     problem = _with_discrepancy(with_likely_grip(problem, f.terms, f.values))
-    return problem, _fitted(problem, f.terms, f.values, options)
+    again = fit(problem, f.terms, options.rough, f.values, training=problem.valid)
+    return problem, replace(named, problem=problem, reference=problem, state=replace(named.state, fit=again))
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
@@ -412,7 +418,7 @@ def diagnose_tracking(
                     problem, named = _exactly(problem, selection, engine)
                     selection = search(problem, engine, start=named)
                 else:
-                    engine = replace(engine, most_exact=0)
+                    engine = replace(engine.rough, most_exact=0)  # no digit counts beside its errors
             else:
                 selection = search(_begun(problem, engine), engine)
             problem = selection.problem

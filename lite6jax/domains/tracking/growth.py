@@ -34,8 +34,8 @@ _WORTH = 0.01
 """Share of a joint's errors in held-out rows by which a name lowers them at least."""
 _MARGIN = 3.0
 """Log odds that a name gains in held-out rows, beyond the cost of its choice."""
-_NEAR = 1e-3
-"""Of the limits of a number, within which it is at one of them: there the data say nothing of it."""
+_NEAR = 0.01
+"""Of the limits of a number, within which it is at one of them: a name that takes a number there stands for another."""
 _USUAL = (CoulombFriction, RotorInertia)
 """Names that describe a servo of which nothing is known, as its stiffness and damping do: a simulator's file seldom
 has these numbers of a real arm."""
@@ -223,15 +223,15 @@ class _Lanes:
         needed = _MARGIN + np.log(self.choices) if _chosen(model.terms) != _chosen(simpler.terms) else 0.0
         return bool(model.error < (1 - _WORTH) * simpler.error and gain > needed)
 
-    def is_possible(self, model: JointModel) -> bool:
-        """Whether the numbers of all names that are not usual are within their limits, and not at them."""
+    def at_limits(self, model: JointModel) -> set[Term]:
+        """The names of which a number is at one of its limits, other than zero."""
         values = model.numbers[len(self.unknowns[model.joint]) :]
+        at_limits = set[Term]()
         for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
             for value, (lower, upper) in zip(values[part], self.problem.limits(term), strict=True):
-                margin = _NEAR * (upper - lower) if np.isfinite(upper - lower) else 0.0
-                if not isinstance(term, _USUAL) and (value >= upper - margin or (lower and value <= lower + margin)):
-                    return False
-        return True
+                if value >= upper - _NEAR * abs(upper) or (lower and value <= lower + _NEAR * abs(lower)):
+                    at_limits.add(term)
+        return at_limits
 
     @cached_property
     def choices(self) -> int:
@@ -265,14 +265,15 @@ class _Lanes:
     def _starts(self, name: Effect) -> list[Array]:
         """Numbers of a name from which its fit may start."""
         zero = np.zeros(name.size)
-        first = name.coordinates[0]
-        lower, upper = self.problem.limits(name)[0]
         if isinstance(name, Limit):
             largest = self.problem.largest(name)
-            return [np.r_[1 / (share * largest), zero[1:]] for share in _REACHED]
+            inverse = [self.problem.step_of(name, 0, 0.0), *(1 / (share * largest) for share in _REACHED)]
+            return [np.r_[first, zero[1:]] for first in inverse]
         if name.linear:
             return [zero]
-        sizes = [sign * size * first.typical for size in _SIZES for sign in (1, -1)]
+        lower, upper = self.problem.limits(name)[0]
+        typical = name.coordinates[0].typical
+        sizes = [sign * size * typical for size in _SIZES for sign in (1, -1)]
         return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
 
 
@@ -353,7 +354,8 @@ def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[
         of_joint = sorted((one for one in screened if one.joint == model.joint), key=lambda one: one.error)
         likeliest += of_joint[:_LIKELIEST]
     likeliest = lanes.fitted(likeliest, [valid] * len(likeliest), _STEPS)
-    likeliest = [model for model in likeliest if lanes.is_possible(model)]
+    before = {model.joint: lanes.at_limits(model) for model in models}
+    likeliest = [model for model in likeliest if lanes.at_limits(model) <= before[model.joint]]
     return _best_of_joints(lanes.judged(likeliest, folds, valid))
 
 

@@ -31,6 +31,8 @@ COARSE = 3e-4
 """rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
 _LONG = 0.005
 """s, of an integration step of recordings with that noise."""
+_ROUGH = 0.01
+"""s, likewise, while servos are looked for, and of arms that no simulation describes to `COARSE`."""
 _STILL = 0.2
 """s at the beginning of a run over which a resting arm is averaged."""
 _MOVED = 5.0
@@ -90,7 +92,7 @@ class TrackingRows:
     @cached_property
     def coarse(self) -> "TrackingRows":
         """The same, rolled out in long steps along the loads of the measured motion."""
-        return replace(self, commands=_held(self.recording, self.noise, _LONG), coupled=False)
+        return replace(self, commands=_held(self.recording, self.noise, _ROUGH), coupled=False)
 
     @cached_property
     def motion(self) -> Motion:
