@@ -299,15 +299,24 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     """The problem of unknown servos in short steps, with the grip that suits it, and the names of its search's start.
 
     Beside the unknown servo that comes nearest to a joint with a limit, processes of any kind explain more than the
-    limit does: names come first.
+    limit does: names come first. They are those that were found in long steps, where these describe all joints in short
+    ones too, and else those of a search of names alone.
     """
     rough = named.problem
     assert isinstance(rough, TrackingProblem)
     f = named.state.fit
-    problem = replace(rough.relinearised(f.nuisance), data=problem.data, known=Known())
-    problem = _with_discrepancy(with_likely_grip(problem, f.terms, f.values))
-    again = fit(problem, f.terms, options.rough, f.values, training=problem.valid)
-    return problem, replace(named, problem=problem, reference=problem, state=replace(named.state, fit=again))
+    exact = replace(rough.relinearised(f.nuisance), data=problem.data, known=Known())
+    exact = _with_discrepancy(with_likely_grip(exact, f.terms, f.values))
+    again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
+    if np.all(again.scale < _FOLLOWS):
+        return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
+    likely = with_likely_grip(relinearise(problem, options, problem.valid, _STARTS))
+    named = search(_with_discrepancy(likely), options, thorough=False, among=frozenset())
+    f = named.state.fit
+    there = named.problem
+    assert isinstance(there, TrackingProblem)
+    gripped = with_likely_grip(there.relinearised(f.nuisance), f.terms, f.values)
+    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
