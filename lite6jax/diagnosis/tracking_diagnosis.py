@@ -20,20 +20,23 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.entry import model_entry
+from lite6jax.domains.tracking.growth import grown
 from lite6jax.domains.tracking.peers import fit_peers
 from lite6jax.domains.tracking.predict import DiagnosedServos, run_ends
 from lite6jax.domains.tracking.problem import (
+    RolloutCache,
     TrackingProblem,
     diagnosed_servos,
     follows_as_described,
     tracking_problem,
     with_likely_grip,
 )
+from lite6jax.domains.tracking.rows import COARSE
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
@@ -41,7 +44,8 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, search
-from lite6jax.search.state import SelectedTerm, refitted
+from lite6jax.search.select import Selector
+from lite6jax.search.state import SelectedTerm, State, refitted
 
 Array = NDArray[np.floating]
 
@@ -226,6 +230,12 @@ _IDLE = 0.03
 """Share by which a nonparametric effect must lower the RMS error of some joint; else it is left out."""
 _DISCREPANCY = 3e-3
 """Of what effects move a joint, RMS, by which their description may differ from the truth."""
+_FOLLOWS = 1.7
+"""Times the noise, within which a joint follows as described."""
+_IN_LONG_STEPS = 0.01
+"""Of how far a joint is behind its commands, RMS, by which rollouts in long steps may be wrong."""
+_MOVES = 0.03
+"""rad, the standard deviation of a joint that moves."""
 _COMPARED = 0.2
 """`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
 _ROUGHLY = 4
@@ -236,23 +246,71 @@ _DAMPING = (1e-4, 1e-2, 1.0, 100.0)
 """`EngineOptions.damping`: derivatives are secants, and may be wrong by as much as they are."""
 
 
-def _begun(problem: TrackingProblem, options: EngineOptions) -> tuple[TrackingProblem, Selection | None]:
-    """The problem with the grip by which friction holds its joints, and the names that its search begins with.
+def _begun(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
+    """The problem of declared servos with the grip by which friction holds its joints.
 
-    Where no joint follows as described, the grip is that beside the names that are found. Beside the unknown servo that
-    comes nearest to a joint with a limit, processes of any kind explain more than the limit does: names come first.
+    Where no joint follows as described, it is that beside the names that are found.
     """
     likely = with_likely_grip(problem)
-    if not problem.unknowns:
-        if likely is problem or follows_as_described(likely):
-            return likely, None
-        fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
-        return with_likely_grip(problem, fit.terms, fit.values), None
+    if likely is problem or follows_as_described(likely):
+        return likely
+    fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
+    return with_likely_grip(problem, fit.terms, fit.values)
+
+
+def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
+    """The numbers of unknown servos, and the names of joints that predict rows which they were not fitted to."""
+    data = problem.data
+    problem = relinearise(replace(problem, data=data.coarse, known=RolloutCache()), options, problem.valid, _STARTS)
+    nuisance, terms, values = grown(problem, interleaved_folds(problem.run), COARSE)
+    return _fitted(problem.relinearised(nuisance), terms, values, options.rough)
+
+
+def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: EngineOptions) -> Selection:
+    """The selection of some terms, fitted from these numbers, each weighed beside the others."""
+    baseline = fit(problem, Terms(), options, training=problem.valid)
+    both = fit(problem, terms, options, values, training=problem.valid)
+    selector = Selector(problem, options)
+    both = selector.in_likeliest_noise(both)
+    state = selector.weighed(State(baseline, both, tuple(SelectedTerm(term) for term in terms.terms)))
+    tested = tuple(replace(one, p_value=min(float(np.exp(-one.net)), 1.0)) for one in state.tested)
+    return Selection(problem, problem, replace(state, tested=tested))
+
+
+def _is_as_described(selection: Selection) -> bool:
+    """Whether any joint that moves follows as described, but for noise: rollouts then describe the arm exactly."""
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    errors = selection.state.fit.residuals.rows * problem.sigma
+    size = np.sqrt(np.mean(errors[:, problem.valid] ** 2, 1))
+    measured = problem.measured[:, problem.valid]
+    moves = np.std(measured, 1) > _MOVES
+    command = np.asarray(problem.data.recording.commanded_position).T[:, problem.chosen][:, problem.valid]
+    behind = np.sqrt(np.mean((command - measured) ** 2, 1))
+    return bool(np.any(moves & (size < np.maximum(_FOLLOWS * problem.noise, _IN_LONG_STEPS * behind))))
+
+
+def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions) -> tuple[TrackingProblem, Selection]:
+    """The problem of unknown servos in short steps, with the grip that suits it, and the names of its search's start.
+
+    Beside the unknown servo that comes nearest to a joint with a limit, processes of any kind explain more than the
+    limit does: names come first. They are those that were found in long steps, where these describe all joints in short
+    ones too, and else those of a search of names alone.
+    """
+    rough = named.problem
+    assert isinstance(rough, TrackingProblem)
+    f = named.state.fit
+    exact = replace(rough.relinearised(f.nuisance), data=problem.data, known=RolloutCache())
+    exact = _with_discrepancy(with_likely_grip(exact, f.terms, f.values))
+    again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
+    if np.all(again.scale < _FOLLOWS):
+        return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
+    likely = with_likely_grip(relinearise(problem, options, problem.valid, _STARTS))
     named = search(_with_discrepancy(likely), options, thorough=False, among=frozenset())
-    fit = named.state.fit
+    f = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)
-    gripped = with_likely_grip(there.relinearised(fit.nuisance), fit.terms, fit.values)
+    gripped = with_likely_grip(there.relinearised(f.nuisance), f.terms, f.values)
     return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
 
 
@@ -359,9 +417,14 @@ def diagnose_tracking(
                 memory = _MEMORY / problem.data.commands.period
                 engine = replace(engine, longest_memory=memory, damping=_DAMPING)
                 entered("linearising")
-                problem = relinearise(problem, engine, problem.valid, _STARTS)
-            problem, named = _begun(problem, engine)
-            selection = search(problem, engine, start=named)
+                selection = _with_servos(problem, engine)
+                if _is_as_described(selection):
+                    problem, named = _exactly(problem, selection, engine)
+                    selection = search(problem, engine, start=named)
+                else:
+                    engine = replace(engine.rough, most_exact=0)  # no digit counts beside its errors
+            else:
+                selection = search(_begun(problem, engine), engine)
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
             entered("estimating")

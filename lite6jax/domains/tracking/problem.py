@@ -306,7 +306,7 @@ class TrackingProblem:
             acted_on = joints_of(effect)
         numbers_by_joint = []
         for k in range(effect.size):
-            step = self._step(effect, k, float(at[k]))
+            step = self.step_of(effect, k, float(at[k]))
             servo = model.servo
             total = extra
             if units is not None:
@@ -321,17 +321,21 @@ class TrackingProblem:
             numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
         return numbers_by_joint
 
+    def state_of(self, model: TrackingModel, joint: int) -> _RolloutInputs:
+        """What the rollout of a joint, from 0, needs in a model."""
+        return self._state(model.servo, model.exerted(self.data.dynamics), joint)
+
     def _state(self, servo: Servo, extra: Array | None, joint: int) -> _RolloutInputs:
         return _RolloutInputs(joint, servo.take([joint]), None if extra is None else extra[joint])
 
-    def _step(self, effect: Effect, k: int, at: float) -> float:
+    def step_of(self, effect: Effect, k: int, at: float) -> float:
         """By how much a number is changed for its column: far enough that the rollout changes at all.
 
         A limit that is not reached changes nothing, nor does friction below none.
         """
         coordinate = effect.coordinates[k]
         if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0:
-            largest = self._largest(effect)
+            largest = self.largest(effect)
             if at * largest < 1:
                 return 1 / self._reached(effect, largest) - at
         step = max(_SHARE * abs(at), _SHARE * coordinate.typical) if at else coordinate.typical
@@ -348,7 +352,7 @@ class TrackingProblem:
         speed = np.abs(np.asarray(self.data.motion.joint_velocity)[effect.joint - 1])
         return min(reached, max(float(np.quantile(speed, 0.99)), 0.1 * reached))
 
-    def _largest(self, effect: OfJoint) -> float:
+    def largest(self, effect: OfJoint) -> float:
         """The speed of a joint's command in rad/s, or its servo's torque in Nm, that is seldom exceeded."""
         j = effect.joint - 1
         command = np.asarray(self.data.recording.commanded_position)[:, j]
@@ -365,14 +369,14 @@ class TrackingProblem:
         if not missing:
             return columns
         states = {state.key: state for each in missing.values() for state in (each.before, each.after)}
-        readouts = dict(zip(states, self._rolled(list(states.values())), strict=True))
+        readouts = dict(zip(states, self.rolled(list(states.values())), strict=True))
         if len(known) + len(missing) > _KEPT:
             known.clear()
         new = {key: (readouts[each.after.key] - readouts[each.before.key]) / each.over for key, each in missing.items()}
         known.update(new)
         return columns | new
 
-    def _rolled(self, states: Sequence[_RolloutInputs]) -> Array:
+    def rolled(self, states: Sequence[_RolloutInputs]) -> Array:
         """Read-outs `(state, every sample)` rad along the latest loads."""
         loads = self.known.loads or self.loads
         commands = self.data.commands
@@ -626,7 +630,7 @@ def _grip_likelihoods(problem: TrackingProblem, model: TrackingModel, factors: A
         for factor in factors
         for joint in range(problem.rows)
     ]
-    rolled = problem._rolled(states).reshape(len(factors), problem.rows, -1)
+    rolled = problem.rolled(states).reshape(len(factors), problem.rows, -1)
     errors = (rolled - problem.data.measured)[..., problem.chosen][..., problem.valid]
     return -0.5 * errors.shape[-1] * np.sum(np.log(np.mean(errors**2, 2)), 1)
 

@@ -14,7 +14,7 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
-from lite6jax.domains.tracking.rollout import Commands, hold_commands
+from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.servo import Servo
@@ -27,10 +27,12 @@ Array = NDArray[np.floating]
 
 FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
-_COARSE = 3e-4
+COARSE = 3e-4
 """rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
 _LONG = 0.005
 """s, of an integration step of recordings with that noise."""
+_ROUGH = 0.01
+"""s, likewise, while servos are looked for, and of arms that no simulation describes to `COARSE`."""
 _STILL = 0.2
 """s at the beginning of a run over which a resting arm is averaged."""
 _MOVED = 5.0
@@ -47,6 +49,10 @@ _UNRELATED = 0.5
 """Correlation below which it does not."""
 _GAIN = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
+_UNITS = (0.5, np.pi / 180)
+"""Gains of gears and units that are less than one."""
+_NEAR = 0.1
+"""Share of such a gain within which a joint may have it."""
 _FEWEST = 50
 """Samples of a recording at least."""
 _ROUNDING = 2e-9
@@ -90,6 +96,11 @@ class TrackingRows:
     def has_masses(self) -> bool:
         """Whether the arm's description has masses."""
         return bool(self.bodies.links.any())
+
+    @cached_property
+    def coarse(self) -> "TrackingRows":
+        """The same, rolled out in long steps along the loads of the measured motion."""
+        return replace(self, commands=_held(self.recording, self.noise, _ROUGH), coupled=False)
 
     @cached_property
     def motion(self) -> Motion:
@@ -184,6 +195,8 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
             of_arm["torque_limit"] = np.array(given.torque_limit_Nm)
         if given.time_constant_s is not None:
             of_arm["time_constant"] = np.array(given.time_constant_s)
+    if not known:  # its damping is that of the servo and of friction: nothing in a log tells one from the other
+        of_arm.pop("viscous", None)
     servo = Servo.ideal(kp, kd)._replace(delay=np.full(joints, delay), grip=bodies.grip, **of_arm)
     return servo, known
 
@@ -261,11 +274,24 @@ def _check_commands(even: Recording) -> None:
                 "the columns"
             )
         gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
-        if follows > _FOLLOWS and not 1 / _GAIN < gain < _GAIN:
+        least = 1 / _GAIN
+        if not isinstance(even.settings.servo, ServoSettings) and min(abs(gain / unit - 1) for unit in _UNITS) > _NEAR:
+            least = 0.0  # a servo of which nothing is known may be so soft
+        if follows > _FOLLOWS and not least < gain < _GAIN:
             raise InputError(
                 f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
                 "unit, after the same gear"
             )
+
+
+def _held(even: Recording, noise: Array, longest: float) -> Commands:
+    """The commands of an even recording, in integration steps of at most so many s."""
+    assert even.time is not None
+    period = float(np.median(np.diff(even.time)))
+    servo = even.settings.servo
+    interpolated = isinstance(servo, ServoSettings) and servo.hold == "interpolated"
+    command = np.asarray(even.commanded_position)
+    return hold_commands(command, even.run, period, _start(even, noise), None, interpolated, longest)
 
 
 def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
@@ -298,12 +324,6 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     gravity = np.zeros(3) if compensated else np.array(settings.gravity_m_per_s2)
     bodies = Bodies.of_arm(arm, float(np.median(even.payload)), center, gravity)
     servo, known = declared_servo(settings, arm, bodies)
-    fine = bool(np.max(noise) < _COARSE)
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
-    interpolated = isinstance(settings.servo, ServoSettings) and settings.servo.hold == "interpolated"
-    longest = {} if fine else {"longest": _LONG}
-    commands = hold_commands(
-        np.asarray(even.commanded_position), even.run, period, _start(even, noise), None, interpolated, **longest
-    )
+    fine = bool(np.max(noise) < COARSE)
+    commands = _held(even, noise, LONGEST_STEP if fine else _LONG)
     return TrackingRows(even, arm, bodies, commands, even.joint_position.T.copy(), noise, servo, known, fine)

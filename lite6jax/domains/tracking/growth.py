@@ -1,0 +1,392 @@
+"""Names of what acts at each joint, chosen by rollouts on rows that they were not fitted to.
+
+Simulations of a real arm are wrong by milliradians, far more than its encoders: each of a dozen names then explains
+some of that error, by hundreds of nats of evidence. What counts is whether a name predicts. So each name of each joint
+is fitted to a part of the rows of each run and rolled out in the others, and one that lowers these errors by little is
+none.
+
+Along loads that are given joints are decoupled: each has its fit, and the rollouts of all joints, names and steps are
+lanes of one call.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.effects.dynamic import CoulombFriction, RotorInertia
+from lite6jax.effects.effect import Effect, OfJoint
+from lite6jax.effects.servo import Limit
+from lite6jax.estimation.noise import autocorrelation_time
+from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.terms import Term, Terms
+
+if TYPE_CHECKING:
+    from lite6jax.domains.tracking.problem import TrackingProblem
+
+Array = NDArray[np.floating]
+
+_WORTH = 0.01
+"""Share of a joint's errors in held-out rows by which a name lowers them at least."""
+_MARGIN = 3.0
+"""Log odds that a name gains in held-out rows, beyond the cost of its choice."""
+_NEAR = 0.01
+"""Of the limits of a number, within which it is at one of them: a name that takes a number there stands for another."""
+_USUAL = (CoulombFriction, RotorInertia)
+"""Names that describe a servo of which nothing is known, as its stiffness and damping do: a simulator's file seldom
+has these numbers of a real arm."""
+_SIZES = (0.2, 1.0, 5.0, 25.0)
+"""Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
+_REACHED = (0.9, 0.7, 0.45)
+"""Of the largest speed or torque: limits from which a fit starts."""
+_SCREENED = 2
+"""Steps of the fit of every name."""
+_LIKELIEST = 4
+"""Names of each joint that are fitted without some rows."""
+_STEPS = 8
+"""Steps of such a fit."""
+_DAMPING = (0.1, 1.0, 10.0, 100.0)
+"""Of the damping of the step before: those of the steps that are tried."""
+_FIRST_DAMPING = 1e-2
+_LEAST_DAMPING = 1e-8
+_CONVERGED = 1e-4
+"""Share of the sum of squares that a last step gains."""
+_FARTHEST = 1.0
+"""By which the logarithm of a number changes in one step at most."""
+_MOST = 8
+"""Names of a joint."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """A joint with names.
+
+    Attributes:
+        joint: from 0.
+        terms: what acts there beside its servo.
+        numbers: `(number,)`, the unknown numbers of the servo, from the point of linearisation, and those of terms.
+        readout: `(sample,)` rad, rolled out.
+        error: rad RMS in held-out rows, of fits without these; in all rows where none has been held out.
+        parts: `(number,)` of the fit without each fold.
+    """
+
+    joint: int
+    terms: Terms
+    numbers: Array
+    readout: Array
+    error: float = np.inf
+    parts: tuple[Array, ...] = field(default=())
+
+
+class _Lanes:
+    """Fits of many models of joints, in step."""
+
+    def __init__(self, problem: "TrackingProblem") -> None:
+        self.problem = problem
+        self.unknowns = [
+            [k for k, unknown in enumerate(problem.unknowns) if unknown.joint == joint] for joint in range(problem.rows)
+        ]
+        self.measured = problem.measured
+
+    def rolled(self, wanted: Sequence[tuple[int, Terms, Array]]) -> list[Array]:
+        """Read-outs `(variant, sample)` of joints with terms and numbers `(variant, number)`."""
+        problem = self.problem
+        states = []
+        for joint, terms, variants in wanted:
+            for numbers in variants:
+                count = len(self.unknowns[joint])
+                nuisance = np.zeros(len(problem.unknowns))
+                nuisance[self.unknowns[joint]] = numbers[:count]
+                model = problem.model(nuisance, terms, numbers[count:])
+                states.append(problem.state_of(model, joint))
+        if not states:
+            return []
+        readouts = problem.rolled(states)[:, problem.chosen]
+        ends = np.cumsum([0, *(len(variants) for *_, variants in wanted)])
+        return [readouts[first:last] for first, last in pairwise(ends)]
+
+    def fitted(self, models: Sequence[JointModel], masks: Sequence[Mask], most: int) -> list[JointModel]:
+        """Models fitted to some samples each by Levenberg–Marquardt steps; their error is that in these samples."""
+        current = list(models)
+        damping = [_FIRST_DAMPING] * len(models)
+        squares = [
+            self._squares(model.joint, model.readout[None], mask)[0] for model, mask in zip(models, masks, strict=True)
+        ]
+        active = list(range(len(models)))
+        for _ in range(most):
+            if not active:
+                break
+            steps = [self._derivative_steps(current[k]) for k in active]
+            changed = [
+                (current[k].joint, current[k].terms, current[k].numbers + np.diag(step))
+                for k, step in zip(active, steps, strict=True)
+            ]
+            trials = []
+            for k, step, readouts in zip(active, steps, self.rolled(changed), strict=True):
+                model = current[k]
+                mask = masks[k]
+                columns = np.nan_to_num((readouts - model.readout)[:, mask] / step[:, None])
+                residual = (self.measured[model.joint] - model.readout)[mask]
+                trials.append(self._steps_from(model, columns, residual, damping[k]))
+            asked = [(current[k].joint, current[k].terms, trial) for k, trial in zip(active, trials, strict=True)]
+            going = []
+            for k, trial, readouts in zip(active, trials, self.rolled(asked), strict=True):
+                model = current[k]
+                sums = self._squares(model.joint, readouts, masks[k])
+                best = int(np.argmin(sums))
+                if not sums[best] < squares[k]:
+                    continue
+                if sums[best] < (1 - _CONVERGED) * squares[k]:
+                    going.append(k)
+                squares[k] = sums[best]
+                damping[k] = max(damping[k] * _DAMPING[best], _LEAST_DAMPING)
+                current[k] = replace(model, numbers=trial[best], readout=readouts[best])
+            active = going
+        counts = [max(int(mask.sum()), 1) for mask in masks]
+        return [
+            replace(model, error=float(np.sqrt(total / count)))
+            for model, total, count in zip(current, squares, counts, strict=True)
+        ]
+
+    def _squares(self, joint: int, readouts: Array, mask: Mask) -> Array:
+        """Sums of squared errors `(variant,)`."""
+        sums = np.sum((readouts - self.measured[joint])[:, mask] ** 2, 1)
+        return np.where(np.isfinite(sums), sums, np.inf)
+
+    def _derivative_steps(self, model: JointModel) -> Array:
+        """By how much each number is changed for a derivative, `(number,)`."""
+        count = len(self.unknowns[model.joint])
+        steps = [0.02] * count
+        values = model.numbers[count:]
+        for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
+            assert isinstance(term, Effect)
+            steps += [self.problem.step_of(term, k, float(at)) for k, at in enumerate(values[part])]
+        return np.array(steps)
+
+    def _steps_from(self, model: JointModel, columns: Array, residual: Array, damping: float) -> Array:
+        """The numbers `(variant, number)` after steps of several dampings, within the limits of terms."""
+        size = np.maximum(np.linalg.norm(columns, axis=1), 1e-12)
+        unit = columns / size[:, None]
+        information = unit @ unit.T
+        pull = unit @ residual
+        count = len(self.unknowns[model.joint])
+        limits = [pair for term in model.terms.terms for pair in self.problem.limits(term)]
+        lower, upper = np.array(limits, float).reshape(-1, 2).T
+        trials = []
+        for factor in _DAMPING:
+            damped = information + damping * factor * np.eye(len(size))
+            step = np.linalg.lstsq(damped, pull, rcond=1e-12)[0] / size
+            numbers = model.numbers + np.r_[np.clip(step[:count], -_FARTHEST, _FARTHEST), step[count:]]
+            numbers[count:] = np.clip(numbers[count:], lower, upper)
+            trials.append(numbers)
+        return np.array(trials)
+
+    def judged(self, models: Sequence[JointModel], folds: Sequence[Mask], valid: Mask) -> list[JointModel]:
+        """Models with their errors in the rows of folds, by fits without these."""
+        asked = []
+        masks = []
+        for model in models:
+            for place, fold in enumerate(folds):
+                numbers = model.parts[place] if model.parts else model.numbers
+                asked.append(replace(model, numbers=numbers))
+                masks.append(valid & ~fold)
+        readouts = self.rolled([(model.joint, model.terms, model.numbers[None]) for model in asked])
+        started = [replace(model, readout=of_model[0]) for model, of_model in zip(asked, readouts, strict=True)]
+        parts = self.fitted(started, masks, _STEPS)
+        judged = []
+        for k, model in enumerate(models):
+            of_folds = parts[k * len(folds) : (k + 1) * len(folds)]
+            squares = [
+                self._squares(model.joint, part.readout[None], fold & valid)[0]
+                for part, fold in zip(of_folds, folds, strict=True)
+            ]
+            count = sum(int((fold & valid).sum()) for fold in folds)
+            error = float(np.sqrt(np.sum(squares) / count))
+            judged.append(replace(model, error=error, parts=tuple(part.numbers for part in of_folds)))
+        return judged
+
+    # -------------------------------------------------------------- names
+
+    def is_better(self, model: JointModel, simpler: JointModel) -> bool:
+        """Whether a model predicts so much better than one with fewer names that these are worth their choice.
+
+        Errors of neighbouring rows are alike: what counts is how often the residual begins anew.
+        """
+        error = (simpler.readout - self.measured[model.joint])[self.problem.valid]
+        independent = len(error) / autocorrelation_time(error[None])
+        gain = independent * np.log(simpler.error / model.error)
+        needed = _MARGIN + np.log(self.choices) if _chosen(model.terms) != _chosen(simpler.terms) else 0.0
+        return bool(model.error < (1 - _WORTH) * simpler.error and gain > needed)
+
+    def at_limits(self, model: JointModel) -> set[Term]:
+        """The names of which a number is at one of its limits, other than zero."""
+        values = model.numbers[len(self.unknowns[model.joint]) :]
+        at_limits = set[Term]()
+        for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
+            for value, (lower, upper) in zip(values[part], self.problem.limits(term), strict=True):
+                if value >= upper - _NEAR * abs(upper) or (lower and value <= lower + _NEAR * abs(lower)):
+                    at_limits.add(term)
+        return at_limits
+
+    @cached_property
+    def choices(self) -> int:
+        """Names of a joint."""
+        return max(len(self.names_of(0)), 1)
+
+    def names_of(self, joint: int) -> list[Effect]:
+        """All names that act at a joint alone, from 0."""
+        return [
+            name
+            for name in (*self.problem.candidates, *self.problem.shaped)
+            if isinstance(name, OfJoint) and name.joint == joint + 1
+        ]
+
+    def begun(self, model: JointModel) -> list[tuple[Terms, list[Array]]]:
+        """Sets of terms with one more name each, and the numbers from which their fits may start."""
+        present = set(model.terms.terms) | {more for term in model.terms.terms for more in term.includes}
+        labels = {term.label for term in model.terms.terms}
+        count = len(self.unknowns[model.joint])
+        begun = []
+        for name in self.names_of(model.joint):
+            if name in present or name.label in labels:
+                continue
+            kept = [term not in name.includes for term in model.terms.terms]
+            terms, values = model.terms.part(model.numbers[count:], kept)
+            more = Terms((*terms.terms, name))
+            starts = [np.concatenate([model.numbers[:count], values, start]) for start in self._starts(name)]
+            begun.append((more, starts))
+        return begun
+
+    def _starts(self, name: Effect) -> list[Array]:
+        """Numbers of a name from which its fit may start."""
+        zero = np.zeros(name.size)
+        if isinstance(name, Limit):
+            largest = self.problem.largest(name)
+            inverse = [self.problem.step_of(name, 0, 0.0), *(1 / (share * largest) for share in _REACHED)]
+            return [np.r_[first, zero[1:]] for first in inverse]
+        if name.linear:
+            return [zero]
+        lower, upper = self.problem.limits(name)[0]
+        typical = name.coordinates[0].typical
+        sizes = [sign * size * typical for size in _SIZES for sign in (1, -1)]
+        return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
+
+
+def _chosen(terms: Terms) -> set[object]:
+    """The terms that not every joint has."""
+    return {term for term in terms.terms if not isinstance(term, _USUAL)}
+
+
+def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> tuple[Array, Terms, Array]:
+    """The unknown numbers of servos, names of all joints, and their numbers.
+
+    Args:
+        problem: of unknown servos, linearised near what fits best without names.
+        folds: `(sample,)` each, the rows that are held out.
+        enough: rad RMS, errors below which a joint has no further names.
+    """
+    lanes = _Lanes(problem)
+    valid = problem.valid
+    bare = [(joint, Terms(), np.zeros((1, len(lanes.unknowns[joint])))) for joint in range(problem.rows)]
+    models = [
+        JointModel(joint, terms, variants[0], readouts[0])
+        for (joint, terms, variants), readouts in zip(bare, lanes.rolled(bare), strict=True)
+    ]
+    models = lanes.fitted(models, [valid] * len(models), _STEPS)
+    models = lanes.judged(models, folds, valid)
+    growing = [model.joint for model in models if model.error > enough]
+    for model in _with_usual(lanes, [models[joint] for joint in growing], folds):
+        if lanes.is_better(model, models[model.joint]):
+            models[model.joint] = model
+    growing = [model.joint for model in models if model.error > enough]
+    while growing:
+        better = _with_one_more(lanes, [models[joint] for joint in growing], folds)
+        growing = []
+        for model in better:
+            if lanes.is_better(model, models[model.joint]):
+                models[model.joint] = model
+                if model.error > enough and len(model.terms.terms) < _MOST:
+                    growing.append(model.joint)
+    models = _without_idle(lanes, models, folds)
+    models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
+    nuisance = np.zeros(len(problem.unknowns))
+    values = []
+    terms: list[Term] = []
+    for model in models:
+        count = len(lanes.unknowns[model.joint])
+        nuisance[lanes.unknowns[model.joint]] = model.numbers[:count]
+        values.append(model.numbers[count:])
+        terms += model.terms.terms
+    return nuisance, Terms(tuple(terms)), np.concatenate(values)
+
+
+def _with_usual(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+    """Models each with all names that nearly every joint has."""
+    begun = []
+    for model in models:
+        usual = [
+            name for name in lanes.names_of(model.joint) if isinstance(name, _USUAL) and name not in model.terms.terms
+        ]
+        terms = Terms((*model.terms.terms, *usual))
+        numbers = np.concatenate([model.numbers, np.zeros(terms.size - model.terms.size)])
+        begun.append(replace(model, terms=terms, numbers=numbers, parts=()))
+    fitted = lanes.fitted(begun, [lanes.problem.valid] * len(begun), _STEPS)
+    return lanes.judged(fitted, folds, lanes.problem.valid)
+
+
+def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+    """Models each with the name that predicts best, where there is any."""
+    valid = lanes.problem.valid
+    begun = [(model, terms, starts) for model in models for terms, starts in lanes.begun(model)]
+    readouts = lanes.rolled([(model.joint, terms, np.array(starts)) for model, terms, starts in begun])
+    trials = []
+    for (model, terms, starts), of_starts in zip(begun, readouts, strict=True):
+        best = int(np.argmin(lanes._squares(model.joint, of_starts, valid)))
+        trials.append(JointModel(model.joint, terms, starts[best], of_starts[best]))
+    screened = lanes.fitted(trials, [valid] * len(trials), _SCREENED)
+    likeliest = []
+    for model in models:
+        of_joint = sorted((one for one in screened if one.joint == model.joint), key=lambda one: one.error)
+        likeliest += of_joint[:_LIKELIEST]
+    likeliest = lanes.fitted(likeliest, [valid] * len(likeliest), _STEPS)
+    before = {model.joint: lanes.at_limits(model) for model in models}
+    likeliest = [model for model in likeliest if lanes.at_limits(model) <= before[model.joint]]
+    return _best_of_joints(lanes.judged(likeliest, folds, valid))
+
+
+def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
+    best: dict[int, JointModel] = {}
+    for model in models:
+        if model.joint not in best or model.error < best[model.joint].error:
+            best[model.joint] = model
+    return list(best.values())
+
+
+def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+    """Models without the names that later ones made idle."""
+    chosen = {model.joint: model for model in models}
+    waiting = [model for model in models if len(model.terms.terms) > 1]
+    while waiting:
+        trials = []
+        for model in waiting:
+            count = len(lanes.unknowns[model.joint])
+            for left_out in model.terms.terms:
+                kept = [term != left_out for term in model.terms.terms]
+                terms, values = model.terms.part(model.numbers[count:], kept)
+                numbers = np.concatenate([model.numbers[:count], values])
+                trials.append(JointModel(model.joint, terms, numbers, model.readout))
+        readouts = lanes.rolled([(trial.joint, trial.terms, trial.numbers[None]) for trial in trials])
+        trials = [replace(trial, readout=rolled[0]) for trial, rolled in zip(trials, readouts, strict=True)]
+        trials = lanes.fitted(trials, [lanes.problem.valid] * len(trials), _STEPS)
+        waiting = []
+        for model in _best_of_joints(lanes.judged(trials, folds, lanes.problem.valid)):
+            if not lanes.is_better(chosen[model.joint], model):
+                chosen[model.joint] = model
+                if len(model.terms.terms) > 1:
+                    waiting.append(model)
+    return [chosen[joint] for joint in sorted(chosen)]
