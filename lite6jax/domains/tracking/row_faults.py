@@ -440,9 +440,10 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
     if data.declared and data.has_masses:
         problem = tracking_problem(data)
         rolled = problem.readouts(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0))[joint]
-        finer = fit_follower(past, measured - rolled, np.concatenate([features, dummies]), rows)
-        if np.std(finer.remaining[rows]) < remaining:
-            offsets = np.r_[0.0, finer.added[len(features) :]]
+        away = measured - rolled
+        middles = np.array([np.median(away[rows & (number == k)]) for k in range(count)])
+        if np.median(np.abs(away - middles[number])[rows]) < remaining:
+            offsets = middles - middles[0]
     return offsets - offsets[_nearest_run(data, joint, offsets, number)]
 
 
