@@ -49,6 +49,10 @@ _LATE = 0.5
 """s, by which it is behind at most."""
 _CLOSER = float(np.log(3.0))
 """By which the logarithm of the remaining variance falls at least at the lag of another clock."""
+_CERTAIN = 0.97
+"""Correlation, and likewise ten times less variance, from which one lag for all rows is that of another clock: a motion
+that is repeated follows itself at other lags."""
+_MUCH_CLOSER = float(np.log(10.0))
 _PIECES = (5.0, 60.0)
 """s, of the parts of a run whose lags are compared: short ones tell a drift, long ones long lags."""
 _SAME_LAG = 0.1
@@ -203,7 +207,8 @@ def _clock_of(pieces: list[_Piece], least: float, drifts: bool) -> tuple[float, 
         return None
     constant = float(np.median(lags))
     if np.abs(lags - constant).max() <= _SAME_LAG:
-        return None if drifts else (0.0, constant)
+        certain = min(piece.any.correlation for piece in follows) > _CERTAIN and closer.mean() > _MUCH_CLOSER
+        return (0.0, constant) if certain and not drifts else None
     if not drifts or len(follows) < 3:
         return None
     middles = np.array([piece.middle for piece in follows])

@@ -9,9 +9,11 @@ from scipy import ndimage
 
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
+from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.rows import TrackingRows, lagged_correlation, quantum, tracking_rows
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
@@ -393,7 +395,10 @@ def with_one_zero(data: TrackingRows, unusable: Mask) -> tuple[TrackingRows, lis
 
 
 def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
-    """`(run,)` rad, the zeros of a joint, from 0, in each run; None where they do not differ."""
+    """`(run,)` rad, the zeros of a joint, from 0, in each run; None where they do not differ.
+
+    Of a declared servo the rollout is taken away first, for what is not linear in it.
+    """
     even = data.recording
     period = data.commands.period
     command = np.asarray(even.commanded_position)
@@ -432,6 +437,13 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
     means = np.array([zeros.remaining[rows & (parts == part)].mean() for part in range(2 * count)])
     if np.abs(means).max() > _STEADY * np.ptp(offsets):
         return None
+    if data.declared and data.has_masses:
+        problem = tracking_problem(data)
+        rolled = problem.readouts(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0))[joint]
+        away = measured - rolled
+        middles = np.array([np.median(away[rows & (number == k)]) for k in range(count)])
+        if np.median(np.abs(away - middles[number])[rows]) < remaining:
+            offsets = middles - middles[0]
     return offsets - offsets[_nearest_run(data, joint, offsets, number)]
 
 
