@@ -83,14 +83,14 @@ _WIDEST = 4 * np.pi
 """rad, beyond which joints of an arm without end do not turn."""
 
 
-class Corrected(NamedTuple):
+class CorrectedColumns(NamedTuple):
     """A recording with corrected columns, and the faults."""
 
     recording: Recording
     found: list[DataFault]
 
 
-def correct_columns(recording: Recording, arm: Arm) -> Corrected:
+def correct_columns(recording: Recording, arm: Arm) -> CorrectedColumns:
     """Puts columns right that hold commands of another clock, or of other joints, signs, units or gears.
 
     Args:
@@ -105,7 +105,7 @@ def correct_columns(recording: Recording, arm: Arm) -> Corrected:
     for correct in (_with_clock, _with_order, _with_signs, _with_ratios):
         recording, more = correct(recording, arm)
         found += more
-    return Corrected(recording, found)
+    return CorrectedColumns(recording, found)
 
 
 def require_motion(even: Recording) -> None:
@@ -148,7 +148,7 @@ class _Piece(NamedTuple):
     usual: Lag
 
 
-def _with_clock(recording: Recording, arm: Arm) -> Corrected:
+def _with_clock(recording: Recording, arm: Arm) -> CorrectedColumns:
     """The recording with commands at the times of the read-outs, where they are of another clock.
 
     Joints are behind their commands by half a second at most, and hardly ahead. Where all are not, by one lag or one
@@ -160,12 +160,12 @@ def _with_clock(recording: Recording, arm: Arm) -> Corrected:
     for long in _PIECES:
         model = model or _clock_of(_pieces(even, long, least), least, drifts=long == min(_PIECES))
     if model is None:
-        return Corrected(recording, [])
+        return CorrectedColumns(recording, [])
     drift, constant = model
     lag = _remaining_lag(recording, arm, drift, constant)
     shifted, has = _at_times(recording, drift, constant - lag)
     numbers = {"shift_s": round(constant - lag, 4), "drift_s_per_s": round(drift, 6), "count": int(np.sum(~has))}
-    return Corrected(shifted.select(has), [DataFault("other_clock", (), numbers)])
+    return CorrectedColumns(shifted.select(has), [DataFault("other_clock", (), numbers)])
 
 
 def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
@@ -226,6 +226,7 @@ def _remaining_lag(recording: Recording, arm: Arm, drift: float, constant: float
     step = _LAG_STEP
     errors: dict[float, float] = {}
     wanted = np.arange(*_LAGS, step)
+    best = 0.0
     while len(wanted):
         for lag in wanted.tolist():  # no row is cut: all rollouts have one length
             shifted, has = _at_times(recording, drift, constant - lag)
@@ -264,7 +265,7 @@ def _correlations(recording: Recording) -> tuple[NDArray[np.integer], Array]:
     return moving, lagged_correlation(command[:, moving], even.joint_position[:, moving], _period(even))
 
 
-def _with_order(recording: Recording, arm: Arm) -> Corrected:
+def _with_order(recording: Recording, arm: Arm) -> CorrectedColumns:
     """The recording with columns that are exchanged put in order, in pairs."""
     moving, best = _correlations(recording)
     size = np.abs(best)
@@ -285,10 +286,10 @@ def _with_order(recording: Recording, arm: Arm) -> Corrected:
                 }
                 side, recording = _nearer(choices, arm)
                 found.append(DataFault("joints_swapped", (), {"joints": [joint + 1 for joint in pair], "side": side}))
-    return Corrected(recording, found)
+    return CorrectedColumns(recording, found)
 
 
-def _with_signs(recording: Recording, arm: Arm) -> Corrected:
+def _with_signs(recording: Recording, arm: Arm) -> CorrectedColumns:
     """The recording with joints that move against their commands turned round."""
     moving, best = _correlations(recording)
     found = []
@@ -300,7 +301,7 @@ def _with_signs(recording: Recording, arm: Arm) -> Corrected:
         }
         side, recording = _nearer(choices, arm)
         found.append(DataFault("joint_sign", (), {"joints": [joint + 1], "side": side}))
-    return Corrected(recording, found)
+    return CorrectedColumns(recording, found)
 
 
 # ------------------------------------------------------------------ units and gears
@@ -313,7 +314,7 @@ class _Ratio(NamedTuple):
     ratio: float
 
 
-def _with_ratios(recording: Recording, arm: Arm) -> Corrected:
+def _with_ratios(recording: Recording, arm: Arm) -> CorrectedColumns:
     """The recording with joints in radians after one gear, where they move much further than commanded, or less."""
     even = even_rows(recording)
     settings = even.settings
@@ -342,7 +343,7 @@ def _with_ratios(recording: Recording, arm: Arm) -> Corrected:
         if ratio.code == "gear":
             numbers |= {"ratio": ratio.ratio}
         found.append(DataFault(ratio.code, (), numbers))
-    return Corrected(recording, found)
+    return CorrectedColumns(recording, found)
 
 
 def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> _Ratio | None:

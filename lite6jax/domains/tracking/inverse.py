@@ -46,7 +46,7 @@ _INERTIA = 1e-9
 
 
 @final
-class Corrected(NamedTuple):
+class FollowedCommands(NamedTuple):
     """Commands, and where the joints are by them.
 
     Attributes:
@@ -88,7 +88,7 @@ def responses(servo: Servo, mass: Array, period: float, longest: float, interpol
 
 def correct(
     follow: Callable[[Array], Array], wanted: Array, response: Array, period: float, limits: Array
-) -> Corrected:
+) -> FollowedCommands:
     """Commands by which joints are where they are wanted, or nearer to it.
 
     Args:
@@ -99,7 +99,7 @@ def correct(
         limits: `(joint, 2)` rad, of commands; where a joint is wanted beyond them, what is wanted.
     """
     around = max(int(_AROUND / period), 1)
-    best = Corrected(wanted.copy(), follow(wanted))
+    best = FollowedCommands(wanted.copy(), follow(wanted))
     farthest = _BEYOND * np.max(np.abs(wanted - best.position), 0)
     lower = np.maximum(wanted - farthest, np.minimum(limits[:, 0], wanted))
     upper = np.minimum(wanted + farthest, np.maximum(limits[:, 1], wanted))
@@ -127,7 +127,7 @@ def correct(
             command = np.where(better, command, best.command)
             position = follow(command)
         error = _rms(wanted - position)
-        best = Corrected(command, position)
+        best = FollowedCommands(command, position)
     return best
 
 

@@ -185,7 +185,7 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
         return None
     clipped = np.minimum(position, level)
     width = max(1, round(_EDGE / data.commands.period))
-    edges = ndimage.binary_dilation(beyond, iterations=width) & rows
+    edges = np.asarray(ndimage.binary_dilation(beyond, iterations=width), bool) & rows
     if np.sqrt(np.mean((clipped - y)[edges] ** 2)) > _EDGES_FIT * max(spread, noise):
         return None
     return end
@@ -276,13 +276,13 @@ def drop_rows_without_torque(data: TrackingRows, unusable: Mask) -> tuple[Mask, 
     found = []
     dropped = unusable.copy()
     numbers_of = np.arange(joints) + 1
-    times = _intervals(off.any(0), data.recording.run, period)
+    times = _intervals(np.asarray(off.any(0)), data.recording.run, period)
     rows = np.zeros_like(unusable)
     assert data.recording.time is not None
     concerned: set[int] = set()
     for first, last in times:
         # a joint falls before it is far away, and needs time to come back
-        begin, end = _whole_absence(away.any(0), data.recording.run, first, last, round(_SHORTEST / period))
+        begin, end = _whole_absence(np.asarray(away.any(0)), data.recording.run, first, last, round(_SHORTEST / period))
         idle = [joint for joint in range(joints) if off[joint, first:last].any() and _idle(data, joint, first, last)]
         if idle:
             rows[begin:end] = True
@@ -336,7 +336,7 @@ def _still(data: TrackingRows) -> Mask:
 
 def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tuple[int, int]]:
     """Where rows are true for long enough, from one up to another, within runs; short breaks do not count."""
-    joined = ndimage.binary_closing(rows, iterations=max(1, round(_JOINED / period / 2))) | rows
+    joined = np.asarray(ndimage.binary_closing(rows, iterations=max(1, round(_JOINED / period / 2))), bool) | rows
     edges = np.flatnonzero(np.diff(np.r_[False, joined, False].astype(int)))
     intervals = []
     for first, last in edges.reshape(-1, 2).tolist():

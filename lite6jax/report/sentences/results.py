@@ -96,9 +96,10 @@ def describe_fleet(fleet: FleetSolution) -> list[str]:
     parameters = counted(fleet.parameters.shape[1], "parameter")
     sentences = [f"{len(position)} of {counted(len(fleet.result), 'fit')} converged, each of {parameters}."]
     if len(position):
+        median = float(np.median(position))
         sentences.append(
             "Of these the position error of the fitted data is "
-            f"{number(1e3 * np.median(position))} mm RMS in the median and {number(1e3 * position.max())} mm at most."
+            f"{number(1e3 * median)} mm RMS in the median and {number(1e3 * position.max())} mm at most."
         )
     for code in sorted(set(fleet.result[~good].tolist())):
         arms = counted(int((fleet.result == code).sum()), "arm")
