@@ -235,10 +235,9 @@ def parse_yaml(text: str, path: str | Path) -> Any:
     try:
         return _construct(path, text)
     except yaml.YAMLError as error:
-        is_marked = isinstance(error, yaml.MarkedYAMLError)
-        mark = error.problem_mark if is_marked else None
+        mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
         where = f" line {mark.line + 1}:" if mark else ""
-        problem = " ".join(str((is_marked and error.problem) or error).split())
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
         # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours
         too_deep = "nesting depth" in problem
         defect = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"
