@@ -232,8 +232,10 @@ class _Lanes:
         values = model.numbers[len(self.unknowns[model.joint]) :]
         at_limits = set[Term]()
         for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
-            for value, (lower, upper) in zip(values[part], self.problem.limits(term), strict=True):
-                if value >= upper - _NEAR * abs(upper) or value <= lower + _NEAR * abs(lower):
+            assert isinstance(term, Effect)
+            bounds = zip(values[part], self.problem.limits(term), term.coordinates, strict=True)
+            for value, (lower, upper), number in bounds:
+                if value >= upper - _NEAR * abs(upper) or value <= lower + _NEAR * max(abs(lower), number.typical):
                     at_limits.add(term)
         return at_limits
 
@@ -281,9 +283,9 @@ class _Lanes:
         return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
 
 
-def _chosen(terms: Terms) -> set[object]:
+def _chosen(terms: Terms) -> list[Term]:
     """The terms that not every joint has."""
-    return {term for term in terms.terms if not isinstance(term, _USUAL)}
+    return [term for term in terms.terms if not isinstance(term, _USUAL)]
 
 
 def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> tuple[Array, Terms, Array]:
@@ -374,12 +376,12 @@ def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
 def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
     """Models without the names that later ones made idle."""
     chosen = {model.joint: model for model in models}
-    waiting = [model for model in models if len(model.terms.terms) > 1]
+    waiting = [model for model in models if len(_chosen(model.terms)) > 1]
     while waiting:
         trials = []
         for model in waiting:
             count = len(lanes.unknowns[model.joint])
-            for left_out in model.terms.terms:
+            for left_out in _chosen(model.terms):
                 kept = [term != left_out for term in model.terms.terms]
                 terms, values = model.terms.part(model.numbers[count:], kept)
                 numbers = np.concatenate([model.numbers[:count], values])
@@ -391,6 +393,6 @@ def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[M
         for model in _best_of_joints(lanes.judged(trials, folds, lanes.problem.valid)):
             if not lanes.is_better(chosen[model.joint], model):
                 chosen[model.joint] = model
-                if len(model.terms.terms) > 1:
+                if len(_chosen(model.terms)) > 1:
                     waiting.append(model)
     return [chosen[joint] for joint in sorted(chosen)]
