@@ -320,6 +320,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
                     growing.append(model.joint)
     models = _without_idle(lanes, models, folds)
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
+    models = lanes.fitted([_within(lanes, model) for model in models], [valid] * len(models), 2 * _STEPS)
     nuisance = np.zeros(len(problem.unknowns))
     values = []
     terms: list[Term] = []
@@ -363,6 +364,17 @@ def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[
     before = {model.joint: lanes.at_limits(model) for model in models}
     likeliest = [model for model in likeliest if lanes.at_limits(model) <= before[model.joint]]
     return _best_of_joints(lanes.judged(likeliest, folds, valid))
+
+
+def _within(lanes: _Lanes, model: JointModel) -> JointModel:
+    """A model without the names, other than usual ones, that went to their limits at last."""
+    beyond = lanes.at_limits(model) & set(_chosen(model.terms))
+    if not beyond:
+        return model
+    count = len(lanes.unknowns[model.joint])
+    terms, values = model.terms.part(model.numbers[count:], [term not in beyond for term in model.terms.terms])
+    numbers = np.concatenate([model.numbers[:count], values])
+    return JointModel(model.joint, terms, numbers, lanes.rolled([(model.joint, terms, numbers[None])])[0][0])
 
 
 def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
