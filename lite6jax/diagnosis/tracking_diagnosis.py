@@ -267,12 +267,13 @@ def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
 
 
 def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: EngineOptions) -> Selection:
-    """The selection of some terms, fitted from these numbers, each weighed beside the others."""
+    """The selection of some terms, fitted from these numbers, each weighed beside the others.
+
+    Noise is white: beside errors of the simulation, fits in autocorrelated noise trade what moves slowly for the rest.
+    """
     baseline = fit(problem, Terms(), options, training=problem.valid)
     both = fit(problem, terms, options, values, training=problem.valid)
-    selector = Selector(problem, options)
-    both = selector.in_likeliest_noise(both)
-    state = selector.weighed(State(baseline, both, tuple(SelectedTerm(term) for term in terms.terms)))
+    state = Selector(problem, options).weighed(State(baseline, both, tuple(SelectedTerm(term) for term in terms.terms)))
     tested = tuple(replace(one, p_value=min(float(np.exp(-one.net)), 1.0)) for one in state.tested)
     return Selection(problem, problem, replace(state, tested=tested))
 

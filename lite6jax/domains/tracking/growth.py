@@ -30,8 +30,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-_WORTH = 0.01
-"""Share of a joint's errors in held-out rows by which a name lowers them at least."""
+_WORTH = 0.1
+"""Share of a joint's errors in held-out rows by which a name lowers them at least: in other motions less does not
+show."""
+_USUALLY_WORTH = 0.01
+"""The same of the names that describe any servo."""
 _MARGIN = 3.0
 """Log odds that a name gains in held-out rows, beyond the cost of its choice."""
 _NEAR = 0.01
@@ -220,16 +223,19 @@ class _Lanes:
         error = (simpler.readout - self.measured[model.joint])[self.problem.valid]
         independent = len(error) / autocorrelation_time(error[None])
         gain = independent * np.log(simpler.error / model.error)
-        needed = _MARGIN + np.log(self.choices) if _chosen(model.terms) != _chosen(simpler.terms) else 0.0
-        return bool(model.error < (1 - _WORTH) * simpler.error and gain > needed)
+        if _chosen(model.terms) == _chosen(simpler.terms):
+            return bool(model.error < (1 - _USUALLY_WORTH) * simpler.error)
+        return bool(model.error < (1 - _WORTH) * simpler.error and gain > _MARGIN + np.log(self.choices))
 
     def at_limits(self, model: JointModel) -> set[Term]:
-        """The names of which a number is at one of its limits, other than zero."""
+        """The names of which a number is at one of its limits."""
         values = model.numbers[len(self.unknowns[model.joint]) :]
         at_limits = set[Term]()
         for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
-            for value, (lower, upper) in zip(values[part], self.problem.limits(term), strict=True):
-                if value >= upper - _NEAR * abs(upper) or (lower and value <= lower + _NEAR * abs(lower)):
+            assert isinstance(term, Effect)
+            bounds = zip(values[part], self.problem.limits(term), term.coordinates, strict=True)
+            for value, (lower, upper), number in bounds:
+                if value >= upper - _NEAR * abs(upper) or value <= lower + _NEAR * max(abs(lower), number.typical):
                     at_limits.add(term)
         return at_limits
 
@@ -277,9 +283,9 @@ class _Lanes:
         return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
 
 
-def _chosen(terms: Terms) -> set[object]:
+def _chosen(terms: Terms) -> list[Term]:
     """The terms that not every joint has."""
-    return {term for term in terms.terms if not isinstance(term, _USUAL)}
+    return [term for term in terms.terms if not isinstance(term, _USUAL)]
 
 
 def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> tuple[Array, Terms, Array]:
@@ -314,6 +320,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
                     growing.append(model.joint)
     models = _without_idle(lanes, models, folds)
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
+    models = lanes.fitted([_within(lanes, model) for model in models], [valid] * len(models), 2 * _STEPS)
     nuisance = np.zeros(len(problem.unknowns))
     values = []
     terms: list[Term] = []
@@ -359,6 +366,17 @@ def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[
     return _best_of_joints(lanes.judged(likeliest, folds, valid))
 
 
+def _within(lanes: _Lanes, model: JointModel) -> JointModel:
+    """A model without the names, other than usual ones, that went to their limits at last."""
+    beyond = lanes.at_limits(model) & set(_chosen(model.terms))
+    if not beyond:
+        return model
+    count = len(lanes.unknowns[model.joint])
+    terms, values = model.terms.part(model.numbers[count:], [term not in beyond for term in model.terms.terms])
+    numbers = np.concatenate([model.numbers[:count], values])
+    return JointModel(model.joint, terms, numbers, lanes.rolled([(model.joint, terms, numbers[None])])[0][0])
+
+
 def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
     best: dict[int, JointModel] = {}
     for model in models:
@@ -370,12 +388,12 @@ def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
 def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
     """Models without the names that later ones made idle."""
     chosen = {model.joint: model for model in models}
-    waiting = [model for model in models if len(model.terms.terms) > 1]
+    waiting = [model for model in models if len(_chosen(model.terms)) > 1]
     while waiting:
         trials = []
         for model in waiting:
             count = len(lanes.unknowns[model.joint])
-            for left_out in model.terms.terms:
+            for left_out in _chosen(model.terms):
                 kept = [term != left_out for term in model.terms.terms]
                 terms, values = model.terms.part(model.numbers[count:], kept)
                 numbers = np.concatenate([model.numbers[:count], values])
@@ -387,6 +405,6 @@ def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[M
         for model in _best_of_joints(lanes.judged(trials, folds, lanes.problem.valid)):
             if not lanes.is_better(chosen[model.joint], model):
                 chosen[model.joint] = model
-                if len(model.terms.terms) > 1:
+                if len(_chosen(model.terms)) > 1:
                     waiting.append(model)
     return [chosen[joint] for joint in sorted(chosen)]
