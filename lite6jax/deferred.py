@@ -45,7 +45,8 @@ else:
         """A function that `jax.jit` takes when it is first called."""
 
         def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-            self._function, self._options = function, options
+            self._function = function
+            self._options = options
             update_wrapper(self, function)
 
         def __call__(self, *args: Any, **kwargs: Any) -> Any:
@@ -64,7 +65,9 @@ else:
     class Array(metaclass=_Arrays):
         """As `jax.Array` in annotations and for `isinstance`."""
 
-    jax, jnp, lax = _Module("jax"), _Module("jax.numpy"), _Module("jax.lax")
+    jax = _Module("jax")
+    jnp = _Module("jax.numpy")
+    lax = _Module("jax.lax")
     ArrayLike = Any
 
     def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:

@@ -72,11 +72,13 @@ class ModelForm:
         n = self.chain.size
         geometry, T_sensor_base, T_flange_tool = model
         if self.frame:
-            shift, spin = step[n : n + 3], step[n + 3 : n + 6]
+            shift = step[n : n + 3]
+            spin = step[n + 3 : n + 6]
             R = rotation_exp(spin) @ T_sensor_base[:3, :3]
             T_sensor_base = transform(R, T_sensor_base[:3, 3] + shift)
         if self.tool:
-            shift, spin = step[-6:-3], step[-3:]
+            shift = step[-6:-3]
+            spin = step[-3:]
             R = T_flange_tool[:3, :3] @ rotation_exp(spin)
             T_flange_tool = transform(R, T_flange_tool[:3, 3] + shift)
         return ArmModel(geometry + step[:n], T_sensor_base, T_flange_tool)

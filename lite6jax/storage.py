@@ -251,7 +251,8 @@ def parse_yaml(text: str, path: str | Path) -> Any:
 
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_RESOLVER, _CONSTRUCTOR = yaml.resolver.Resolver(), yaml.constructor.SafeConstructor()
+_RESOLVER = yaml.resolver.Resolver()
+_CONSTRUCTOR = yaml.constructor.SafeConstructor()
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {f"{_TAG}{kind}" for kind in ("str", "int", "float", "bool", "null", "timestamp")}
 _REAL = re.compile(r"[-+]?[0-9]{1,20}\.[0-9]{0,30}(?:[eE][-+][0-9]{1,4})?")
@@ -260,7 +261,9 @@ _WORDS = {"yes", "no", "on", "off", "true", "false", "null"}
 
 def _construct(path: str | Path, text: str) -> Any:
     """What a YAML text holds, in one pass over its events: of thousands of files, no parser of trees is as fast."""
-    events, anchors, count = yaml.parse(text, Loader=_LOADER), dict[str, tuple[Any, int]](), 0
+    events = yaml.parse(text, Loader=_LOADER)
+    anchors = dict[str, tuple[Any, int]]()
+    count = 0
 
     def refuse(event: Any, problem: str) -> InputError:
         return InputError(f"{path}: line {event.start_mark.line + 1}: {problem}")
@@ -304,7 +307,8 @@ def _construct(path: str | Path, text: str) -> Any:
         return value
 
     def read_scalar(event: yaml.ScalarEvent) -> Any:
-        text, tag = event.value, event.tag
+        text = event.value
+        tag = event.tag
         if tag is None and event.implicit[0]:
             if _REAL.fullmatch(text):
                 return float(text)
@@ -319,7 +323,8 @@ def _construct(path: str | Path, text: str) -> Any:
     next(events)  # of the stream
     if isinstance(next(events), yaml.StreamEndEvent):
         raise InputError(f"{path}: is empty")
-    value, _ = read(next(events)), next(events)
+    value = read(next(events))
+    _ = next(events)
     if not isinstance(after := next(events), yaml.StreamEndEvent):
         raise refuse(after, "not valid YAML (a second document); correct the file")
     return value

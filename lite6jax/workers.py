@@ -308,7 +308,8 @@ class _Process:
     """A process of this machine, in whose place another comes where it died or has grown."""
 
     def __init__(self, imports: tuple[str, ...]) -> None:
-        self._imports, self._is_over = imports, False
+        self._imports = imports
+        self._is_over = False
         self._start()
 
     def _start(self) -> None:
@@ -316,7 +317,8 @@ class _Process:
         self._connection, theirs = context.Pipe()
         ends, self._lifeline = context.Pipe(duplex=False)
         self._process = context.Process(target=_serve, args=(theirs, ends, self._imports), daemon=True)
-        self._is_ready, self._resident = False, 0
+        self._is_ready = False
+        self._resident = 0
         # it inherits a blocked Ctrl-C, which is this process's to answer
         blocks = hasattr(signal, "pthread_sigmask")
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
@@ -383,7 +385,8 @@ class Processes:
 
     def __init__(self, count: int, imports: tuple[str, ...] = ()) -> None:
         """Starts nothing; the modules `imports` are imported by each at once."""
-        self.room, self._imports = count, imports
+        self.room = count
+        self._imports = imports
 
     def __enter__(self) -> "Processes":
         self._all = [_Process(self._imports) for _ in range(self.room)]

@@ -178,10 +178,13 @@ class HayatiForm:
 
     def of_link(self, joint: int) -> tuple[str, ...]:
         """The parameters of the link after a joint counted from 0, in order of application; of -1, of the base."""
-        last, slides, parallel = joint == self.dof - 1, joint in self.sliding, joint in self.parallel
+        last = joint == self.dof - 1
+        slides = joint in self.sliding
+        parallel = joint in self.parallel
         if joint == -1:
             if 0 not in self.sliding:
-                along, about = "xyz"[self.first_axis], ("roll", "pitch", "yaw")[self.first_axis]
+                along = "xyz"[self.first_axis]
+                about = ("roll", "pitch", "yaw")[self.first_axis]
                 return tuple(name for name in BASE if name not in (along, about))
             return ("pitch", "roll") if parallel else ("yaw", "roll")
         if joint + 1 in self.sliding:
@@ -251,19 +254,22 @@ class HayatiForm:
         """The frame after the motion and the link of one joint, and the twists of the joint's parameters."""
         theta = values[0]
         offset = turn(theta)
-        about_z, along_z = rotation_twist(frame, Z), frame.z
+        about_z = rotation_twist(frame, Z)
+        along_z = frame.z
         frame = rotate(
             frame,
             Z,
             Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin),
         )
-        along_x, along_y = Twist(frame.x, None), Twist(frame.y, None)
+        along_x = Twist(frame.x, None)
+        along_y = Twist(frame.y, None)
         if joint.shift is not None:
             _, d, a, b, alpha, beta = values
             frame = translate(translate(translate(frame, Z, d + joint.shift), X, a), Y, b)
         else:
             _, second, a, alpha = values
-            d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
+            d = jnp.where(flag, 0.0, second)
+            beta = jnp.where(flag, second, 0.0)
             frame = translate(translate(frame, Z, d), X, a)
         frame, about_x = _turn_frame(frame, X, alpha)
         frame, about_y = _turn_frame(frame, Y, beta)
@@ -278,7 +284,8 @@ class HayatiForm:
         Raises:
             InputError: a wrong shape, or a number that is not zero where the form has no parameter.
         """
-        base, links = np.asarray(base, float), np.asarray(links, float)
+        base = np.asarray(base, float)
+        links = np.asarray(links, float)
         if base.shape[-1:] != (len(BASE),) or links.shape[-2:] != (self.dof, len(LINK)):
             raise InputError(f"base {base.shape}, links {links.shape}: this form takes (6,) and ({self.dof}, 6)")
         full_parameters = np.concatenate([base, links.reshape(*links.shape[:-2], -1)], -1)

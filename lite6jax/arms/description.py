@@ -159,7 +159,9 @@ def _inertial(value: Any, where: str, joints: int) -> dict[str, Array]:
     """The fields of `Arm` that say what its links are."""
     names = [f"link{i + 1}" for i in range(joints)]
     links = entries.mapping(value, f"{where}: inertial", names)
-    masses, centers, tensors = [], [], []
+    masses = []
+    centers = []
+    tensors = []
     for name in names:
         place = f"{where}: inertial: {name}"
         link = entries.mapping(links[name], place, ("mass_kg", "com_m"), ("inertia_kg_m2",))

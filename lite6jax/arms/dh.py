@@ -93,9 +93,11 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
             theta = _nearest_direction(np.arctan2(normal[1], normal[0]), guess[0])
         else:
             theta = np.zeros_like(p[0])
-        c, s = np.cos(theta), np.sin(theta)
+        c = np.cos(theta)
+        s = np.sin(theta)
         # in the frame turned by theta u is (sin β, −sin α cos β, cos α cos β); β is zero where axes are not parallel
-        across, sine = c * u[0] + s * u[1], s * u[0] - c * u[1]
+        across = c * u[0] + s * u[1]
+        sine = s * u[0] - c * u[1]
         at = foot if parallel else p
         opposite = nominal is None and parallel and not last
         link_parameters = {
@@ -438,7 +440,8 @@ def _reader(units: Any, where: str) -> _Read:
     lengths, angles = ([unit for word in words for unit, of in _UNITS[kind].items() if word in of] for kind in (0, 1))
     if (len(words), len(lengths), len(angles)) != (2, 1, 1):
         raise InputError(f"{where} is {str(units)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")
-    millimetres, degrees = lengths == ["mm"], angles == ["deg"]
+    millimetres = lengths == ["mm"]
+    degrees = angles == ["deg"]
 
     def read(key: str, value: Any, where: str) -> float:
         number = _decimal(value, f"{where}: {key}")

@@ -103,7 +103,9 @@ class _Step(NamedTuple):
 def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
     """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
     every step into each of its uses, compute it anew there, and compile for a minute."""
-    R, p, (cos, sin, shift) = se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], joint
+    R = se3.rotation_from_rpy(kinematics[:, 3:])
+    p = kinematics[:, :3]
+    cos, sin, shift = joint
     if shift is None:
         return _Step(R, p, cos, sin, dq, ddq)
     slides = np.isin(np.arange(len(dq)), sliding)
@@ -149,7 +151,8 @@ def _next(motion: _Motion, step: _Step) -> _Motion:
 
 def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
     """The rows of [α]ₓ + [ω]ₓ², which takes a point of the link to its acceleration relative to the origin."""
-    (x, y, z), (ax, ay, az) = motion.spin, motion.spin_rate
+    x, y, z = motion.spin
+    ax, ay, az = motion.spin_rate
     return (
         (-y * y - z * z, x * y - az, x * z + ay),
         (x * y + az, -x * x - z * z, y * z - ax),
@@ -177,7 +180,8 @@ def regressor(
     Returns:
         (joint, 10 × joint, sample) such that `inverse_dynamics` is its product with the parameters, link after link.
     """
-    kinematics, gravity = jnp.asarray(kinematics, float), jnp.asarray(gravity, float)
+    kinematics = jnp.asarray(kinematics, float)
+    gravity = jnp.asarray(gravity, float)
     motion = jnp.stack([jnp.asarray(value, float) for value in (q, dq, ddq)])
     joints, samples = motion.shape[1:]
     size = min(samples, _CHUNK)
@@ -230,8 +234,12 @@ def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
 
     By virtual work: the link's inertial force times the velocity of its origin, plus its moment times the axis.
     """
-    D, a, w, dw = _rotation_rate(motion), motion.acceleration, motion.spin, motion.spin_rate
-    turned, u = _cross(a, axis), _cross(axis, w)
+    D = _rotation_rate(motion)
+    a = motion.acceleration
+    w = motion.spin
+    dw = motion.spin_rate
+    turned = _cross(a, axis)
+    u = _cross(axis, w)
     mass = velocity[0] * a[0] + velocity[1] * a[1] + velocity[2] * a[2]
     first = [velocity[0] * D[0][k] + velocity[1] * D[1][k] + velocity[2] * D[2][k] + turned[k] for k in range(3)]
     moments = [axis[k] * dw[k] + u[k] * w[k] for k in range(3)]
@@ -389,7 +397,8 @@ def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt
     Raises:
         InputError: reference links that are no bodies.
     """
-    values, reference = np.asarray(values, float), np.asarray(reference, float)
+    values = np.asarray(values, float)
+    reference = np.asarray(reference, float)
     if not is_consistent(reference):
         raise InputError("the reference links are no bodies; give such as bodies_near gives")
     # in coordinates in which every reference link's pseudo-inertia is the identity
@@ -397,7 +406,8 @@ def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt
     to_parameters = _block_diagonal(np.stack([_parameters_of(root @ _SYMMETRIC @ root.T).T for root in roots]))
     G = base.grouping @ to_parameters
     Q, R = np.linalg.qr(G.T)
-    C, d = Q.T, np.linalg.solve(R.T, values)
+    C = Q.T
+    d = np.linalg.solve(R.T, values)
     start = np.tile(_coordinates(np.eye(4)), len(reference))
     y = _constrained(start, C, d)
     exact = True
@@ -518,7 +528,8 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
             length *= 0.5
         else:
             break
-        y, multiplier = y + length * step, multiplier + length * turn
+        y = y + length * step
+        multiplier = multiplier + length * turn
         if length == 1.0 and np.linalg.norm(step) < 1e-9 * np.linalg.norm(y):
             break
     return y if np.linalg.norm(C @ y - d) <= 1e-12 * (1 + np.linalg.norm(d)) else None
@@ -529,7 +540,8 @@ def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:
     for weight in 10.0 ** np.arange(6, np.log10(_NEAR / 2) - 0.5, -1):
         for _ in range(_STEPS):
             value, gradient, Hessian = _divergence(y)
-            slope, objective = A.T @ (A @ y - b) + weight * gradient, 0.5 * np.sum((A @ y - b) ** 2) + weight * value
+            slope = A.T @ (A @ y - b) + weight * gradient
+            objective = 0.5 * np.sum((A @ y - b) ** 2) + weight * value
             step = np.linalg.solve(A.T @ A + weight * Hessian, -slope)
             fall = -slope @ step
             length = 1.0

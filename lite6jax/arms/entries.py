@@ -23,7 +23,8 @@ UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"
 TYPES = ("revolute", "prismatic")
 """What the joints of a description can be; the first where nothing is said."""
 
-STANDARD, MODIFIED = "standard", "modified"
+STANDARD = "standard"
+MODIFIED = "modified"
 _CONVENTIONS = {STANDARD: STANDARD, "dh": STANDARD, "sdh": STANDARD, "distal": STANDARD} | dict.fromkeys(
     (MODIFIED, "mdh", "craig", "proximal"), MODIFIED
 )
@@ -149,7 +150,8 @@ def kinematics(value: Any, where: str, typed: bool = False) -> tuple[Array, tupl
     for key in keys:
         if key not in joints:
             raise InputError(f"{where}: kinematics has the unknown joint {key!r}; {suggestion(key, joints)}")
-    rows, sliding = [], []
+    rows = []
+    sliding = []
     for i, (joint, name) in enumerate(zip(joints, names, strict=True)):
         if joint not in keys:
             raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")

@@ -247,7 +247,8 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
         )
     distances = np.array([_distances(links, after, [model])[0] for model, links, after in chains])
     order = np.argsort(distances)
-    nearest, chosen = distances[order[0]], chains[order[0]]
+    nearest = distances[order[0]]
+    chosen = chains[order[0]]
     if arm is not None and nearest > RECOGNISED_WITHIN:
         raise InputError(
             f"{path}: its deviations are not those of a {arm.name}: its flange would be {1e3 * nearest:.0f} mm RMS off"

@@ -19,7 +19,8 @@ def _cos_sin(angle: Array) -> tuple[Array, Array]:
     turns = angle / _QUARTER
     exact = (turns == np.round(turns)) & (np.abs(turns) < 8)
     quarter = np.where(exact, turns, 0.0).astype(int) % 4
-    cos, sin = np.array([1.0, 0.0, -1.0, 0.0])[quarter], np.array([0.0, 1.0, 0.0, -1.0])[quarter]
+    cos = np.array([1.0, 0.0, -1.0, 0.0])[quarter]
+    sin = np.array([0.0, 1.0, 0.0, -1.0])[quarter]
     return np.where(exact, cos, np.cos(angle)), np.where(exact, sin, np.sin(angle))
 
 
@@ -29,7 +30,8 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
     They are exact at multiples of a quarter turn.
     """
     cos, sin = _cos_sin(np.asarray(rpy, float))
-    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(cos, -1, 0), np.moveaxis(sin, -1, 0)
+    cr, cp, cy = np.moveaxis(cos, -1, 0)
+    sr, sp, sy = np.moveaxis(sin, -1, 0)
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -145,7 +147,10 @@ def walk(
         if i in sliding:
             T[..., 3] += q * T[..., 2]
         else:
-            cos, sin, x, y = np.cos(q), np.sin(q), T[..., 0], T[..., 1]
+            cos = np.cos(q)
+            sin = np.sin(q)
+            x = T[..., 0]
+            y = T[..., 1]
             T[..., 0], T[..., 1] = cos * x + sin * y, cos * y - sin * x
         yield T
 
@@ -196,7 +201,8 @@ def align_frames(links: Array, nominal: Array | None = None) -> Array:
 
 TENSOR_ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 """The order of a tensor's six numbers in descriptions and in link parameters."""
-_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+_ROWS = (0, 1, 2, 0, 0, 1)
+_COLUMNS = (0, 1, 2, 1, 2, 2)
 
 ROUNDED = 1e-3
 """Of the largest principal moment: how far files that round to three or four digits miss the triangle inequality."""

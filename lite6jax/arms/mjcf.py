@@ -76,7 +76,8 @@ def read_chain(
     for b, body in enumerate(bodies[1:], 1):
         parent = bodies[model.body_parentid[b]]
         T = _pose(model.body_pos[b], model.body_quat[b])
-        first, count = model.body_jntadr[b], model.body_jntnum[b]
+        first = model.body_jntadr[b]
+        count = model.body_jntnum[b]
         for j in range(first, first + count):
             # the link that a joint moves has its frame at the joint's anchor; the body's own frame is fixed to it
             anchor = frames.transform_from_row([*model.jnt_pos[j], 0, 0, 0])
@@ -189,7 +190,8 @@ def _compiled(path: str | Path) -> Any:
 
 def _pose(position: Array, quaternion: Array) -> Array:
     """(4, 4) of a position, and a quaternion whose scalar is first."""
-    T, R = np.eye(4), np.empty(9)
+    T = np.eye(4)
+    R = np.empty(9)
     import_module("mujoco").mju_quat2Mat(R, quaternion / np.linalg.norm(quaternion))
     T[:3, :3], T[:3, 3] = R.reshape(3, 3), position
     return T

@@ -18,7 +18,8 @@ _SERIES_BELOW = 1e-4
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Rotation matrices `(..., 3, 3)` from roll, pitch, yaw `(..., 3)`: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
     rpy = jnp.asarray(rpy)
-    (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)
+    sr, sp, sy = jnp.moveaxis(jnp.sin(rpy), -1, 0)
+    cr, cp, cy = jnp.moveaxis(jnp.cos(rpy), -1, 0)
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -35,10 +36,15 @@ def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
     """
     trace = R[0][0] + R[1][1] + R[2][2]
     pivots = [1 + trace, *(1 + 2 * R[i][i] - trace for i in range(3))]
-    a, b, c = R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]
-    d, e, f = R[1][0] + R[0][1], R[0][2] + R[2][0], R[2][1] + R[1][2]
+    a = R[2][1] - R[1][2]
+    b = R[0][2] - R[2][0]
+    c = R[1][0] - R[0][1]
+    d = R[1][0] + R[0][1]
+    e = R[0][2] + R[2][0]
+    f = R[2][1] + R[1][2]
     candidates = [(pivots[0], a, b, c), (a, pivots[1], d, e), (b, d, pivots[2], f), (c, e, f, pivots[3])]
-    chosen, pivot = candidates[0], pivots[0]
+    chosen = candidates[0]
+    pivot = pivots[0]
     for i in range(1, 4):
         larger = pivots[i] > pivot
         pivot = jnp.where(larger, pivots[i], pivot)
@@ -56,12 +62,15 @@ def rotation_log_components(R) -> tuple[Array, Array, Array]:
     """
     w, x, y, z = quaternion_components(R)
     inverse = 1 / (1 + w)
-    x, y, z = x * inverse, y * inverse, z * inverse
+    x = x * inverse
+    y = y * inverse
+    z = z * inverse
     t2 = x * x + y * y + z * z
     factor = 4.0
     for _ in range(2):  # arctan t = 2 arctan(t / h), h = 1 + √(1 + t²)
         h = 1 / (1 + jnp.sqrt(1 + t2))
-        t2, factor = t2 * h * h, 2 * factor * h
+        t2 = t2 * h * h
+        factor = 2 * factor * h
     series = jnp.zeros(())
     for k in reversed(range(12)):
         series = series * t2 + (-1) ** k / (2 * k + 1)
@@ -104,14 +113,17 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """Rigid transforms `(..., 4, 4)` of rotations `(..., 3, 3)` and translations `(..., 3)` in m."""
-    R, p = jnp.asarray(R), jnp.asarray(p)
+    R = jnp.asarray(R)
+    p = jnp.asarray(p)
     shape = jnp.broadcast_shapes(R.shape[:-2], p.shape[:-1])
     top = jnp.concatenate([jnp.broadcast_to(R, (*shape, 3, 3)), jnp.broadcast_to(p, (*shape, 3))[..., None]], -1)
     bottom = jnp.broadcast_to(jnp.array([0.0, 0.0, 0.0, 1.0]), (*shape, 1, 4))
     return jnp.concatenate([top, bottom], -2)
 
 
-X, Y, Z = 0, 1, 2
+X = 0
+Y = 1
+Z = 2
 
 
 class Frame(NamedTuple):
@@ -159,7 +171,8 @@ def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
 def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
     """The frame rotated about its own axis."""
     axes = [frame.x, frame.y, frame.z]
-    b, c = (axis + 1) % 3, (axis + 2) % 3
+    b = (axis + 1) % 3
+    c = (axis + 2) % 3
     axes[b], axes[c] = by.cos * axes[b] + by.sin * axes[c], by.cos * axes[c] - by.sin * axes[b]
     return Frame(axes[0], axes[1], axes[2], frame.origin)
 
@@ -176,7 +189,8 @@ def displace(frame: Frame, twist: Array) -> Frame:
     sine, versine = _rodrigues(jnp.sum(w * w, 0))
     axes = []
     for i in range(3):  # column i of 1 + sine [w] + versine (w wᵀ − |w|²), Rodrigues' formula
-        j, k = (i + 1) % 3, (i + 2) % 3
+        j = (i + 1) % 3
+        k = (i + 2) % 3
         along = 1 - versine * (w[j] * w[j] + w[k] * w[k])
         axes.append(
             along * frame[i]

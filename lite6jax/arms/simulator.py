@@ -125,7 +125,8 @@ class Simulator:
         first = 0
         for sample in range(len(command)):
             if begins[sample]:
-                first, taken = sample, 0
+                first = sample
+                taken = 0
                 mujoco.mj_resetData(model, data)
                 data.ctrl[controls] = gear * command[sample]
                 mujoco.mj_step(model, data, nstep=int(np.ceil(self.delay / step)) + 1)  # fills buffers of delays

@@ -228,7 +228,8 @@ def _links_below(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
     below: dict[str, list[Joint]] = {}
     for joint in joints:
         below.setdefault(joint.parent, []).append(joint)
-    poses, waiting = [], [(link, IDENTITY)]
+    poses = []
+    waiting = [(link, IDENTITY)]
     while waiting:
         name, T = waiting.pop()
         waiting += [(j.child, T @ frames.transform_from_row(j.row)) for j in below.get(name, [])]
@@ -317,9 +318,11 @@ def _chain_without(path: str | Path, tree: Tree, place: int) -> str:
     joint = tree.chain[place]
     before = _movable(tree.chain[:place])
     after = _movable(tree.chain[place + 1 :])
-    option, chain = f"--tip {joint.parent}", joint.parent
+    option = f"--tip {joint.parent}"
+    chain = joint.parent
     if len(after) > len(before) or not before:
-        option, chain = f"--base {joint.child}", f"{joint.child}:{tree.tip}"
+        option = f"--base {joint.child}"
+        chain = f"{joint.child}:{tree.tip}"
     elif tree.base in {tree_joint.child for tree_joint in tree.joints}:
         chain = f"{tree.base}:{joint.parent}"
     return f"name a chain without it with {option}, or as {Path(path).name}#{chain} where a file is named"

@@ -138,7 +138,8 @@ def _name(element: ET.Element, path: str | Path) -> str:
 def _joint(element: ET.Element, path: str | Path) -> Joint:
     name = _name(element, path)
     kind = element.get("type", "")
-    where, refused = f"{path}: joint {name!r}", f"is {kind};"
+    where = f"{path}: joint {name!r}"
+    refused = f"is {kind};"
     parent, child = (_attribute(element, tag, "link", where) for tag in ("parent", "child"))
     axis = np.array([1.0, 0.0, 0.0])  # URDF's default
     if (entry := element.find("axis")) is not None:
@@ -306,7 +307,8 @@ def write_into_urdf(
             f" {arm.dof}{slides[1]}"
         )
     for i, (T, before) in enumerate(zip(arm.links, old.links, strict=True), 1):
-        moved, turned = np.linalg.norm(T[:3, 3] - before[:3, 3]), np.linalg.norm(T[:3, :3] - before[:3, :3])
+        moved = np.linalg.norm(T[:3, 3] - before[:3, 3])
+        turned = np.linalg.norm(T[:3, :3] - before[:3, :3])
         if moved > _FAR[0] or turned > _FAR[1]:
             raise InputError(
                 f"{robot}: the frame of joint {i} stands {1e3 * moved:.3g} mm and {turned:.2g} rad from that of "

@@ -29,7 +29,8 @@ def keep_compiled_code() -> None:
         folder = cache_folder()
     except RuntimeError:  # an account without a home
         return
-    loaded, from_environment = sys.modules.get("jax"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    loaded = sys.modules.get("jax")
+    from_environment = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     # JAX_COMPILATION_CACHE_DIR, or a folder of the program's; a process that this one starts has what is set here
     if (from_environment if loaded is None else loaded.config.jax_compilation_cache_dir) not in (None, "", str(folder)):
         return

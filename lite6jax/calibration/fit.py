@@ -75,7 +75,8 @@ def fit_calibration(
     pose = calibration_poses(calibration, q)
     form = ModelForm(arm.form)
     start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
-    nothing, all_free = np.zeros(form.size), np.ones(form.size, bool)
+    nothing = np.zeros(form.size)
+    all_free = np.ones(form.size, bool)
     problem = CalibrationProblem(arm, form, start, q[:samples], pose[:samples], (1.0, 1 / LEVER), nothing, all_free)
     estimate = solve(problem, solver=solver, max_steps=max_steps)
     errors = prediction_errors(form, estimate.model, q, pose)
@@ -134,7 +135,8 @@ def fit_recording(
     prior about nominal, `TOLERANCE`: what the data do not determine stays there.
     """
     problem = recording_problem(recording, nominal, geometry)
-    form, chain = problem.form, problem.form.chain
+    form = problem.form
+    chain = problem.form.chain
     subset = spread_rows(recording.samples, MOST_SPREAD)
     spread = subset if len(subset) < recording.samples else slice(None)
     information = _information(problem.select(subset), recording.source)
@@ -216,8 +218,10 @@ def _free_of_frames(
     Nothing is known of an unknown frame or tool beforehand. So a number of the geometry that does what they do is held,
     or they would take over its uncertainty; and of a frame or a tool, what the data do not show.
     """
-    form, movable = problem.form, problem.movable
-    size, geometry = form.size, form.chain.size
+    form = problem.form
+    movable = problem.movable
+    size = form.size
+    geometry = form.chain.size
     scale = np.sqrt(np.maximum(np.diagonal(information), np.finfo(float).tiny))
     H = information / scale[:, None] / scale
     units = np.array(form.units)
@@ -316,7 +320,8 @@ def _covariance(
     problem: CalibrationProblem, free: NDArray[np.bool_], estimate: ArmEstimate, freedom: float | None, fitted: float
 ) -> Array:
     """The covariance of the entries of a step; the prior's precision is added to the data's information."""
-    inside, prior = np.ix_(free, free), np.diag(problem.precision[free])
+    inside = np.ix_(free, free)
+    prior = np.diag(problem.precision[free])
     numbers = len(problem.pose) * problem.rows
     if freedom is None:
         factor = estimate.scale**2 * numbers / max(numbers - fitted, 1)

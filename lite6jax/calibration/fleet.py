@@ -109,7 +109,8 @@ def fit_fleet(
     from lite6jax.recordings.units import real_array
 
     arm = _load_type(nominal)
-    q, T = real_array("joint_position", joint_position), real_array("T_base_flange", T_base_flange)
+    q = real_array("joint_position", joint_position)
+    T = real_array("T_base_flange", T_base_flange)
     if T.ndim != 4 or T.shape[2:] != (4, 4):
         raise InputError(f"T_base_flange of shape {T.shape}: give (arm, sample, 4, 4)")
     arms, samples = T.shape[:2]
@@ -218,7 +219,8 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     count = len(kinematics)
     # filled up to whole chunks, so that batches of any size share compiled code
     filled = np.minimum(np.arange(-(-count // CHUNK) * CHUNK), count - 1)
-    kinematics, T_joint_flange = kinematics[filled], T_joint_flange[filled]
+    kinematics = kinematics[filled]
+    T_joint_flange = T_joint_flange[filled]
     q = np.concatenate([sample_within_limits(arm, SAMPLES, 0), check_positions(arm)])
 
     def errors(parameters: Array) -> Array:
@@ -240,13 +242,15 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
 
     parameters, _ = closed_form(arm.form, kinematics, arm.hayati)
     error_statistics = errors(parameters)
-    result, steps = np.full(len(filled), Result.CONVERGED, np.int32), np.zeros(len(filled), np.int32)
+    result = np.full(len(filled), Result.CONVERGED, np.int32)
+    steps = np.zeros(len(filled), np.int32)
     inexact = ~(np.max(error_statistics[:, :2, [1, 3]], (1, 2)) <= EXACT)
     if inexact.any():
         poses = _chain_poses(kinematics, q[:SAMPLES], arm.sliding) @ T_joint_flange[:, None]
         solution = fit_fleet(q[:SAMPLES], poses, nominal=arm)
         parameters = np.where(inexact[:, None], solution.parameters, parameters)
-        result, steps = np.where(inexact, solution.result, result), np.where(inexact, solution.steps, steps)
+        result = np.where(inexact, solution.result, result)
+        steps = np.where(inexact, solution.steps, steps)
         error_statistics = errors(parameters)
     return FittedCalibrations(result[:count], steps[:count], parameters[:count], error_statistics[:count])
 

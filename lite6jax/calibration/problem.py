@@ -102,7 +102,8 @@ class CalibrationProblem:
     def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "CalibrationProblem":
         """With some of the samples."""
         by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
-        q, pose = self.joint_position[samples], self.pose[samples]
+        q = self.joint_position[samples]
+        pose = self.pose[samples]
         return replace(self, joint_position=q, pose=pose, by_joints=by_joints, spread=spread)
 
 
@@ -140,7 +141,8 @@ def declared_geometry(
     from nominal; of touches the six-parameter chain, near nominal). A `factory` calibration that is given replaces the
     sidecar's, its uncertainty included.
     """
-    settings, folder = recording.settings, Path(recording.source).parent
+    settings = recording.settings
+    folder = Path(recording.source).parent
     arm = arm or arm_of(recording)
     if recording.dof != arm.dof:
         raise InputError(
@@ -171,7 +173,8 @@ def declared_geometry(
         )
     touches = recording.touches
     # touches tell nothing of a frame but where all points are known in it
-    frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
+    frame = settings.pose_frame != "base"
+    tool = settings.tool == "unknown"
     if touches is not None:
         points = settings.contact_points or {}
         frame = (
@@ -211,7 +214,8 @@ def recording_problem(
             factory calibration where there is none.
     """
     arm, prior_calibration, form, values, movable, precision, *_ = declared_geometry(recording, arm, geometry, factory)
-    settings, tool = recording.settings, form.tool
+    settings = recording.settings
+    tool = form.tool
     notes: list[str] = []
 
     flange = calibration_poses(prior_calibration, recording.joint_position)

@@ -101,7 +101,9 @@ def quality_of_poses(
         over_noise: residuals over the declared noise; None where there is none.
     """
     limit = max(FARTHEST_SHARE * reach, NOISES * (declared or 0.0))
-    error, spread, moved = upper_quartile(distance), spread_of(measured), spread_of(predicted)
+    error = upper_quartile(distance)
+    spread = spread_of(measured)
+    moved = spread_of(predicted)
     explained = 1 - (error / spread) ** 2 if spread > 0 else 0.0
     explained = float(explained) if np.isfinite(explained) else -1.0
     if not error <= limit:

@@ -19,7 +19,8 @@ from lite6jax.model import ArmModel, ModelForm
 from lite6jax.sensors import pose
 from lite6jax.sensors.sensor import whiten
 
-POSITION, POSE = 3, 6
+POSITION = 3
+POSE = 6
 """Rows a sample has: a position, or a position and an orientation."""
 BLOCK = 2400
 """Samples walked together: their Jacobian stays in a core's cache, and memory does not grow with their number."""
@@ -133,7 +134,8 @@ def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[A
     squares = jnp.sum(whitened**2, 0)
     if robust is None:
         return raw, whitened, jnp.sum(0.5 * observed.weight * squares), observed.weight
-    scaled, freedom = squares / robust.scale**2, robust.freedom + len(raw)
+    scaled = squares / robust.scale**2
+    freedom = robust.freedom + len(raw)
     cost = 0.5 * freedom * jnp.log1p(scaled / robust.freedom)
     weight = freedom / (robust.freedom + scaled) / robust.scale**2
     return raw, whitened, jnp.sum(observed.weight * cost), observed.weight * weight
@@ -180,14 +182,16 @@ def linearise(
     raw, whitened, cost, weight = _look(observed, tool, robust)
     root = jnp.sqrt(weight)
     force, torque = _pull(observed, raw, root * whitened)
-    shifts, turns = [], []
+    shifts = []
+    turns = []
     for twist, turning in zip(twists, _turning(form), strict=True):
         if twist.angular is None:
             shifts.append(twist.linear)
             continue
         shifts.append(twist.linear + jnp.moveaxis(cross(jnp.moveaxis(twist.angular, 1, 0), tool.origin[:, None]), 0, 1))
         turns.append(twist.angular if turning.all() else twist.angular[np.flatnonzero(turning)])
-    shift, turn = root * jnp.concatenate(shifts), root * jnp.concatenate(turns)
+    shift = root * jnp.concatenate(shifts)
+    turn = root * jnp.concatenate(turns)
     at = np.flatnonzero(np.concatenate(_turning(form)))  # those that turn: the others have no orientation rows
 
     def product(rows: Array) -> Array:

@@ -229,7 +229,8 @@ class Solution(PublicResult):
         """Whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
-        measured, q = self.recording.position, self.recording.joint_position
+        measured = self.recording.position
+        q = self.recording.joint_position
         flange = self.model if measured is not None else self.model._replace(T_flange_tool=np.eye(4))  # type: ignore[arg-type]
         (predicted,) = _by_slices(self.form, flange, q, lambda block, poses: (poses[:, :3, 3],))
         measured = predicted if measured is None else measured  # touches have no positions of their own
@@ -267,7 +268,8 @@ def write_solution(solution: Solution, path: str | Path, overwrite: bool = False
     Raises:
         InputError: as `write_table` and `hayati_of`.
     """
-    form, parameters = solution.form.chain, solution.parameters
+    form = solution.form.chain
+    parameters = solution.parameters
     if not isinstance(form, HayatiForm):
         arm = solution.arm
         chain = FactoryCalibration(parameters.reshape(-1, 6), arm, arm.T_joint_flange, str(path))

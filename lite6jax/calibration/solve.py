@@ -316,9 +316,13 @@ def solve_chunk(
             jnp.where(accepted, moved, state.moved), status, state.steps + (going | arrived),
         )  # fmt: skip
 
-    row, square = jnp.zeros((arms, form.size)), jnp.zeros((arms, form.size, form.size))
-    none, infinite, yes = jnp.zeros(arms), jnp.full(arms, jnp.inf), jnp.full(arms, True)
-    status, steps = jnp.full(arms, RUNNING), jnp.zeros(arms, jnp.int32)
+    row = jnp.zeros((arms, form.size))
+    square = jnp.zeros((arms, form.size, form.size))
+    none = jnp.zeros(arms)
+    infinite = jnp.full(arms, jnp.inf)
+    yes = jnp.full(arms, True)
+    status = jnp.full(arms, RUNNING)
+    steps = jnp.zeros(arms, jnp.int32)
     state = _FitState(start, start, infinite, row, square, square, yes, none, none, infinite, status, steps)
     state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)
     return ChunkSolution(state.model, state.curvature, state.cost, state.status, state.steps)
@@ -336,8 +340,10 @@ def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
 
     def eliminate(k: Array, A: Array) -> Array:
         """One pass over the matrix; updates of a row and a column after it would copy it twice."""
-        is_pivot, pivot = places == k, 1 / A[k, k]
-        row, column = jnp.where(is_pivot, pivot, A[k] * pivot), jnp.where(is_pivot, 0.0, A[:, k])
+        is_pivot = places == k
+        pivot = 1 / A[k, k]
+        row = jnp.where(is_pivot, pivot, A[k] * pivot)
+        column = jnp.where(is_pivot, 0.0, A[:, k])
         reduced = jnp.where(is_pivot | is_pivot[:, None], 0.0, A) - column[:, None] * row
         return reduced + jnp.where(is_pivot[:, None], row, 0.0)
 
@@ -433,7 +439,8 @@ def solve(
         steps = steps + int(more)
         if freedom is None or result == Result.NOT_FINITE:
             break
-        before, scale = scale, scale_of(squares)
+        before = scale
+        scale = scale_of(squares)
         if abs(scale / before - 1) < _SCALE_TOLERANCE or more <= 1:  # the scale of rounding errors never settles
             break
     robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
@@ -495,9 +502,11 @@ def _solve_of_record(
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s
 
-    n, robust = form.chain.size, prior.robust
+    n = form.chain.size
+    robust = prior.robust
     assert robust is not None
-    free, precision = jnp.asarray(prior.free), jnp.asarray(prior.precision)
+    free = jnp.asarray(prior.free)
+    precision = jnp.asarray(prior.precision)
 
     def robust_residuals(model: ArmModel, block: Observations) -> Array:
         """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""

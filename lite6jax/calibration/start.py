@@ -99,9 +99,11 @@ def frames_from_poses(
     """
     if len(flange) > _MOST_SAMPLES:
         chosen = spread_rows(len(flange), _MOST_SAMPLES)
-        flange, position = flange[chosen], position[chosen]
+        flange = flange[chosen]
+        position = position[chosen]
         rotation = None if rotation is None else rotation[chosen]
-    R, p = flange[:, :3, :3], flange[:, :3, 3]
+    R = flange[:, :3, :3]
+    p = flange[:, :3, 3]
     weight = np.ones(len(p))
     T_frame = np.eye(4) if frame is None else frame.copy()
     T_tool = np.eye(4) if tool is None else tool.copy()
@@ -162,7 +164,8 @@ def _best_of_many(R: Array, p: Array, position: Array) -> tuple[Array, Array, Ar
     )
     outcomes = []
     for start in (turn for turn in quarter_turns if np.linalg.det(turn) > 0):
-        T_frame, T_tool = np.eye(4), np.eye(4)
+        T_frame = np.eye(4)
+        T_tool = np.eye(4)
         T_frame[:3, :3] = start
         for _ in range(_ROUNDS // 2):
             T_tool[:3, 3], T_frame[:3, 3] = _translations(R, p, position, weight, T_frame[:3, :3])
@@ -198,7 +201,8 @@ def _turned_frame(R: Array, p: Array, position: Array, weight: Array, T_frame: A
 def _registration(points: Array, position: Array, weight: Array) -> Array:
     """The rigid transform that carries points to positions (Kabsch, Acta Cryst. A32, 1976)."""
     w = weight / weight.sum()
-    a, b = w @ points, w @ position
+    a = w @ points
+    b = w @ position
     T = np.eye(4)
     T[:3, :3] = nearest_rotation(np.einsum("s,si,sj->ij", w, position - b, points - a))
     T[:3, 3] = b - T[:3, :3] @ a

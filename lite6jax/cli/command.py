@@ -33,9 +33,15 @@ if TYPE_CHECKING:
 
 # ------------------------------------------------------------------ exit codes
 
-DONE, NOT_REACHED, BAD_INPUT, BAD_FIT = 0, 1, 2, 3
+DONE = 0
+NOT_REACHED = 1
+BAD_INPUT = 2
+BAD_FIT = 3
 # 128 and the number of the signal, as shells count; by their numbers, which Windows lacks in part
-HUNG_UP, INTERRUPTED, READER_LEFT, TERMINATED = 129, 130, 141, 143
+HUNG_UP = 129
+INTERRUPTED = 130
+READER_LEFT = 141
+TERMINATED = 143
 
 MEANINGS: Mapping[int, str] = MappingProxyType(
     {

@@ -581,7 +581,8 @@ class CompensateCommand:
         """Reads, solves, writes, prints."""
         sidecar = recordings.sidecar_path(self.out)
         declared = exists(recordings.sidecar_path(self.targets))
-        outputs, read = [self.out, *([sidecar] if declared else [])], [self.diagnosis, self.targets, self.effects]
+        outputs = [self.out, *([sidecar] if declared else [])]
+        read = [self.diagnosis, self.targets, self.effects]
         command.check_outputs(outputs, read, self.force, [".csv"])
         if not declared and exists(sidecar):
             raise InputError(

@@ -126,7 +126,9 @@ class FitCommand:
         if self.save_calibration and isinstance(source, factory.FactoryCalibration):
             # at once: no failure below costs what was read
             written.append(factory.write_factory(source.kinematics, self.save_calibration, overwrite=self.force))
-        verified, verification, refusal = self.ip is not None and not self.no_sdk, None, None
+        verified = self.ip is not None and not self.no_sdk
+        verification = None
+        refusal = None
         names = [f"{stem}_{kind}" for kind in ("error_by_joint", *(["controller"] if verified else []))]
         command.check_figures(self.figures, names, self.force)
         if isinstance(source, recordings.Recording):

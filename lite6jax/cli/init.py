@@ -140,11 +140,14 @@ class InitCommand:
         settings = command.parse_pairs("--set", self.set, as_yaml=True)
         meanings = command.parse_pairs("--column", self.column)
         sidecar_settings.declared_settings(None, None, settings)
-        arm, shown = self.arm, False
+        arm = self.arm
+        shown = False
         declared = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
         nominal = sources.load_nominal(arm)
         table = _read_table(self.source, nominal, meanings, self.names, declared.get("pose_source"), self.force)
-        source, file, notes = str(table.path) if table.made else self.source[0], table.path, [*table.notes]
+        source = str(table.path) if table.made else self.source[0]
+        file = table.path
+        notes = [*table.notes]
         sidecar = check_writable(recordings.sidecar_path(tables.split_topics(source)[0]), self.force)
         meanings = dict(table.given)
 
@@ -300,7 +303,8 @@ def _ask_columns(inspected: "pose_inspection.Inspection") -> dict[str, str]:
         form, unit = (
             decision if decision and decision.sure == "assumed" else None for decision in (block.form, block.unit)
         )
-        forms, units = block.forms if form else (), block.units if unit else ()
+        forms = block.forms if form else ()
+        units = block.units if unit else ()
         if not forms and len(units) < 2:
             continue
         print(inspection.statement(block))
@@ -599,7 +603,8 @@ class DetectCommand:
 
         assert recording.readings is not None
         corner_count = np.isfinite(recording.readings.pixels[..., 0]).sum()
-        images, board_corners = recording.samples + len(left_out), board.settings.columns * board.settings.rows
+        images = recording.samples + len(left_out)
+        board_corners = board.settings.columns * board.settings.rows
         yield Text(
             f"{recording.samples} of {images} images show the board: {corner_count} corners, "
             f"{board_corners} at most in each."

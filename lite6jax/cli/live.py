@@ -275,7 +275,8 @@ class EmulateCommand:
         nominal = None if self.arm is None else files.read_arm(self.arm)
         if self.factory:
             read = factory.read_factory(self.factory[index], nominal)
-            arm, kinematics = read.arm, read.kinematics
+            arm = read.arm
+            kinematics = read.kinematics
         else:
             arm = nominal or files.read_arm("lite6")
             kinematics = simulation.draw_calibration(arm, self.seed + index)
@@ -292,7 +293,8 @@ class EmulateCommand:
             yield from command.say("emulated", one=controller)
         calibration = ", ".join(map(str, self.factory)) or "as drawn"
         yield from map(screen.unbroken, sentences.emulated_motion(calibration, self.motion, self.speed))
-        physics, of_torques = first.body.physics, first.body.torque_effects
+        physics = first.body.physics
+        of_torques = first.body.torque_effects
         if physics.effects:
             yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
             yield from command.list_effects(zip(physics.effects, physics.reported(first.body.values), strict=True))

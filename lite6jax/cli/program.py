@@ -100,7 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 @contextmanager
 def _warn_in_lines() -> Iterator[None]:
     """Prints each warning of the input once, as one line on stderr."""
-    shown, printed = warnings.showwarning, set()
+    shown = warnings.showwarning
+    printed = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if not issubclass(category, InputWarning):
@@ -186,7 +187,8 @@ class _Wrapping:
     """A stream that breaks lines of prose at words before it hands them on; frames are as wide as they are."""
 
     def __init__(self, stream: Any, width: int) -> None:
-        self._stream, self._width = stream, width
+        self._stream = stream
+        self._width = width
 
     def write(self, text: str) -> int:
         self._stream.write("\n".join(map(self._wrap, text.split("\n"))))

@@ -91,7 +91,9 @@ class ReportPort:
     """
 
     def __init__(self, address: Address, port: int) -> None:
-        self.address, self.port, self.place = address, port, f"{address.host}: port {port}"
+        self.address = address
+        self.port = port
+        self.place = f"{address.host}: port {port}"
         self.events: queue.SimpleQueue[Reports | str] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._connections = 0

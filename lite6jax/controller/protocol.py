@@ -24,7 +24,9 @@ JOINTS = 7
 """The number of joints in every message, whatever the arm has."""
 MM = 1e3
 """Millimetres in a metre."""
-STANDARD, PRIVATE, PRIVATE_ALIVE = 0, 2, 3
+STANDARD = 0
+PRIVATE = 2
+PRIVATE_ALIVE = 3
 """Protocol numbers in the header: Modbus TCP; the vendor's, of all registers here; the same as the SDK numbers it from
 firmware 1.8.6 on. A reply repeats the number of its request."""
 
@@ -201,7 +203,10 @@ CALIBRATION_PAYLOAD = 3 + 4 * 6 * JOINTS
 CALIBRATION_REPLY = 8 + CALIBRATION_PAYLOAD
 """Bytes; 179."""
 
-REALTIME, NORMAL, RICH, REAL = 30000, 30001, 30002, 30003
+REALTIME = 30000
+NORMAL = 30001
+RICH = 30002
+REAL = 30003
 RATES = {REALTIME: 250.0, NORMAL: 5.0, RICH: 5.0, REAL: 100.0}
 """Hz of each report port."""
 LENGTHS = {REALTIME: 784, NORMAL: 145, RICH: 587, REAL: 135}

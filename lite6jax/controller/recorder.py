@@ -57,10 +57,13 @@ class TableWriter:
 
         `sources` are phrases by column, which Parquet stores as column metadata.
         """
-        self._path, self._overwrite, self._sources = path, overwrite, sources
+        self._path = path
+        self._overwrite = overwrite
+        self._sources = sources
         self._parquet = path.suffix.lower() == suffixes.PARQUET
         self.file = growing_path(path) if self._parquet else path
-        self.waiting, self.refusal = 0, ""
+        self.waiting = 0
+        self.refusal = ""
         self._parts: list[Columns] = []
         self._schema: pa.Schema | None = None
         self._open: io.FileIO | None = None
@@ -82,7 +85,8 @@ class TableWriter:
         except OSError as error:
             self.refusal = error.strerror or str(error)
             return
-        self._parts, self.waiting = [], 0
+        self._parts = []
+        self.waiting = 0
 
     def close(self) -> None:
         """Writes the remaining rows, and completes the file; without rows there is none."""

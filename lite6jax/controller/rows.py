@@ -68,7 +68,9 @@ class Rows:
     def __init__(self, station: Station, seconds: float | None = None) -> None:
         self.condition: Condition | None = station.condition
         self.lost = ""
-        self.seconds, self.complete, self.stopped = seconds, False, ""
+        self.seconds = seconds
+        self.complete = False
+        self.stopped = ""
         self.count = self.repeated = self.run = 0
         self.time = 0.0
         self.gaps = self.missing_within = self.missing_between = 0
@@ -81,7 +83,8 @@ class Rows:
         self._tool = np.eye(4) if station.condition is None else station.condition.T_flange_tool
         self._convention: str | None = None  # of orientations; empty if none fits the chain
         self._certain = False
-        self._torque_noise, self._window = TorqueNoise(), np.zeros((0, 2, protocol.JOINTS))
+        self._torque_noise = TorqueNoise()
+        self._window = np.zeros((0, 2, protocol.JOINTS))
         self._connection = self._clock = self._time_us = 0  # the clock in µs, of the last row
         self._heard = 0.0
         self._steps = self._elapsed_us = 0
@@ -150,7 +153,8 @@ class Rows:
             new &= ~late
         if not new.any():
             return None
-        reports, time_us = reports[new], time_us[new]
+        reports = reports[new]
+        time_us = time_us[new]
         steps = np.diff(time_us, prepend=self._time_us)
         missing = np.maximum(np.rint(steps / PERIOD_US).astype(np.int64), 1) - 1
         gap = np.full(len(missing), None, object)
@@ -161,7 +165,8 @@ class Rows:
         if self.count and not continuous:
             how = "was set back" if step < 0 else "jumped"
             reasons.append(f"the controller's clock {how} by {abs(step) / 1e6:.6g} s")
-            self._set_back, self._jumped = self._set_back + (step < 0), self._jumped + (step > 0)
+            self._set_back = self._set_back + (step < 0)
+            self._jumped = self._jumped + (step > 0)
         if reasons:
             gap[0] = "; ".join(reasons)
             self.run += 1
@@ -175,7 +180,9 @@ class Rows:
         if self.run == 0:
             first = self._first_run[0] if self.count else event.heard
             self._first_run = (first, event.heard, time_us[-1] / 1e6)
-        self._connection, self._heard, self._clock = event.connection, event.heard, int(clock[new][-1])
+        self._connection = event.connection
+        self._heard = event.heard
+        self._clock = int(clock[new][-1])
         self.count += len(time_us)
         self._time_us = int(time_us[-1])
         self.time = self._time_us / 1e6

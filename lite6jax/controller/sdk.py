@@ -74,7 +74,10 @@ def compute_poses(
     """
     stop = stop or threading.Event()
     poses: list[Pose] = []
-    sdk, failure, version, tries = None, "", "", 0
+    sdk = None
+    failure = ""
+    version = ""
+    tries = 0
     with ExitStack() as connection:
         while len(poses) < len(joints) and not stop.is_set():
             try:
@@ -85,12 +88,14 @@ def compute_poses(
                 poses.append(sdk.forward_kinematics(joints[len(poses)]))
             except SdkError as error:
                 connection.close()
-                sdk, failure = None, str(error)
+                sdk = None
+                failure = str(error)
                 if not poses or tries == TRIES:
                     break
                 stop.wait(RETRY_S)
             else:
-                tries, failure = 0, ""
+                tries = 0
+                failure = ""
                 advance(len(poses) - 1)
     return poses, failure, version
 
@@ -99,7 +104,8 @@ class Sdk:
     """A connection of the SDK, made by `connect_sdk`; `version` is the content of register 1."""
 
     def __init__(self, process: "subprocess.Popen[str]", where: str, seconds: float) -> None:
-        self._process, self._where = process, where
+        self._process = process
+        self._where = where
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()
         late = f"did not connect within {seconds:g} s, as with a silent controller"

@@ -58,7 +58,8 @@ def serve(host: str, port: int, home: str) -> None:
         try:
             code, pose = arm.get_forward_kinematics(json.loads(line), input_is_radian=True, return_is_radian=True)
         except Exception as error:  # a short payload is a ValueError
-            code, pose = None, f"{type(error).__name__}: {error}"
+            code = None
+            pose = f"{type(error).__name__}: {error}"
         if refused:
             return answer({"error": f"the SDK requested register {refused[0]}, which was blocked"})
         answer([code, pose])

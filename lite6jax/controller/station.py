@@ -172,7 +172,8 @@ def _invalid(where: str, mismatch: str, received: bytes) -> InputError:
 
 Array = NDArray[np.floating]
 
-NO_OFFSET_MM, NO_OFFSET_RAD = 1e-4, 1e-7
+NO_OFFSET_MM = 1e-4
+NO_OFFSET_RAD = 1e-7
 """Smaller offsets count as zero: the rounding of decimetres to 32 bits."""
 STREAM_NOISE = 5e-8, 5e-7
 """m and rad, one standard deviation: the rounding of joints and poses in reports to 32 bits."""

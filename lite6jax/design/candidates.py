@@ -96,7 +96,8 @@ class SelfCollision(NamedTuple):
             xp.stack([walked[c.link][:, :3, :3] @ c[end] + walked[c.link][:, :3, 3] for c in self.capsules])
             for end in (2, 3)
         )
-        (i, j), radius = self.pairs.T, np.array([c.radius for c in self.capsules])
+        i, j = self.pairs.T
+        radius = np.array([c.radius for c in self.capsules])
         apart = segment_distance(*(xp.moveaxis(points, -1, 0) for points in (p[i], r[i], p[j], r[j])))
         return apart - (radius[i] + radius[j])[:, None]
 
@@ -147,7 +148,8 @@ def walk_chain(arm: Arm, q: Any) -> list[Any]:
         if slides:
             p = p + position[:, None] * z
         else:
-            cos, sin = xp.cos(position)[:, None], xp.sin(position)[:, None]
+            cos = xp.cos(position)[:, None]
+            sin = xp.sin(position)[:, None]
             x, y = cos * x + sin * y, cos * y - sin * x
         walked.append(xp.stack([x, y, z, p], -1))
     return [*walked, walked[-1] @ arm.T_joint_flange]
@@ -161,8 +163,12 @@ def segment_distance(p1: Any, q1: Any, p2: Any, q2: Any) -> Any:
     within 1 µrad of parallel are left to their ends: nothing is divided by what rounding made.
     """
     xp = p1.__array_namespace__()
-    d1, d2, between = q1 - p1, q2 - p2, p2 - p1
-    a, e, n = xp.sum(d1 * d1, 0), xp.sum(d2 * d2, 0), xp.cross(d1, d2, axis=0)
+    d1 = q1 - p1
+    d2 = q2 - p2
+    between = p2 - p1
+    a = xp.sum(d1 * d1, 0)
+    e = xp.sum(d2 * d2, 0)
+    n = xp.cross(d1, d2, axis=0)
     n2 = xp.sum(n * n, 0)
     oblique = n2 > 1e-12 * a * e
     safe = xp.where(oblique, n2, 1.0)

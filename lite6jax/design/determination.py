@@ -253,7 +253,8 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
     free = np.zeros(len(length), bool)
     shares = dict[int, Array]()
     for k in order:
-        share, basis = np.zeros(len(length)), np.flatnonzero(free)
+        share = np.zeros(len(length))
+        basis = np.flatnonzero(free)
         if observable[k]:
             coordinates = np.linalg.lstsq(unit[:, basis], root[:, k], rcond=None)[0]
             if np.linalg.norm(root[:, k] - unit[:, basis] @ coordinates) > _DEPENDENT * length[k]:
@@ -312,6 +313,8 @@ class Observability(NamedTuple):
 def observability(singular_values: ArrayLike, samples: int) -> Observability:
     """The indices of the determined singular values `(rank,)`, above 0, of `samples` poses."""
     s = np.sort(np.asarray(singular_values, float))[::-1]
-    first, last = float(s[0]), float(s[-1])
-    volume, harmonic = float(np.exp(np.mean(np.log(s))) / np.sqrt(samples)), float(1 / np.sum(1 / s))
+    first = float(s[0])
+    last = float(s[-1])
+    volume = float(np.exp(np.mean(np.log(s))) / np.sqrt(samples))
+    harmonic = float(1 / np.sum(1 / s))
     return Observability(volume, last / first, last, last**2 / first, harmonic, first / last, 1 / last)

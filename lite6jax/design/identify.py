@@ -129,7 +129,8 @@ class Identification(PublicResult):
 
         `parameters` are the unknown ones in the order of `correlation`; what is held has no standard deviation.
         """
-        d, accuracy = self.determination, self.accuracy
+        d = self.determination
+        accuracy = self.accuracy
         parameters = zip(d.names, d.units, d.standard_deviation, d.free, d.scale, strict=True)
         return {
             "schema": "lite6jax/identification/1",
@@ -213,7 +214,8 @@ def identify_recording(
     recording = recording if arm is not None else with_arm(recording)
     experiment = recording_experiment(recording, arm, geometry)
     notes = list(recording.notes)
-    settings, sensor = recording.settings, experiment.sensor
+    settings = recording.settings
+    sensor = experiment.sensor
     assert isinstance(sensor, Sensor)
     if settings.position_noise_m is None or (sensor.rows == 6 and settings.orientation_noise_rad is None):
         noise = fit_recording(recording, arm, geometry=geometry).noise

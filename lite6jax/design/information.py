@@ -106,7 +106,8 @@ def _joint_motions(form: ModelForm, model: ArmModel, q: jax.Array) -> jax.Array:
     def moved(shift: jax.Array) -> Frame:
         return predict_frames(form, model, joint_motion(form.chain, q.T + shift[:, None]))[1]
 
-    still, turning = jnp.zeros(form.chain.dof), np.delete(np.eye(form.chain.dof), form.chain.sliding, axis=0)
+    still = jnp.zeros(form.chain.dof)
+    turning = np.delete(np.eye(form.chain.dof), form.chain.sliding, axis=0)
     return jax.vmap(lambda direction: _displacement(*jax.jvp(moved, (still,), (direction,))))(turning)
 
 

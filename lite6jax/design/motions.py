@@ -49,7 +49,8 @@ _CLEAR = 0.03
 """m, from an obstacle, below which the ascent turns away; the check itself allows any distance above zero."""
 _WEIGHT = 2.0
 """Of one sample's whole penetration of `_CLEAR`, in units of log det M, averaged over the samples."""
-_FIRST_RATE, _LAST_RATE = 0.1, 0.005
+_FIRST_RATE = 0.1
+_LAST_RATE = 0.005
 _FULL = 7.0
 """Of the number for the amplitude: 99.9 % of the greatest."""
 _SMALLEST = 2.0**-6
@@ -73,7 +74,8 @@ def read_motion(recording: Recording) -> tuple[JointTrajectory, list[str]]:
         InputError: it has neither times nor accelerations.
     """
     recording = recording.sorted_by_time()
-    q, dq = recording.joint_position.T, recording.velocities().T
+    q = recording.joint_position.T
+    dq = recording.velocities().T
     if recording.motion == "static":
         return JointTrajectory(q, dq, np.zeros_like(q)), []
     if recording.joint_acceleration is not None:
@@ -190,12 +192,15 @@ def _move(
 
     def series(time: Array) -> tuple[Array, Array, Array]:
         angle = rate[:, None] * time
-        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        cos = jnp.cos(angle)
+        sin = jnp.sin(angle)
         return (a / rate) @ sin - (b / rate) @ cos, a @ cos + b @ sin, (b * rate) @ cos - (a * rate) @ sin
 
     between = 1 / np.cos(np.pi * harmonics / count)
     q, dq, ddq = series(period * jnp.arange(count) / count)
-    (lower, upper), high, low = position.T, q.max(1), q.min(1)
+    lower, upper = position.T
+    high = q.max(1)
+    low = q.min(1)
     half = between * (high - low) / 2
     peaks = [half / ((upper - lower) / 2)]
     peaks += [
@@ -263,7 +268,9 @@ def ascend(
         return value - penalty, (value, penalty)
 
     judge = jax.jit(jax.value_and_grad(climb, has_aux=True))
-    best_motion, best_value, improved = starts[0], -np.inf, 0
+    best_motion = starts[0]
+    best_value = -np.inf
+    improved = 0
     for start in starts:
         free = start
         first = np.zeros_like(start)
@@ -271,10 +278,14 @@ def ascend(
         for i in range(steps + 1):
             (_, (value, penalty)), uphill = judge(free)
             if value > best_value and (i == 0 or (penalty < _WEIGHT and room.passes(free))):
-                best_motion, best_value, improved = free, float(value), improved + (i > 0)
-            first, second = 0.9 * first + 0.1 * np.asarray(uphill), 0.99 * second + 0.01 * np.asarray(uphill) ** 2
+                best_motion = free
+                best_value = float(value)
+                improved = improved + (i > 0)
+            first = 0.9 * first + 0.1 * np.asarray(uphill)
+            second = 0.99 * second + 0.01 * np.asarray(uphill) ** 2
             rate = _LAST_RATE + (_FIRST_RATE - _LAST_RATE) * (1 + np.cos(np.pi * i / max(steps, 1))) / 2
-            mean, spread = first / (1 - 0.9 ** (i + 1)), second / (1 - 0.99 ** (i + 1))
+            mean = first / (1 - 0.9 ** (i + 1))
+            spread = second / (1 - 0.99 ** (i + 1))
             free = free + rate * mean / (np.sqrt(spread) + 1e-12)
             free[:, :-2] /= np.sqrt(np.mean(free[:, :-2] ** 2, 1, keepdims=True))  # the steps turn it alike
     return best_motion, best_value, improved

@@ -256,8 +256,12 @@ def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices
             candidate = int(np.argmax(gains))
             better = gains[candidate] > gains[at[i]] * (1 + _IMPROVES)
             at[i] = candidate if better else at[i]
-            made, in_vain, visited = made + better, 0 if better else in_vain + 1, visited + 1
-        chosen, exchanges, cycles = among[at], exchanges + made, cycles + -(-visited // count)
+            made = made + better
+            in_vain = 0 if better else in_vain + 1
+            visited = visited + 1
+        chosen = among[at]
+        exchanges = exchanges + made
+        cycles = cycles + -(-visited // count)
         if not made or len(among) == len(pool.rows):
             break
     return chosen, int(exchanges), cycles

@@ -68,7 +68,8 @@ READERS: Mapping[str, Reader] = {
 
 def draw_place(rng: np.random.Generator, arm: Arm, angle: float) -> Array:
     """A point within reach, in front of the arm at an angle about its base."""
-    radius, height = arm.reach * rng.uniform(0.45, 0.6), arm.reach * rng.uniform(0.1, 0.4)
+    radius = arm.reach * rng.uniform(0.45, 0.6)
+    height = arm.reach * rng.uniform(0.1, 0.4)
     return np.array([radius * np.cos(angle), radius * np.sin(angle), height])
 
 

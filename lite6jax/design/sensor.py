@@ -249,7 +249,8 @@ class BoardView(PlannedSensor):
         """
         lens = Lens(np.array(self.lens[:4]), np.array(self.lens[4:]))
         corners = np.array(self.corners)
-        R, p = tool[:, :3, :3], tool[:, None, :3, 3]
+        R = tool[:, :3, :3]
+        p = tool[:, None, :3, 3]
         fixed = self.mounted == "fixed"
         depth = (corners @ np.swapaxes(R, 1, 2) + p if fixed else (corners - p) @ R)[..., 2]
         # residuals of pixels at zero are the pixels

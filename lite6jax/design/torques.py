@@ -271,7 +271,8 @@ def identify_torques(
         InputError: another number of joints, numbers that are not finite, or a motion too short: fewer torques than
             there are unknowns.
     """
-    arm, base = model.arm, model.base
+    arm = model.arm
+    base = model.base
     for name, part in zip(motion._fields, map(np.asarray, motion), strict=True):
         if part.ndim != 2 or len(part) != arm.dof or part.shape != np.shape(motion.q):
             raise InputError(f"motion: {name} has the shape {part.shape}; {arm.name} takes ({arm.dof}, sample)")

@@ -122,7 +122,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         """Standard deviation per axis of position, m, estimated from the residuals."""
         scale = float(self.fit.scale[0])
         if self.problem.floored:  # by less the residuals are not weighed, and what they have is said all the same
-            fit, rows = self.fit, self.problem.rows
+            fit = self.fit
+            rows = self.problem.rows
             squares = fit.residuals.squares[fit.training] * scale**2
             scale = t_scale(squares, rows, FREEDOM) / gaussian_t_scale(rows, FREEDOM)
         return scale * self.problem.noise[0]
@@ -181,7 +182,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @cached_property
     def quality(self) -> Quality:
         """Whether the model with the findings describes the poses, on rows that were not used."""
-        problem, fit, valid = self.problem, self.fit, self.problem.valid
+        problem = self.problem
+        fit = self.fit
+        valid = self.problem.valid
         predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
         if isinstance(problem.measured, Measured):
             measured = np.asarray(problem.measured.position).T
@@ -208,7 +211,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @cached_property
     def model(self) -> DiagnosedArm:
         """The arm with the effects found, as `read_model` gives it from a file."""
-        problem, fit = self.problem, self.fit
+        problem = self.problem
+        fit = self.fit
         arm = problem.displaced(fit.nuisance)
         inertia = problem.inertia
         errors = problem.mass_errors(fit.nuisance)
@@ -241,7 +245,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @cached_property
     def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:
         """The effects of the model: the findings, and what joints do once a turn within their tolerance."""
-        effects, values = [f.effect for f in self.findings], [f.values for f in self.findings]
+        effects = [f.effect for f in self.findings]
+        values = [f.values for f in self.findings]
         for j, wave in enumerate(self.problem.once_per_turn(self.fit.nuisance)):
             harmonic = JointHarmonic(j + 1, 1.0)
             if harmonic in effects:
@@ -419,7 +424,8 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
 
     A residual within the declared noise, or within the rounding of a file, is none, however small the others are.
     """
-    problem, residuals = selection.problem, selection.state.fit.residuals
+    problem = selection.problem
+    residuals = selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
     error_floor = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
     far = residuals.squares > options.outlier_squares * problem.rows
@@ -437,7 +443,8 @@ def _separating_poses(
     Nonparametric effects are no rivals here: what they are elsewhere is not known. Neither are other orders of the same
     wave: any position between those that were recorded separates them.
     """
-    state, problem = selection.state, selection.problem
+    state = selection.state
+    problem = selection.problem
     assert isinstance(problem, PoseProblem)
     if problem.recording.touches is not None:  # which poses a socket or a plate can be touched at is not known
         return ()
@@ -454,7 +461,8 @@ def _separating_poses(
     ][: options.most_separated]
     if not pairs:
         return ()
-    rigid, (position, orientation) = recording_problem(problem.recording, problem.arm, geometry, factory), problem.noise
+    rigid = recording_problem(problem.recording, problem.arm, geometry, factory)
+    position, orientation = problem.noise
     sensor = Sensor("position" if orientation is None else "pose", position, orientation)
     experiment = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
     drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
@@ -477,7 +485,8 @@ def _separating_poses(
 
 def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bool:
     """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
-    problem, fit = selection.problem, selection.state.fit
+    problem = selection.problem
+    fit = selection.state.fit
     assert isinstance(problem, PoseProblem)
     if missing(rival, problem.motion, problem.inertia is not None) is not None:
         return True

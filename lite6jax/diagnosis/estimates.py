@@ -81,7 +81,8 @@ def compare_estimates(
     first, second = estimates.values()
     if first is None or second is None:
         return Agreement(of, estimates, None)
-    off, together = first.values - sign * second.values, first.covariance + second.covariance
+    off = first.values - sign * second.values
+    together = first.covariance + second.covariance
     p_value = float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
     return Agreement(of, estimates, min(1.0, compared * p_value))
 
@@ -99,7 +100,8 @@ def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstim
         return None
     beside = fit_with_effect(result, effect)
     numbers = beside.terms.slices[-1]
-    values, covariance = beside.values[numbers], beside.covariance[numbers, numbers]
+    values = beside.values[numbers]
+    covariance = beside.covariance[numbers, numbers]
     typical = np.array([coordinate.typical for coordinate in effect.coordinates])
     std = np.sqrt(np.diagonal(covariance))
     if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
@@ -123,7 +125,8 @@ def _of(is_finding: bool, effect: Effect, values: Array, covariance: Array) -> E
     parameters = effect.reported(values, covariance)
     if effect.searched:
         size = next(iter(parameters.values())) if "amplitude_Nm" not in parameters else parameters["amplitude_Nm"]
-        values, covariance = np.array([size.value]), np.array([[size.std**2]])
+        values = np.array([size.value])
+        covariance = np.array([[size.std**2]])
     return EffectEstimate(is_finding, values, covariance, parameters)
 
 
@@ -187,7 +190,8 @@ def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosi
             of["driver"] = effect.driver
             estimate, reference_estimate = _curves(effect, found, other)
         else:
-            estimate, reference_estimate = estimate_effect(found, effect), estimate_effect(other, effect)
+            estimate = estimate_effect(found, effect)
+            reference_estimate = estimate_effect(other, effect)
         compared.append(
             compare_estimates(of, {"recording": estimate, "reference": reference_estimate}, compared=len(shown))
         )
@@ -231,7 +235,8 @@ def _curves(
 
 def _driven(result: DomainDiagnosis[TorqueProblem], effect: UnnamedTorque) -> Array | None:
     """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
-    data, dynamics = result.problem.data, result.problem.dynamics
+    data = result.problem.data
+    dynamics = result.problem.dynamics
     values = [row for driver in effect.drivers if (row := read_driver(driver, dynamics)) is not None]
     if len(values) < len(effect.drivers):
         return None
@@ -244,7 +249,8 @@ def _fitted_curve(result: DomainDiagnosis[TorqueProblem], effect: UnnamedTorque,
     if not result.has(effect):
         at = fit_with_effect(result, effect, lambda term: _function(term) == _function(effect))
     numbers = at.terms.slices[at.terms.terms.index(effect)]
-    values, covariance = along @ at.values[numbers], along @ at.covariance[numbers, numbers] @ along.T
+    values = along @ at.values[numbers]
+    covariance = along @ at.covariance[numbers, numbers] @ along.T
     size = float(np.sqrt(values @ values))
     std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
     return EffectEstimate(result.has(effect), values, covariance, {"rms_Nm": Estimate(size, std)})

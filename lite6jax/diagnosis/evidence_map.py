@@ -153,7 +153,9 @@ class _Shares:
     """What explains how much of the residuals that a model leaves, in white noise."""
 
     def __init__(self, test: ScoreTest) -> None:
-        self._test, self._marginal, self._total = test, Marginal(test), _left(test)
+        self._test = test
+        self._marginal = Marginal(test)
+        self._total = _left(test)
 
     def of(self, column: Array, functions: Array) -> Array:
         """`(group,)`, of processes `(group, function, sample)` at a site's column; NaN where they are confounded."""
@@ -259,10 +261,12 @@ def torques_over_time(found: TorqueDiagnosis) -> tuple[Array, dict[str, Array]]:
 
     These are by name what was measured, what the rigid arm alone needs, and the model with the findings.
     """
-    problem, state = found.problem, found.selection.state
+    problem = found.problem
+    state = found.selection.state
     edges = np.concatenate([[0], np.flatnonzero(np.diff(problem.run)) + 1, [problem.samples]])
     longest = int(np.argmax(np.diff(edges)))
-    start, stop = edges[longest], edges[longest + 1]
+    start = edges[longest]
+    stop = edges[longest + 1]
     start = start + max(0, stop - start - _LONGEST) // 2
     shown = slice(start, min(start + _LONGEST, stop))
     recorded = problem.data.recording.time
@@ -275,7 +279,8 @@ def torques_over_time(found: TorqueDiagnosis) -> tuple[Array, dict[str, Array]]:
 
 def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
     """The friction of each joint."""
-    problem, fit = found.problem, found.fit
+    problem = found.problem
+    fit = found.fit
     used = problem.valid
     velocity = np.asarray(problem.data.motion.joint_velocity)[:, problem.data.filter.kept][:, problem.chosen]
     residual = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
@@ -295,7 +300,8 @@ def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
 
 def _friction_at(diagnosis: TorqueDiagnosis, chosen: Sequence[int], j: int, velocity: Array) -> Array:
     """Friction `(point,)` Nm of joint j, from 0, at velocities, with everything else as it typically is."""
-    fit, dynamics = diagnosis.fit, diagnosis.problem.dynamics
+    fit = diagnosis.fit
+    dynamics = diagnosis.problem.dynamics
     typical = _still(dynamics, j, velocity)
     total = np.zeros_like(velocity)
     for k in chosen:

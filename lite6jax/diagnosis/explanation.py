@@ -162,7 +162,8 @@ class Case:
     def search(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
         """With the physics that a search finds under these decisions."""
         screened, problem = self.prepared(screened, decisions)
-        training, engine = self.training, self.options.engine
+        training = self.training
+        engine = self.options.engine
         require_samples(screened.recording, problem.undeclared + 1)
         entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
@@ -220,7 +221,8 @@ def _jumps_weighed(explanation: Explanation, case: Case) -> Explanation:
     # a twist estimated beside all physics has a large variance, and one estimated beside none is biased by physics
     bare = case.explanation(Decisions(Corrections(beside_physics=False)))
     fewer = [case.explanation(Decisions(Corrections(jumps=k))) for k in range(count)]
-    explanation, rival = max(explanation, bare, key=_evidence), max(fewer, key=_evidence)
+    explanation = max(explanation, bare, key=_evidence)
+    rival = max(fewer, key=_evidence)
     rows = [fault.rows[0] for fault in explanation.screened.found if fault.code == "frame_jump"]
     return _likelier(explanation, rival, "frame_jump", candidate_rows=rows)
 
@@ -281,7 +283,8 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
     A table that the screening leaves open is first compared with physics. Once a table is accepted, the chain is either
     held as published or fitted from there.
     """
-    file, likelier = case.recording.settings.factory_calibration, explanation.screened.likelier_table
+    file = case.recording.settings.factory_calibration
+    likelier = explanation.screened.likelier_table
     if file is None or (likelier is None and not explanation.screened.count("nominal_table")):
         return explanation
     used = explanation.screened
@@ -344,7 +347,9 @@ def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
     To first order, in one noise model, with those of the effects beside it that are still needed; the standard
     deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
-    problem, fit, tested = explanation.problem, explanation.selection.state.fit, explanation.selection.state.tested
+    problem = explanation.problem
+    fit = explanation.selection.state.fit
+    tested = explanation.selection.state.tested
     chain = case.problem(_uncertain(explanation.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
@@ -367,7 +372,8 @@ def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
         fitted = np.concatenate([nuisance, numbers])
         combination[fitted] = 0.0
         # processes are integrated over under their priors, about zero: the residual is without their estimate
-        estimate, of_prior = fit.values[numbers - shifts[:1]], precision[numbers - shifts[:1]]
+        estimate = fit.values[numbers - shifts[:1]]
+        of_prior = precision[numbers - shifts[:1]]
         with_priors = G.copy()
         with_priors[numbers, numbers] += of_prior
         with_priors[numbers, -1] += of_prior * estimate
@@ -390,13 +396,16 @@ def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
         (reduced_evidence, size), subset = max((weighed(subset)[1:], subset) for subset in fewer)
         if reduced_evidence < off:
             break
-        off, sigma, needed_terms = reduced_evidence, size, subset
+        off = reduced_evidence
+        sigma = size
+        needed_terms = subset
     return off - exact, sigma
 
 
 def _log_volume_ratio(explanation: Explanation) -> float:
     """Half the log determinant of the prior covariance of the chain's numbers over that of the posterior."""
-    problem, fit = explanation.problem, explanation.selection.state.fit
+    problem = explanation.problem
+    fit = explanation.selection.state.fit
     columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)
     uncertain = np.flatnonzero(problem.precision[: len(problem.frames)])

@@ -169,8 +169,11 @@ def verify(
     for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
         assert isinstance(tested.term, Effect)
         alternatives = tuple(alternative for alternative in tested.alternatives if isinstance(alternative.term, Effect))
-        values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        gain, std, share = tested.gain, tested.chosen_std, tested.input_share
+        values = state.fit.values[numbers]
+        covariance = state.fit.covariance[numbers, numbers]
+        gain = tested.gain
+        std = tested.chosen_std
+        share = tested.input_share
         findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, alternatives, std, share))
     selected_findings = tuple(findings)
     searched = judge(errors, selection, kept, folds, options) if selected_findings else Judgement(False, 1.0)
@@ -234,7 +237,8 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
     all the same: a drift is not known beyond the rows that show it. Blocks without which nothing was found do not
     count: they say that the other rows are few.
     """
-    (before, _), (after, _) = errors.before_over_noise, errors.after_over_noise
+    before, _ = errors.before_over_noise
+    after, _ = errors.after_over_noise
     if (searched_rows := kept & errors.with_effects).any():
         kept = searched_rows
     if fold_rows := _rows_of(folds, kept):
@@ -272,7 +276,8 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
 
     Screening and clock are those of all rows; the point of linearisation and the frames are those of the other blocks.
     """
-    state, engine = selection.state, options.engine
+    state = selection.state
+    engine = options.engine
 
     def predicted(fold: Mask) -> HeldOut:
         training = state.baseline.training & ~fold

@@ -97,7 +97,8 @@ class Options:
             InputError: a name that is no explanation.
         """
         prior = self.prior.given(settings.prior or {})
-        engine, screening = replace(self.engine, prior=prior), replace(self.screening, prior=prior)
+        engine = replace(self.engine, prior=prior)
+        screening = replace(self.screening, prior=prior)
         return replace(self, engine=engine, screening=screening)
 
     @property

@@ -135,7 +135,8 @@ def _curve(
 
 def _movements(diagnosis: Diagnosis, effect: Bending, k: int, used: Mask) -> Iterator[_Samples]:
     """Each way in which an effect moves sites; those that move alike are one."""
-    problem, values = diagnosis.problem, diagnosis.findings[k].values
+    problem = diagnosis.problem
+    values = diagnosis.findings[k].values
     unit = problem.deflections.unit(effect) if effect.linear else problem.deflections.slope(effect, values)
     bent = effect.deflect(jnp.asarray(values), problem.time_shifted, problem.loads)
     for field, moved, slopes in zip(Deflection._fields, bent, unit, strict=True):
@@ -159,7 +160,8 @@ def _site(field: str, i: int, dimensions: int) -> Site:
 
 def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
     """One movement over the driver that it follows; None where it follows none."""
-    problem, effect = diagnosis.problem, diagnosis.findings[k].effect
+    problem = diagnosis.problem
+    effect = diagnosis.findings[k].effect
     assert isinstance(effect, Bending)
     assert of.site is not None
     field, joint, component = of.site
@@ -170,7 +172,8 @@ def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | 
     if not choices or (len(choices) > 1 and max(follows) < _SAME):
         return None
     closest = int(np.argmax(follows))
-    driver, x = choices[closest], driver_values[closest]
+    driver = choices[closest]
+    x = driver_values[closest]
     turns = at_joint and joint not in problem.motion.sliding.joints
     of = of._replace(unit="1" if field in ("stretch", "scale") else "rad" if turns or component > 2 else "m")
     points = x, of.moved, of.slope
@@ -205,16 +208,19 @@ def _displacement_curve(diagnosis: Diagnosis, k: int, used: Mask) -> FindingCurv
     without[fit.terms.slices[k]] = 0.0
     rows = problem.residual(fit.nuisance, fit.terms, without)
     columns = problem.columns([finding.effect], finding.values, beside=(fit.terms, fit.values))
-    scale, unit = 1.0, "sigma"
+    scale = 1.0
+    unit = "sigma"
     if problem.measured.whitener.ndim == 1 and np.sum(columns[:, :3] ** 2) > 0.5 * np.sum(columns**2):
-        columns, rows = columns[:, :3], rows[:3]
+        columns = columns[:, :3]
+        rows = rows[:3]
         scale = 1 / float(problem.measured.whitener[0])
         unit = "m"
     moved = np.tensordot(finding.values, columns, 1)
     size = np.sqrt(np.sum(moved**2, 0))
     safe = np.where(size > 0, size, np.inf)
     partial = -np.sum(moved * rows, 0) / safe
-    good, slope = used & (size > 0), scale * np.sum(columns * moved, 1) / safe
+    good = used & (size > 0)
+    slope = scale * np.sum(columns * moved, 1) / safe
     samples = _Samples(None, unit, scale * size, slope, scale * (partial - size), good)
     if not good.any() or np.ptp(size[good]) < 1e-3 * size.max():  # the same everywhere
         return _curve(diagnosis, k, "row", None, problem.recording.row.astype(float), samples)
@@ -233,7 +239,9 @@ def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
     problem = diagnosis.problem
     fit = diagnosis.fit
     finding = diagnosis.findings[k]
-    effect, used, dynamics = finding.effect, problem.valid, problem.dynamics
+    effect = finding.effect
+    used = problem.valid
+    dynamics = problem.dynamics
     assert isinstance(effect, TorqueEffect)
     moved = added_torque(diagnosis, [k])
     j = int(np.argmax(np.sum(as_revolute(moved[:, used], "Nm", problem.data.arm.slides) ** 2, 1)))
@@ -258,7 +266,8 @@ def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
 
 def added_torque(found: TorqueDiagnosis, chosen: Sequence[int]) -> Array:
     """Torques `(joint, sample)` that some of the findings add to the others, filtered."""
-    problem, fit = found.problem, found.fit
+    problem = found.problem
+    fit = found.fit
     without = fit.values.copy()
     for k in chosen:
         without[fit.terms.slices[k]] = 0.0
@@ -273,7 +282,8 @@ def _process_curve(
     diagnosis: DomainDiagnosis[Any], k: int, of: _Samples, drivers: Array, mean: Array | float = 0.0
 ) -> FindingCurve:
     """A nonparametric effect over its first driver, about a mean of its functions."""
-    finding, x = diagnosis.findings[k], drivers[0]
+    finding = diagnosis.findings[k]
+    x = drivers[0]
     effect: Any = finding.effect
     if effect.hysteretic or len(drivers) > 1:
         return _curve(diagnosis, k, "driver", effect.drivers[0], x, of, scattered=True)

@@ -260,7 +260,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         # What it moves may have gone into numbers of the findings, as the compliance of a joint goes into that of the
         # base where both are loaded alike. One that is significant and yet no finding was refused for a reason of its
         # own; beside effects that were withdrawn, the nearest is that of another model.
-        nearest, options = self.selection.nearest, self.options
+        nearest = self.selection.nearest
+        options = self.options
         if self.withdrawn is None and nearest and options.engine.level <= nearest[1] < options.nearly_significant:
             return "undetermined"
         return "explained" if has_findings else "consistent"
@@ -352,12 +353,14 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         settings = self.recording.settings
         inliers = ~self.outliers
         nearest = self.nearest
-        again, withdrawn = self.searched_again, self.withdrawn
+        again = self.searched_again
+        withdrawn = self.withdrawn
         faults = list(self.faults)
         outliers = self.outliers & self.problem.valid
         if outliers.any():
             faults.append(DataFault("outliers", tuple(self.recording.row[outliers].tolist())))
-        (declared, estimated), at = self._noise, self.acts_at
+        declared, estimated = self._noise
+        at = self.acts_at
         return {
             "schema": SCHEMA,
             "domain": self.domain,

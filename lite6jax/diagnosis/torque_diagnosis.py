@@ -95,7 +95,8 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     @cached_property
     def model(self) -> DiagnosedMotors:
         """The arm with the effects found, as `read_model` gives it from a file."""
-        problem, fit = self.problem, self.fit
+        problem = self.problem
+        fit = self.fit
         return DiagnosedMotors(
             arm=problem.data.arm,
             links=problem.links_at(fit.nuisance),
@@ -158,7 +159,9 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         return {effect.own("peak_to_peak_Nm"): Estimate(float(np.ptp(self._added[k], axis=1).max()), 0.0)}
 
     def _own_parts(self) -> dict[str, Any]:
-        problem, data, chosen = self.problem, self.problem.data, self.problem.data.recorded
+        problem = self.problem
+        data = self.problem.data
+        chosen = self.problem.data.recorded
         passed = {"rate_Hz": chosen.rate, "cutoff_Hz": chosen.cutoff, "motion_cutoff_Hz": data.motion_cutoff}
         return {
             "filter": None if data.recording.motion == "static" else {**passed, "every": chosen.every},

@@ -56,7 +56,8 @@ def uncertainty_of_poses(
     J = change.all()
     C = np.zeros((0, 0))
     if len(J):
-        frames, masses = len(problem.frames), len(problem.masses)
+        frames = len(problem.frames)
+        masses = len(problem.masses)
         # by the sensor's own unknowns and by frame jumps: no prediction has them, but they are fitted beside
         beside = np.array([site[0] not in (*FRAMES, "wave", "mass", "payload") for site in problem.unknown], bool)
         moved = problem.frame_columns[beside[: len(problem.frame_columns)]]
@@ -163,7 +164,8 @@ def _left_of_torques(
     Held-out errors are those of filtered torques. What the filter takes from a row is added: a prediction is not
     filtered.
     """
-    valid, data = problem.valid, problem.data
+    valid = problem.valid
+    data = problem.data
     dynamics = data.bodies.dynamics(problem.links_at(fit.nuisance))
     time = np.asarray(dynamics.motion.time)
     rough = shown_torques(fit.terms, fit.values, dynamics, time, data.filter.runs) - data.torque[:, data.rows]
@@ -234,7 +236,8 @@ def _spacing(q: Array, rows: Rows, kept_rows: Rows, folds: Iterable[Mask]) -> fl
     """The distance in `q` `(sample, joint)` rad to the nearest kept row of other blocks that 95 % of rows keep, rad."""
     distances = []
     for fold in folds:
-        fold_rows, other_rows = rows[fold[rows]], kept_rows[~fold[kept_rows]]
+        fold_rows = rows[fold[rows]]
+        other_rows = kept_rows[~fold[kept_rows]]
         if fold_rows.size and other_rows.size:
             distances.append(distance_to(q[other_rows], q[fold_rows]))
     return float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0

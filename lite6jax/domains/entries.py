@@ -170,7 +170,8 @@ def shared_fields(model: Any, parts: Sequence[tuple[Effect, slice]], covariances
 
 
 def _uncertainty_entry(uncertainty: Uncertainty) -> dict[str, Any]:
-    C, recorded = uncertainty.covariance, uncertainty.recorded
+    C = uncertainty.covariance
+    recorded = uncertainty.recorded
     ranges = zip(_RANGES, (recorded.joints, recorded.velocities, recorded.accelerations), strict=True)
     lists = {
         "left": uncertainty.left,
@@ -205,7 +206,8 @@ def _effects(
             needed = f"is of an arm of {effect.joints_needed} joints or more, and this one has {joints}"
             raise InputError(f"{effect.label}: {needed}")
         for coordinate, value in zip(effect.coordinates, values, strict=True):
-            lower, upper = coordinate.lower, coordinate.upper
+            lower = coordinate.lower
+            upper = coordinate.upper
             if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
                 slack = _LARGEST_MISFIT * (upper - lower)
             else:  # a coefficient of a curve

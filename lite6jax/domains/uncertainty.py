@@ -138,7 +138,8 @@ def distance_to(positions: Array, joint_position: Array) -> Array:
 
 def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: ArrayLike = 1e-6) -> Array:
     """By how much values are beyond a range, over its length, `least` at least; over its ends where it has none."""
-    lower, upper = np.asarray(lower), np.asarray(upper)
+    lower = np.asarray(lower)
+    upper = np.asarray(upper)
     length = np.maximum(np.maximum(upper - lower, 0.1 * np.maximum(np.abs(lower), np.abs(upper))), least)
     return np.maximum(np.maximum(lower - values, values - upper), 0.0) / length
 

@@ -202,7 +202,8 @@ def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
     """
     assert motion.joint_velocity is not None
     velocity = np.asarray(motion.joint_velocity)
-    before, after = velocity[:, :-1], velocity[:, 1:]
+    before = velocity[:, :-1]
+    after = velocity[:, 1:]
     slides = motion.sliding.mask(len(velocity)).tolist()
     speeds = [joint_size(_BLURRED * dynamic.DIRECTION_SPEED, "rad/s", of_slide) for of_slide in slides]
     for joint, reverses in enumerate(before * after < 0):

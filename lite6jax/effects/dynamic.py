@@ -528,7 +528,8 @@ PAYLOAD_LENGTH = 0.5
 """m, of a payload's centre of mass from where it is declared."""
 TILT = 0.5
 """rad, by which a base may be tilted from what is declared."""
-_GROWTH, _MOUNTED = 3.0, 0.5
+_GROWTH = 3.0
+_MOUNTED = 0.5
 """Times its own mass, or of the arm's, that what is mounted on a link weighs at most."""
 _AROUND = 0.15
 """Of the arm's reach, by which a link extends beyond the line between its joints."""
@@ -699,7 +700,8 @@ class PayloadBody(TorqueEffect):
         return (PayloadTorque(),)
 
     def to_parameters(self, values: Array) -> tuple[Array, Array]:
-        mass, moments = float(values[0]), np.asarray(values[1:], float)
+        mass = float(values[0])
+        moments = np.asarray(values[1:], float)
         over = 1 / mass if mass else 1e300  # without a mass its place is anything: a huge derivative is no knowledge
         jacobian = np.eye(4)
         jacobian[1:, 1:] *= over

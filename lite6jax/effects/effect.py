@@ -46,7 +46,8 @@ class Coordinate(NamedTuple):
     def at_slide(self) -> "Coordinate":
         """That of a prismatic joint, given as that of a revolute one; `spread` was measured and stays as it is."""
         typical, lower, upper = (joint_size(size, self.unit, True) for size in (self.typical, self.lower, self.upper))
-        name, unit = joint_unit(self.name, True), joint_unit(self.unit, True)
+        name = joint_unit(self.name, True)
+        unit = joint_unit(self.unit, True)
         return Coordinate(name, unit, typical, self.spread, lower, upper, self.linear)
 
 
@@ -456,7 +457,8 @@ class Wave(OfJoint, ABC):
         """As of any effect."""
         order = self.order_in(values)
         sine, cosine = values[:2]
-        size, phase = np.hypot(sine, cosine), np.arctan2(cosine, sine)
+        size = np.hypot(sine, cosine)
+        phase = np.arctan2(cosine, sine)
         jacobian = np.zeros((3, values.size))
         jacobian[0, 2:] = 1.0
         if self.of_slide:  # of no order, as of an effect that is neutral, there is no period
@@ -485,7 +487,8 @@ class Wave(OfJoint, ABC):
             raise InputError(
                 f"{self.label}: {repeats} {number:g} beside the fixed {repeats} {fixed:g}; give one of them"
             )
-        size, phase = given.get(amplitude, 0.0), given.get("phase_rad", 0.0)
+        size = given.get(amplitude, 0.0)
+        phase = given.get("phase_rad", 0.0)
         if size < 0:
             raise InputError(f"{self.label}: {amplitude} is {size:g}; make it positive and add pi to phase_rad")
         order = [] if fixed is not None else [1 / number if self.of_slide else number]

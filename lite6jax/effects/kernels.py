@@ -141,7 +141,8 @@ def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
         xp.clip(values[k], bounds[2 * k], bounds[2 * k + 1]) if name in SCALED and name != "line" else values[k]
         for k, name in enumerate(names)
     ])  # fmt: skip
-    process_variance, feature_variance = 1.0, 1.0
+    process_variance = 1.0
+    feature_variance = 1.0
     for of_process, of_features in zip(_factors(names, inside, bounds), _factors(names, values, bounds), strict=True):
         process_variance = process_variance * xp.sum(of_process**2, 0)
         feature_variance = feature_variance * xp.sum(of_features**2, 0)
@@ -234,7 +235,8 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
     xp = library_of(values)
     u = xp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
     t = xp.abs(u - np.arange(-1.0, pieces + 2.0)[:, None])
-    near, far = xp.maximum(1 - t, 0.0), xp.maximum(2 - t, 0.0)
+    near = xp.maximum(1 - t, 0.0)
+    far = xp.maximum(2 - t, 0.0)
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
@@ -246,7 +248,8 @@ def _factors(names: Sequence[str], values: Array, bounds: Sequence[float]) -> li
 def _factor(name: str, values: Array, lower: float, upper: float, in_product: bool) -> Array:
     xp = library_of(values)
     if name == "wave":  # of an angle, each order over itself
-        turned, over = _WAVES[:, None] * values, _WAVES[:, None]
+        turned = _WAVES[:, None] * values
+        over = _WAVES[:, None]
         return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / over, xp.cos(turned) / over])
     scaled = 2 * (values - lower) / (upper - lower) - 1
     if name == "line":

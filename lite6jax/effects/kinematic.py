@@ -230,7 +230,8 @@ class JointBacklash(JointEffect):
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        direction, torque = self.own_driver("direction of motion"), self.own_driver("gravity torque")
+        direction = self.own_driver("direction of motion")
+        torque = self.own_driver("gravity torque")
         if self.friction_torque_Nm is None:
             return (direction,)
         return (torque, direction) if self.friction_torque_Nm else (torque,)
@@ -419,7 +420,8 @@ class AxisWobble(Bending):
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         q = self.drivers[0].values(motion, loads)
         xp = library_of(q)
-        cosine, sine = xp.cos(q), xp.sin(q)
+        cosine = xp.cos(q)
+        sine = xp.sin(q)
         waves = (cosine, sine, xp.cos(2 * q), xp.sin(2 * q))
         about_x = sum(value * wave for value, wave in zip(values[:4], waves, strict=True))
         about_y = sum(value * wave for value, wave in zip(values[4:], waves, strict=True))
@@ -465,12 +467,17 @@ class BaseCompliance(FrameEffect):
 
     def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
-        rx, ry, x, y = values[0] * about_x, values[1] * about_y, None, None
+        rx = values[0] * about_x
+        ry = values[1] * about_y
+        x = None
+        y = None
         if self.cross:
-            rx, ry = rx + values[2] * about_y, ry + values[2] * about_x
+            rx = rx + values[2] * about_y
+            ry = ry + values[2] * about_x
         if self.shift:
             xx, xy, yx, yy = values[-4:]
-            x, y = xx * about_x + xy * about_y, yx * about_x + yy * about_y
+            x = xx * about_x + xy * about_y
+            y = yx * about_x + yy * about_y
         return twist(motion.samples, x, y, rx=rx, ry=ry)
 
 

@@ -205,10 +205,13 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     def at(array: Array, index: Array) -> Array:
         return array.at[..., index].get(mode="promise_in_bounds")
 
-    start, end = at(motion.joint_position, before), at(motion.joint_position, after)
-    v_start, v_end = at(motion.joint_velocity, before), at(motion.joint_velocity, after)
+    start = at(motion.joint_position, before)
+    end = at(motion.joint_position, after)
+    v_start = at(motion.joint_velocity, before)
+    v_end = at(motion.joint_velocity, after)
     # the weights are exactly 0 and 1 at the ends, so that a zero offset changes nothing
-    to_end, to_start = u * u * (3 - 2 * u), (1 - u) * (1 - u) * (1 + 2 * u)
+    to_end = u * u * (3 - 2 * u)
+    to_start = (1 - u) * (1 - u) * (1 + 2 * u)
     position = to_start * start + to_end * end + step * u * (1 - u) * ((1 - u) * v_start - u * v_end)
     velocity = 6 * u * (1 - u) * (end - start) / step + (1 - u) * (1 - 3 * u) * v_start + u * (3 * u - 2) * v_end
     # at a sample's own instant its own values, at whichever end of the interval it lies
@@ -220,7 +223,8 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     }
     replaced = {name: at(value, source_sample) for name, value in stepwise.items() if value is not None}
     if motion.joint_acceleration is not None:
-        a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)
+        a_start = at(motion.joint_acceleration, before)
+        a_end = at(motion.joint_acceleration, after)
         replaced["joint_acceleration"] = (1 - u) * a_start + u * a_end
     direction = None if motion.direction is None else jnp.sign(velocity)
     return motion._replace(joint_position=position, joint_velocity=velocity, direction=direction, **replaced)
@@ -234,7 +238,9 @@ def accelerated(motion: Motion) -> Motion:
     """
     if motion.joint_velocity is None or motion.time is None:
         return motion
-    time, velocity, (first, last) = np.asarray(motion.time), np.asarray(motion.joint_velocity), np.asarray(motion.run)
+    time = np.asarray(motion.time)
+    velocity = np.asarray(motion.joint_velocity)
+    first, last = np.asarray(motion.run)
     acceleration = np.zeros_like(velocity)
     for start in np.unique(first):
         rows = slice(start, last[start] + 1)
@@ -243,7 +249,8 @@ def accelerated(motion: Motion) -> Motion:
             continue
         step = np.diff(t)
         reach = np.maximum(_HALF_WINDOW, np.maximum(np.append(step, 0), np.insert(step, 0, 0)))
-        early, late = np.maximum(t - reach, t[0]), np.minimum(t + reach, t[-1])
+        early = np.maximum(t - reach, t[0])
+        late = np.minimum(t + reach, t[-1])
         duration = np.where(late > early, late - early, 1.0)
         for joint, v in enumerate(velocity[:, rows]):
             acceleration[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / duration
@@ -254,9 +261,12 @@ def beyond(motion: Motion, offset: Array | float) -> Array:
     """`(sample,)` bool: `time + offset` lies more than one sample's step outside the run of the sample."""
     assert motion.time is not None
     first, last = motion.run
-    second, last_but_one = jnp.minimum(first + 1, last), jnp.maximum(last - 1, first)
+    second = jnp.minimum(first + 1, last)
+    last_but_one = jnp.maximum(last - 1, first)
     t = motion.time
-    instant, tolerance = t + offset, 1e-9 * jnp.abs(t[-1] - t[0])  # for rounding of the times
+    # for rounding of the times
+    instant = t + offset
+    tolerance = 1e-9 * jnp.abs(t[-1] - t[0])
     early = instant < t[first] - (t[second] - t[first]) - tolerance
     late = instant > t[last] + (t[last] - t[last_but_one]) + tolerance
     return early | late
@@ -270,7 +280,8 @@ def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Arra
         `offset` differentiably; and its length in s.
     """
     assert motion.time is not None
-    t, (first, last) = motion.time, motion.run
+    t = motion.time
+    first, last = motion.run
     instant = lax.stop_gradient(t + offset)
 
     def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -298,7 +309,8 @@ def since_reversal(motion: Motion) -> Array:
     def moved(state: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], Array]:
         turned_at, farthest, sense = state
         q, begins = now
-        turned_at, farthest = jnp.where(begins, q, turned_at), jnp.where(begins, q, farthest)
+        turned_at = jnp.where(begins, q, turned_at)
+        farthest = jnp.where(begins, q, farthest)
         sense = jnp.where(begins | (sense == 0), jnp.sign(q - farthest), sense)
         retreat = sense * (farthest - q)
         turns = retreat > smallest_reversal

@@ -184,7 +184,8 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = POSE_EFF
     if unknown:
         raise InputError(f"effect: the key {unknown[0]!r} is unknown; the keys are effect, site, where, parameters")
     kind = _kind(document.get("effect"), kinds)
-    where, parameters = document.get("where", {}), document.get("parameters", {})
+    where = document.get("where", {})
+    parameters = document.get("parameters", {})
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")

@@ -412,7 +412,8 @@ class EncoderEccentricity(ServoEffect):
         return np.array([size, np.arctan2(cosine, sine)]), jacobian
 
     def from_parameters(self, given: Mapping[str, float]) -> Array:
-        size, phase = given.get("amplitude_rad", 0.0), given.get("phase_rad", 0.0)
+        size = given.get("amplitude_rad", 0.0)
+        phase = given.get("phase_rad", 0.0)
         return size * np.array([np.cos(phase), np.sin(phase)])
 
 

@@ -94,7 +94,9 @@ def with_mass_errors(inertia: Inertia, errors: ArrayLike, payload: float = 0.0) 
             distance of the arm where that is larger: a centre near an axis is not better known.
         payload: kg by which it is heavier than declared, put into the last link at the payload's centre.
     """
-    e, mass, center = jnp.asarray(errors), jnp.asarray(inertia.mass), jnp.asarray(inertia.center_of_mass)
+    e = jnp.asarray(errors)
+    mass = jnp.asarray(inertia.mass)
+    center = jnp.asarray(inertia.center_of_mass)
     distance = jnp.linalg.norm(center, axis=1, keepdims=True)
     lever = jnp.maximum(distance, distance.mean())
     heavier = mass * (1 + e[:, 0])
@@ -156,13 +158,17 @@ def loads(
         a, b, c = jnp.moveaxis(center, -1, 0)[..., None]
         return a * x[:, last] + b * y[:, last] + c * z[:, last]
 
-    links, end = slice(None), slice(-1, None)
-    to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
+    links = slice(None)
+    end = slice(-1, None)
+    to_link = arm_to(inertia.center_of_mass, links)
+    to_payload = arm_to(inertia.payload_center[None], end)
     specific_force = _specific_force(form, z, origin, velocity, acceleration, inertia.gravity)
-    force, weight = inertia.mass[:, None] * specific_force(to_link, links), payload * specific_force(to_payload, end)
+    force = inertia.mass[:, None] * specific_force(to_link, links)
+    weight = payload * specific_force(to_payload, end)
     moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, weight))
     outboard = partial(lax.cumsum, axis=1, reverse=True)
-    outboard_force, about_base = outboard(force.at[:, -1:].add(weight)), outboard(moment)
+    outboard_force = outboard(force.at[:, -1:].add(weight))
+    about_base = outboard(moment)
     about = about_base - cross(origin, outboard_force)
     about_flange = cross(to_payload, weight)[:, 0]
     of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])

@@ -222,10 +222,12 @@ def _evaluation(
     effect: Bending | Altering | TorqueEffect, motion: Motion
 ) -> tuple[Callable[[np.ndarray], dict[str, Any]], dict[str, Any]]:
     """What an effect makes of a motion, by name, as a function of its values; and what it is without the effect."""
-    dof, samples = motion.dof, motion.samples
+    dof = motion.dof
+    samples = motion.samples
     if isinstance(effect, TorqueEffect):
         moved = jax.tree.map(np.asarray, motion)
-        q, row = moved.joint_position, moved.time
+        q = moved.joint_position
+        row = moved.time
         dynamics = Dynamics(
             motion=moved._replace(joint_acceleration=q),
             torque=q,

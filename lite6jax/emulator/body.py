@@ -89,7 +89,8 @@ class EmulatedArm:
     torque_noise: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        name, dof = self.arm.name, self.arm.dof
+        name = self.arm.name
+        dof = self.arm.dof
         if dof not in (5, 6, 7):
             raise InputError(f"{name}: has {dof} joints, but a UFACTORY controller drives 5, 6 or 7")
         if self.arm.sliding:

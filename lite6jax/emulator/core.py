@@ -107,7 +107,8 @@ def parse_faults(texts: Iterable[str]) -> Faults:
         name, colon, value = text.partition(":")
         if name not in kinds:
             raise InputError(f"no fault {name!r}; {suggestion(name, kinds)}")
-        kind, key = kinds[name].metadata, kinds[name].name
+        kind = kinds[name].metadata
+        key = kinds[name].name
         if colon and not kind["value"]:
             raise InputError(f"fault {name}: takes no value; leave {value!r} out")
         parsed = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
@@ -226,8 +227,10 @@ class Core:
     @property
     def identity(self) -> protocol.Identity:
         """The content of register 1."""
-        dof, kind = self.body.arm.dof, self.body.type
-        prefix, box = {9: "LI", 12: "FX"}.get(kind, "XI"), "DL1000" if kind == 9 else "AC1300"
+        dof = self.body.arm.dof
+        kind = self.body.type
+        prefix = {9: "LI", 12: "FX"}.get(kind, "XI")
+        box = "DL1000" if kind == 9 else "AC1300"
         return protocol.Identity(dof, kind, f"{prefix}1006", box, self.faults.firmware)
 
     @property
@@ -267,7 +270,8 @@ class Core:
         offsets = self.body.torque_offset
         torque = self.body.draw_torque_noise(time)
         for offset in np.unique(offsets):
-            (q, dq), half = self.read_encoders(time + offset), DIFFERENCE_S / 2
+            q, dq = self.read_encoders(time + offset)
+            half = DIFFERENCE_S / 2
             later, earlier = (self.read_encoders(time + offset + shift)[1] for shift in (half, -half))
             sample = Sample(time + offset, q, dq, np.sign(dq))
             exerted = self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.load)
@@ -314,7 +318,8 @@ def answer(core: Core, request: Message) -> Message | None:
             if isinstance(payload, np.ndarray):
                 payload = protocol.encode_floats(payload * np.nan if "kinematics" in core.faults.nan else payload)
     except ValueError:
-        payload, invalid = bytes(UNPACKED), Status.INVALID
+        payload = bytes(UNPACKED)
+        invalid = Status.INVALID
     return request.reply(payload, invalid | core.status)
 
 
@@ -332,7 +337,8 @@ def _read(core: Core, request: Message) -> bytes | Array:
         case Register.SERIAL_NUMBER:
             return protocol.encode_text(f"{core.identity.arm}230801E01\0{core.identity.box}230801E02\n")
         case Register.CALIBRATION:
-            valid, identity = core.faults.calibrated, core.identity
+            valid = core.faults.calibrated
+            identity = core.identity
             rows = core.body.kinematics if valid else np.zeros((0, 6))
             rows = rows * np.nan if "calibration" in core.faults.nan else rows
             return protocol.Calibration(int(valid), identity.dof, identity.type, rows).encode()
@@ -367,7 +373,9 @@ def report(core: Core, port: int, time: Array) -> bytes:
     records = np.zeros(len(time), protocol.report_layout(port))
     records["length"] = records.dtype.itemsize
     records["state_mode"] = core.state
-    commanded, measured, torque = core.read_commands(time), core.read_encoders(time), core.torque(time)
+    commanded = core.read_commands(time)
+    measured = core.read_encoders(time)
+    torque = core.torque(time)
     current = protocol.pad_joints(AMPERE_PER_NM * torque + AMPERE_PER_RAD_PER_S * measured[1])
     records["torque"] = protocol.pad_joints(torque)
     if port == protocol.REALTIME:
@@ -387,7 +395,8 @@ def report(core: Core, port: int, time: Array) -> bytes:
         if "temperature" in names:
             identity = core.identity
             records["dof"], records["type"] = identity.dof, identity.type
-            records["master"], records["slave"] = 0xAA, 0x55
+            records["master"] = 0xAA
+            records["slave"] = 0x55
             records["version"] = identity.encode().rstrip(b"\0")[:30]
             records["pose_limits"] = [1000, 1, 50000, 0.1, 1000]  # mm and s, as the SDK assumes them
             records["joint_limits"] = [20, 0.01, MAX_ACCELERATION, 1e-4, MAX_SPEED]

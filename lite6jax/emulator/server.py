@@ -99,12 +99,16 @@ class Controller:
             raise InputError(f"speed {speed}: the clock runs forward; give a number above 0")
         if not 0 <= control_port <= 65535:
             raise InputError(f"control port {control_port}: is not a port; give 0 to 65535")
-        offset, load = np.array(tool, float), np.array(payload, float)
+        offset = np.array(tool, float)
+        load = np.array(payload, float)
         for name, values in (("tool", offset), ("payload", load)):
             if not (np.abs(values) < PLAUSIBLE).all():
                 shown = " ".join(f"{value:g}" for value in values)
                 raise InputError(f"{name} {shown}: is implausible for an arm; give mm, radians and kg")
-        self.body, self.address, self.control_port, self.speed = body, address, control_port, float(speed)
+        self.body = body
+        self.address = address
+        self.control_port = control_port
+        self.speed = float(speed)
         self._core = Core(body, faults, path, offset, load)
         self._report_ports = tuple(report_ports)
         self._readers: dict[_Writer, int] = {}  # their ports
@@ -282,7 +286,8 @@ class Controller:
             writer.write(reports)
 
     async def _listen(self, port: int, reader: asyncio.StreamReader, writer: _Writer) -> None:
-        self._readers[writer], self._sent[writer] = port, 0
+        self._readers[writer] = port
+        self._sent[writer] = 0
         try:
             while await reader.read(4096):
                 pass  # a report port ignores input

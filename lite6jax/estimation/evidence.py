@@ -30,7 +30,8 @@ _UNIFORM = 2 * np.pi / np.sqrt(12)
 """rad, the standard deviation of an angle that is spread evenly over a turn."""
 _TRIED = 28
 """Variances τ² of the prior that are tried, in geometric steps."""
-_LEAST, _MOST = 1e-2, 1e7
+_LEAST = 1e-2
+_MOST = 1e7
 """Least and greatest τ²λ that are tried, λ the largest eigenvalue; the greatest is more where the pulls z² need it."""
 _DECLARED = 4.0
 """Degrees of freedom that a declared noise counts as: it is known to a factor of two."""
@@ -108,7 +109,8 @@ class Marginal:
 
     def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""
-        (squares, freedom), groups = self._by_group, self._coupled(rows)
+        squares, freedom = self._by_group
+        groups = self._coupled(rows)
         return float(squares[groups].sum()), float(freedom[groups].sum())
 
     def _coupled(self, rows: NDArray[np.bool_]) -> NDArray[np.integer]:

@@ -116,7 +116,8 @@ class Fit:
 
     def log_likelihood(self, scale: Array) -> float:
         """Of the training samples under Student's t and of the prior, up to a constant, at noise of `scale`."""
-        r, total = self.residuals, -0.5 * self.penalty
+        r = self.residuals
+        total = -0.5 * self.penalty
         for group, s in enumerate(scale):
             squares = np.sum(r.innovations[r.groups == group][:, self.training] ** 2, 0) / s**2
             rows = int(np.sum(r.groups == group))
@@ -188,7 +189,8 @@ def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -
     Its nuisance is the sum of all. Displacements one after the other differ from their sum to second order, and its
     residuals are those of the former: a further fit, from there, makes them agree.
     """
-    about, f = problem, fitted
+    about = problem
+    f = fitted
     for _ in range(options.relinearisations):
         about = about.relinearised(f.nuisance)
         again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
@@ -263,7 +265,9 @@ def _fitted(
     bounds = _bounds(problem, terms)
     least = float(problem.floored)
     state = weighed(residual(problem, at), noise, training, least)
-    converged, H, damped = False, np.eye(0), 0.0
+    converged = False
+    H = np.eye(0)
+    damped = 0.0
     columns: Sequence[Array | Factored] | None = None
     taken = at
     most_steps = options.exact_steps if exact else options.steps
@@ -274,7 +278,8 @@ def _fitted(
         if step_number - far_steps >= most_steps:
             break
         if columns is None or exact or moving or far or _apart(terms, at[k:], taken[k:], options.stale):
-            columns, taken = columns_at(problem, at, state.rows), at
+            columns = columns_at(problem, at, state.rows)
+            taken = at
         if not sum(map(len, columns)):
             converged = True
             break
@@ -287,12 +292,17 @@ def _fitted(
         length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
         fresh = np.array_equal(at[k:], taken[k:]) and not differs(problem, at, taken)
-        trial, there, rows, cost = at, problem, state.rows, np.inf
+        trial = at
+        there = problem
+        rows = state.rows
+        cost = np.inf
         for step, damping in _steps(H, gradient, full, rounding, damped, options, problem.curved):
-            trial, there = at + step, problem
+            trial = at + step
+            there = problem
             trial[k:] = np.clip(trial[k:], *bounds)
             if moving:
-                there, trial = problem.relinearised(trial[:k]), np.concatenate([np.zeros(k), trial[k:]])
+                there = problem.relinearised(trial[:k])
+                trial = np.concatenate([np.zeros(k), trial[k:]])
             rows = residual(there, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
             if cost <= before + 1e-9 * abs(before):
@@ -303,7 +313,9 @@ def _fitted(
                 break  # derivatives at the point of linearisation lead no further
             columns = None
             continue
-        at, problem, state = trial, there, weighed(rows, noise, training, least)
+        at = trial
+        problem = there
+        state = weighed(rows, noise, training, least)
         if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
@@ -387,7 +399,8 @@ def _shared_by_names(H: Array, inverse: Array, terms: Terms, confounded: float) 
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
     """Whether the numbers of a term are so far from others that derivatives there differ; a term may jump anywhere."""
-    moved, size = (values - others) / terms.typical, others / terms.typical
+    moved = (values - others) / terms.typical
+    size = others / terms.typical
     apart = (np.linalg.norm(moved[part]) > share * np.linalg.norm(size[part]) for part in terms.slices)
     return _may_jump(terms) or any(apart)
 
@@ -439,8 +452,10 @@ def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) 
         training: `(sample,)`.
         least: that a scale is: 1 where the noise is not less than declared.
     """
-    innovations, groups = noise.whitened(rows), noise.groups
-    scale, weight = np.empty(len(noise.models)), np.empty((len(noise.models), rows.shape[1]))
+    innovations = noise.whitened(rows)
+    groups = noise.groups
+    scale = np.empty(len(noise.models))
+    weight = np.empty((len(noise.models), rows.shape[1]))
     for group in range(len(scale)):
         part = innovations[groups == group]
         squares = np.sum(part**2, 0)

@@ -168,7 +168,8 @@ class NoiseModel:
     def log_volume(self, training: NDArray[np.bool_]) -> float:
         """The logarithm of the determinant of the whitening filter of all rows, of the samples `(sample,)` used."""
         counts = np.bincount(self.groups, minlength=len(self.models))
-        samples, runs = int(training.sum()), int(training[list(self.starts)].sum())
+        samples = int(training.sum())
+        runs = int(training[list(self.starts)].sum())
         return float(sum(n * m.log_volume(samples, runs) for n, m in zip(counts, self.models, strict=True)))
 
 

@@ -13,7 +13,8 @@ Array = NDArray[np.floating]
 
 ROUNDING = 1e-13
 """Relative eigenvalue of a matrix of unit diagonal below which a direction is rounding."""
-_MANY, _CLEARLY = 20, 100.0
+_MANY = 20
+_CLEARLY = 100.0
 """Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal over rounding.
 
 Either way rounding leaves an error of 1e-16 over the least eigenvalue, relative to the solution.
@@ -27,7 +28,8 @@ def unit_rows(columns: Array) -> Array:
     """Rows `(number, reading)` of unit length; those that are zero are left out."""
     norms = np.linalg.norm(columns, axis=1)
     if not (norms > 0).all():
-        columns, norms = columns[norms > 0], norms[norms > 0]
+        columns = columns[norms > 0]
+        norms = norms[norms > 0]
     return columns / norms[:, None]
 
 

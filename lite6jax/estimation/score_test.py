@@ -24,7 +24,8 @@ from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
 
-_MANY, _UNDETERMINED = 20, 1e-4
+_MANY = 20
+_UNDETERMINED = 1e-4
 """A process of more coefficients is reduced to the combinations whose information is this share of their prior's."""
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
@@ -174,7 +175,8 @@ class ScoreTest:
 
         Those of processes always are.
         """
-        (before, whole_columns), (nuisance, part_columns) = self._named, _named_columns(self.problem, part)
+        before, whole_columns = self._named
+        nuisance, part_columns = _named_columns(self.problem, part)
         return np.array_equal(before, nuisance) and all(
             np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns
         )
@@ -356,7 +358,8 @@ class ScoreTest:
     @property
     def left_of_rows(self) -> Array:
         """`left` of the measurements, `(row, sample)`; without the readings of priors, which come after these."""
-        rows, samples = self.problem.rows, self.problem.samples
+        rows = self.problem.rows
+        samples = self.problem.samples
         return self.left[: rows * samples].reshape(rows, samples)
 
     def whitened(self, columns: Array) -> Array:
@@ -437,7 +440,8 @@ def block_test(
     T = V[:, identifiable] / np.sqrt(eigenvalues[identifiable])  # of unit information
     s = T.T @ (per_block / length[:, None])
     total = s.sum(1)
-    k, B = int(identifiable.sum()), s.shape[1]
+    k = int(identifiable.sum())
+    B = s.shape[1]
     statistic = float(total @ total)
     white = float(chdtrc(k, statistic))
     spread = block_covariance(T.T @ G, s, total, by_block)

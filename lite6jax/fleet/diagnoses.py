@@ -19,7 +19,8 @@ with import_lazily():  # where a recording is diagnosed, or all are pooled
 TABLE = "summary.parquet"
 POOLED = "fleet.json"
 """In the folder of results."""
-DIAGNOSED, UNREADABLE = "diagnosed", "unreadable"
+DIAGNOSED = "diagnosed"
+UNREADABLE = "unreadable"
 
 _FINDING = pa.struct(
     [("domain", pa.string()), ("effect", pa.string()), ("site", pa.string()), ("p_value", pa.float64())]
@@ -118,7 +119,8 @@ def make_row(
     tracking = document if diagnosis_file.is_of_tracking(document) else None
     torques = diagnosis_file.find_torques(document)
     row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
-    faults, findings = [], []
+    faults = []
+    findings = []
     for domain, part in (("poses", poses), ("torques", torques), ("tracking", tracking)):
         if part is None:
             continue
@@ -197,9 +199,13 @@ def pool_folder(
     for row in rows:
         heading = headings.get(row["file"])
         if heading is None or row["result"] != DIAGNOSED:
-            about, findings, unused = {}, (), row["message"] or "was not diagnosed"
+            about = {}
+            findings = ()
+            unused = row["message"] or "was not diagnosed"
         else:
-            about, findings, unused = heading.about, heading.found, _reason_unused(heading, arm)
+            about = heading.about
+            findings = heading.found
+            unused = _reason_unused(heading, arm)
         members.append(population.Member(row["file"], about, findings, unused))
     files = [member.file for member in members if not member.unused]
     if len(files) < _FEWEST:

@@ -92,8 +92,10 @@ class PooledEvidence:
     def likelihoods(self, typical: Sequence[float]) -> ArmLikelihoods:
         """What the arms say, for a hierarchical model of numbers of `typical` sizes; nothing where there is no
         evidence."""
-        size, arms = len(typical), len(self.evidence)
-        score, information = np.zeros((arms, size)), np.zeros((arms, size, size))
+        size = len(typical)
+        arms = len(self.evidence)
+        score = np.zeros((arms, size))
+        information = np.zeros((arms, size, size))
         for i, arm_evidence in enumerate(self.evidence):
             if arm_evidence is not None:
                 score[i], information[i] = arm_evidence.score, arm_evidence.information
@@ -135,7 +137,8 @@ def weigh(
             float(amplitude.variance),
         )
 
-    S, v = float(residual_squares.sum()), float(freedom.sum())
+    S = float(residual_squares.sum())
+    v = float(freedom.sum())
     ways: list[tuple[tuple[float, float, float], Way]] = [
         (of(b.sum(0)[None], G.sum(0)[None], S, v), "mean"),
         (of(b, G, S, v), "any"),
@@ -155,7 +158,8 @@ def evidence_of_names(statistic: ArrayLike, size: ArrayLike, residual_squares: f
 
     Of χ² statistics T and as many directions K, of any shape, with S left of ν degrees of freedom.
     """
-    t, K = np.asarray(statistic) / residual_squares, np.asarray(size)
+    t = np.asarray(statistic) / residual_squares
+    K = np.asarray(size)
     q = (freedom * t - K) / np.maximum(t * np.maximum(freedom - K, 1.0), 1e-300)
     q = np.clip(q, 0.0, 1 - 1e-9)
     return _log(q * t * residual_squares, residual_squares, freedom) + 0.5 * K * np.log1p(-q)
@@ -184,7 +188,9 @@ def screen(
     candidate_evidence = dict[str, list[RecordingEvidence | None]]()
     total = dict[str, list[Array]]()
     alone = dict[str, Array]()
-    arms, S, v = 0, 0.0, 0.0
+    arms = 0
+    S = 0.0
+    v = 0.0
     for scan in scans:
         for key in {**candidate_evidence, **scan.named}:
             candidate_evidence.setdefault(key, [None] * arms).append(scan.named.get(key))
@@ -192,7 +198,9 @@ def screen(
             arm_gain = _evidence_of_sums(screened.sums, scan.left, scan.freedom)
             total[key] = [a + b for a, b in zip(total[key], screened, strict=True)] if key in total else list(screened)
             alone[key] = np.maximum(alone.get(key, 0.0), arm_gain)
-        arms, S, v = arms + 1, S + scan.left, v + scan.freedom
+        arms = arms + 1
+        S = S + scan.left
+        v = v + scan.freedom
     group_evidence = dict[str, Array]()
     for key, (score, information, sums) in total.items():
         if key in SCREENED:
@@ -222,7 +230,9 @@ class Reduced:
 
     def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
         """The files of `ReducedArm.to_bytes`, thresholds, and workers that are started; computes nothing."""
-        self._stored, self.options, self._workers = tuple(stored), options, workers
+        self._stored = tuple(stored)
+        self.options = options
+        self._workers = workers
 
     def scans(self, beside: Sequence[Tested], candidate_terms: Tried) -> Iterator[RecordingScan]:
         """What each recording says of all that is tested, beside some terms, in order."""
@@ -287,8 +297,11 @@ class Search:
         self, reduced: Reduced, candidate_terms: Tried, progress: Callable[[int], object] = lambda effects: None
     ) -> None:
         """Computes nothing; `progress` is called with the number of effects at each round."""
-        self._reduced, self._tried, self._progress = reduced, candidate_terms, progress
-        self._options, self._least = reduced.options, -float(np.log(reduced.options.engine.level))
+        self._reduced = reduced
+        self._tried = candidate_terms
+        self._progress = progress
+        self._options = reduced.options
+        self._least = -float(np.log(reduced.options.engine.level))
         self._known: dict[frozenset[Tested], list[PooledEvidence]] = {}
 
     def selected(self) -> list[PooledEvidence]:
@@ -430,7 +443,8 @@ class Search:
     def _is_possible(self, weighed: PooledEvidence) -> bool:
         """Whether the mean is not far outside what the named effect can be, as far as that matters."""
         candidate = self._tried.candidate(weighed.term)
-        lower, upper = np.array(candidate.lower), np.array(candidate.upper)
+        lower = np.array(candidate.lower)
+        upper = np.array(candidate.upper)
         if weighed.net < 0 or np.isinf([lower, upper]).all():
             return True
         hierarchy = fitted(weighed.likelihoods(candidate.typical))

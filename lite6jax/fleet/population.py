@@ -136,7 +136,9 @@ class Population:
         return {"effect": candidate.effect, "site": candidate.site, "driver": candidate.driver, **further}
 
     def _effect(self, effect: TypeEffect) -> dict[str, Any]:
-        selected, hierarchy, names = effect.selected, effect.hierarchy, effect.candidate.names
+        selected = effect.selected
+        hierarchy = effect.hierarchy
+        names = effect.candidate.names
         mean = hierarchy.mean
         document = {
             **self._named(selected.term),

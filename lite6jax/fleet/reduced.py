@@ -278,7 +278,8 @@ class ReducedArm:
     def evidence(self, term: Tested, options: PoolingOptions) -> RecordingEvidence | None:
         """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
         columns = self.columns_of(term)
-        projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
+        projected = outside(columns, self.basis)
+        norms = np.linalg.norm(columns, axis=1)
         # what is confounded with the model is rounding, in the score and in the information alike
         threshold = options.engine.confounded
         length = np.where(norms > 0, norms, 1.0)
@@ -319,7 +320,8 @@ class ReducedArm:
         site = place[acting]
         # autocorrelated noise mixes samples: then rows do not add up before waves are multiplied
         measured = self._over_rows(place) if white else (1.0, self._measured[:, acting].reshape(-1, site.size))
-        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 2, 2))
+        score = np.zeros((orders.size, 2))
+        information = np.zeros((orders.size, 2, 2))
         step = max(1, _ORDERS_AT_ONCE // (2 * max(site.size, self.run.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
@@ -334,8 +336,10 @@ class ReducedArm:
         self, processes: Sequence[FleetProcess], roots: Sequence[Array], options: PoolingOptions
     ) -> GroupScores:
         """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
-        groups, size = len(processes), len(roots[0])
-        score, information = np.zeros((groups, size)), np.zeros((groups, size, size))
+        groups = len(processes)
+        size = len(roots[0])
+        score = np.zeros((groups, size))
+        information = np.zeros((groups, size, size))
         functions = dict[tuple[str, ...], Array]()
         members = dict[tuple[str, str], list[int]]()
         for k, process in enumerate(processes):

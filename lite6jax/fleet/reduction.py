@@ -31,19 +31,26 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     fit = diagnosis.fit
     smoothing = None
     if isinstance(diagnosis, TorqueDiagnosis):
-        domain, data, joints = "torques", diagnosis.problem.data, diagnosis.problem.rows
-        arm, settings, smoothing = data.arm, data.recording.settings, data.filter
+        domain = "torques"
+        data = diagnosis.problem.data
+        joints = diagnosis.problem.rows
+        arm = data.arm
+        settings = data.recording.settings
+        smoothing = data.filter
         smoothing = replace(smoothing, kept=smoothing.kept[diagnosis.problem.chosen])
         candidates = [effect for effect in problem.candidates if effect.linear]
     else:
-        domain, joints = "poses", diagnosis.problem.motion.dof
-        arm, settings = diagnosis.problem.arm, diagnosis.problem.recording.settings
+        domain = "poses"
+        joints = diagnosis.problem.motion.dof
+        arm = diagnosis.problem.arm
+        settings = diagnosis.problem.recording.settings
         fit = replace(fit, training=fit.training & ~diagnosis.outliers)
         candidates = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
     candidates = [effect for effect in candidates if not effect.periodic]
     test = score_test(problem, fit, engine)
     test = test.beside([not _is_pooled(term, candidates, problem) for term in fit.terms.terms])
-    terms, values = test.fit.terms, test.fit.values
+    terms = test.fit.terms
+    values = test.fit.values
     unit = 1 / test.scale[problem.groups][:, None]
     columns = unit * problem.columns(candidates, beside=(terms, values))
     quantities = problem.quantities

@@ -22,7 +22,8 @@ from lite6jax.search.scan import PAIRS, SINGLE, Scan
 
 Array = NDArray[np.floating]
 
-SPLINES, CUBICS = "splines", "cubic*cubic"
+SPLINES = "splines"
+CUBICS = "cubic*cubic"
 """What processes of one quantity and of two are screened by."""
 _TYPICAL = 1e-4
 """Of a coefficient, in its unit; the same for all, so that it sets no more than the unit of their spread."""
@@ -181,7 +182,9 @@ class Tried:
 
     def __init__(self, recordings: Iterable[Any], options: EngineOptions) -> None:
         """What one of the recordings can be tested for at least, by their headings."""
-        self.named, self.families, self._options = dict[str, Candidate](), dict[str, Candidate](), options
+        self.named = dict[str, Candidate]()
+        self.families = dict[str, Candidate]()
+        self._options = options
         places = dict[FleetComponent, None]()
         varied = dict[str, DriverValues]()
         for heading in recordings:
@@ -193,7 +196,8 @@ class Tried:
             for driver, sample_values, sites, only in heading.quantities:
                 quantity = varied.setdefault(driver.phrase, DriverValues(driver, np.zeros(0), sites, only))
                 varied[driver.phrase] = quantity._replace(values=np.concatenate([quantity.values, sample_values]))
-        self._places, self._place_of = tuple(places), {phrase: k for k, phrase in enumerate(varied)}
+        self._places = tuple(places)
+        self._place_of = {phrase: k for k, phrase in enumerate(varied)}
         self.components = tuple(Component(place.site, place.name, np.zeros((0, 0))) for place in places)
         self.quantities, self.candidates, self.shaped = tuple(varied.values()), tuple(self.named.values()), ()
         self._scan = Scan(cast(Problem, self), options)  # of a problem, costs need no more than is here

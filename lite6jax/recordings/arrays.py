@@ -228,7 +228,8 @@ def _pose(arrays: Mapping[str, Array], parts: Mapping[str, _Part]) -> Array | No
         T = matrices.reshape(-1, 4, 4)
         T = np.swapaxes(T, 1, 2) if np.allclose(T[:, :3, 3], 0) and not np.allclose(T[:, 3, :3], 0) else T
     else:
-        turn, shift = _rotations(of_part["turn"]), _joined(of_part["shift"], "xyz")
+        turn = _rotations(of_part["turn"])
+        shift = _joined(of_part["shift"], "xyz")
         if turn is None or shift is None:
             return None
         T = np.tile(np.eye(4), (len(shift), 1, 1))

@@ -76,7 +76,8 @@ def check_velocity_scale(recording: Recording) -> None:
     Raises:
         InputError: where a joint moves, its velocity is ten times what its position changes per second, or a tenth.
     """
-    recorded, time = recording.joint_velocity, recording.time
+    recorded = recording.joint_velocity
+    time = recording.time
     if recorded is None or recording.velocity_differentiated or time is None or recording.motion == "static":
         return
     slope = differentiate(recording.joint_position, time, run_segments(recording.run))
@@ -206,7 +207,8 @@ class TorqueNoise:
         if len(self.ranges) < FEWEST or not np.any(self.largest):
             return False
         acting = np.asarray(self.largest) > 0
-        usual, largest = np.quantile(self.ranges, 0.9, axis=0)[acting], np.asarray(self.largest)[acting]
+        usual = np.quantile(self.ranges, 0.9, axis=0)[acting]
+        largest = np.asarray(self.largest)[acting]
         step = np.asarray(self.step)[acting]
         rounded = np.isfinite(step) & (step > QUANTISED * largest)
         return bool((usual <= NOISELESS * largest).all() and not rounded.any())

@@ -366,7 +366,8 @@ def _check_joints(recognised: Mapping[str, Column], highest_joint: int, joints: 
 
 def _check_groups(recognised: Mapping[str, Column], unclear: set[str]) -> list[str]:
     """What is wrong with positions and orientations in part, twice, or without each other."""
-    problems, orientations = [], []
+    problems = []
+    orientations = []
     for group in (PLACE, DEVIATION, QUATERNION, MATRIX, *ANGLES):
         missing = [quantity for quantity in group if spelled(quantity) not in recognised]
         if len(missing) < len(group) and group not in (PLACE, DEVIATION):

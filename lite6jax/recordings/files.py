@@ -211,7 +211,8 @@ def read_recording(
     of_arm = of_arm if dof is None else of_arm._replace(dof=dof)
     path, raw = open_table(path, topics, of_arm, notes)
     table = tabulate(raw, str(path), notes, dof=of_arm.dof, renamed=raw.renamed(str(path), sidecar.columns))
-    columns, values = table.columns, table.values
+    columns = table.columns
+    values = table.values
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
     angles = [

@@ -399,7 +399,8 @@ def _taken_apart(name: str) -> _Word:
         match = None  # whole seconds alone are no time
     letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
     if match and (letter is None or letter.search(name[: match.start(1)])):
-        text, unit = name[: match.start()], _UNITS[match[1].lower()]
+        text = name[: match.start()]
+        unit = _UNITS[match[1].lower()]
     plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     all_words = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
@@ -616,7 +617,8 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
             continue
         members = [group[number] for number in sorted(group)]
         options = {"source": _source(stem, "qrt")}
-        posed, turned = bool(_POSE & present), bool(_TURNED & present)
+        posed = bool(_POSE & present)
+        turned = bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else stem, (word.unit for word in members))
         if turned and count in (3, 4):
             yield from _block("rotation", members, stem, **options, form=_form(stem) if count == 3 else None)

@@ -93,7 +93,8 @@ def _descend(values: Any, path: Sequence[str | int]) -> Any:
             values = pa_compute.call_function("struct_field", [values], pa_compute.StructFieldOptions([part]))
             continue
         sizes = pa_compute.call_function("min_max", [pa_compute.call_function("list_value_length", [values])])
-        shortest, longest = sizes["min"].as_py(), sizes["max"].as_py()
+        shortest = sizes["min"].as_py()
+        longest = sizes["max"].as_py()
         if shortest is not None and shortest != longest:
             return f"its lists hold {shortest} to {longest} numbers; give each row as many"
         values = pa_compute.call_function("list_element", [values, part])
@@ -164,7 +165,8 @@ def open_lerobot(folder: Path) -> RawTable:
 
 def _feature(feature: Mapping[str, Any], name: str, place: int, size: int) -> str:
     """The name of a number of a feature, whose names data sets give as a list or below a heading, and its unit."""
-    names, info = feature.get("names"), feature.get("info")
+    names = feature.get("names")
+    info = feature.get("info")
     names = next(iter(names.values()), None) if isinstance(names, dict) else names
     has_names = isinstance(names, list) and len({*map(str, names)}) == size == len(names)
     stated = [of.get(key) for of in (feature, info if isinstance(info, dict) else {}) for key in ("units", "unit")]

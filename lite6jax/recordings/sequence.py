@@ -79,7 +79,9 @@ def differentiate(
     order = usable[np.lexsort((time[usable], segment[usable]))]
     if not order.size:
         return velocity
-    q, t, s = joint_position[order], time[order], segment[order]
+    q = joint_position[order]
+    t = time[order]
+    s = segment[order]
     step = np.diff(t)
     joined = (np.diff(s) == 0) & (step > 0)
     step = np.where(joined, step, 1.0)
@@ -89,9 +91,12 @@ def differentiate(
         return np.pad(array, [(before, after)] + [(0, 0)] * (array.ndim - 1))
 
     # per row: the intervals before and after it, and those one further out for the ends of a segment
-    has_left, has_right = padded(joined, 1, 0)[:, None], padded(joined, 0, 1)[:, None]
-    h_left, h_right = padded(step, 1, 0)[:, None], padded(step, 0, 1)[:, None]
-    v_left, v_right = padded(slope, 1, 0), padded(slope, 0, 1)
+    has_left = padded(joined, 1, 0)[:, None]
+    has_right = padded(joined, 0, 1)[:, None]
+    h_left = padded(step, 1, 0)[:, None]
+    h_right = padded(step, 0, 1)[:, None]
+    v_left = padded(slope, 1, 0)
+    v_right = padded(slope, 0, 1)
     inside = (h_right * v_left + h_left * v_right) / np.maximum(h_left + h_right, np.finfo(float).tiny)
     value = np.where(has_left & has_right, inside, v_left + v_right)
     starts = np.flatnonzero(~has_left[:-1, 0] & has_right[:-1, 0] & has_right[1:, 0])
@@ -118,7 +123,8 @@ def directions(
         return np.sign(differentiate(joint_position, np.arange(float(len(segment))), segment))
     direction = np.full_like(joint_position, np.nan)
     usable = np.isfinite(joint_position).all(axis=1)
-    q, s = joint_position[usable], segment[usable]
+    q = joint_position[usable]
+    s = segment[usable]
     previous = np.zeros_like(q)
     previous[1:] = np.where((np.diff(s) == 0)[:, None], q[:-1], 0.0)
     direction[usable] = np.sign(q - previous)

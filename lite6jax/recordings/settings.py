@@ -25,7 +25,9 @@ from lite6jax.recordings.columns import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
-SMALLEST_SIGMA, LARGEST_SIGMA = 1e-12, 1.0  # m or rad; beyond, squares of residuals over it lose all digits
+# m or rad; beyond, squares of residuals over it lose all digits
+SMALLEST_SIGMA = 1e-12
+LARGEST_SIGMA = 1.0
 LARGEST_GRAVITY = 100.0  # m/s²; that of no planet on which an arm stands
 HIGHEST_TEMPERATURE = 1000.0
 
@@ -322,7 +324,8 @@ class RecordingSettings:
 
     def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":
         """The same settings for a sidecar in another folder: relative paths still lead to the same files."""
-        old, new = Path(old_folder).resolve(), Path(new_folder).resolve()
+        old = Path(old_folder).resolve()
+        new = Path(new_folder).resolve()
         paths = {"arm": self.arm if self.arm_is_file else None, "factory_calibration": self.factory_calibration}
         relative = {key: path for key, path in paths.items() if path and not Path(path).is_absolute() and old != new}
         moved = {key: Path(os.path.relpath(old / path, new)).as_posix() for key, path in relative.items()}

@@ -33,7 +33,8 @@ LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Times since 1970, by their least magnitude."""
-_SLOW, _FAST = 2e-3, 8.0
+_SLOW = 2e-3
+_FAST = 8.0
 """rad/s: between them is the median speed of joints that move from row to row."""
 _STEPS_S = (1e-4, 600.0)
 """Between rows."""

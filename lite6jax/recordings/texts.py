@@ -83,7 +83,8 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
         InputError: lengths in a unit that no column may have, or names and a row of units that differ.
     """
     text = "\n".join(LINE_BREAK.split(text, LINES)[:LINES])
-    lists, text = (marked := mark_lists(text)) != text, marked
+    lists = (marked := mark_lists(text)) != text
+    text = marked
     lines = text.split("\n")
     possible = [mark for mark in _DELIMITERS if mark in (",", SPACES) or mark in text]
     blocks = {mark: _block(lines, mark) for mark in possible}
@@ -360,7 +361,8 @@ def _with_unit(name: str, cell: str, source: str) -> str:
     unit = cell.strip(_BRACKETS)
     if unit in _NO_UNITS:
         return name
-    named_unit, stated = unit_of(name), unit_of(f"x [{unit}]")
+    named_unit = unit_of(name)
+    stated = unit_of(f"x [{unit}]")
     if named_unit is not None and named_unit == stated:
         return name
     if named_unit is not None and stated is not None and len(named_unit) > 1:
@@ -439,7 +441,8 @@ class _NoNumberError(InputError):
 
     def __init__(self, message: str, index: int, text: str) -> None:
         super().__init__(message)
-        self.index, self.text = index, text
+        self.index = index
+        self.text = text
 
 
 def open_text(path: Path, notes: list[str], growing: bool = False, content: bytes | None = None) -> RawTable:
@@ -534,7 +537,8 @@ class _RaggedError(Exception):
 
     def __init__(self, row: int, fields: int) -> None:
         super().__init__(row, fields)
-        self.row, self.fields = row, fields
+        self.row = row
+        self.fields = fields
 
 
 def _whole_lines(path: Path, notes: list[str]) -> bytes | None:

@@ -30,7 +30,8 @@ _COMMANDS = (
 
 def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
     """The calibration, and its distance from nominal."""
-    calibration, arm = read.calibration, read.calibration.arm
+    calibration = read.calibration
+    arm = read.calibration.arm
     q = check_positions(arm)
     nominal = frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange
     distance = np.linalg.norm((calibration_poses(calibration, q) - nominal)[:, :3, 3], axis=1)

@@ -110,7 +110,8 @@ def explained_map(diagnosis: Diagnosis, title: str) -> Figure:
     Colours end at the largest share: on an arm whose error has many causes, none alone explains much of it.
     """
     table = evidence_map.explained_shares(diagnosis)
-    rows, columns = len(table.sites), len(table.drivers)
+    rows = len(table.sites)
+    columns = len(table.drivers)
     finite = table.shares[np.isfinite(table.shares)]
     largest = max(100 * float(finite.max(initial=0.0)), _LEAST_SCALE)
     figure = blank(3.5 + 1.35 * columns, 2.2 + 0.45 * rows)
@@ -119,9 +120,11 @@ def explained_map(diagnosis: Diagnosis, title: str) -> Figure:
     colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=largest, aspect="auto", interpolation="nearest")
     panel.set_facecolor("#eeeeee")
     for (i, j), share in np.ndenumerate(table.shares):
-        text, colour = "–", GREY
+        text = "–"
+        colour = GREY
         if np.isfinite(share):
-            text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * largest else "white"
+            text = _percent(100 * float(share))
+            colour = "black" if 100 * share > 0.55 * largest else "white"
         panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
     panel.set_xticks(range(columns), [_COLUMNS.get(name, name) for name in table.drivers])
     panel.set_yticks(range(rows), list(map(spaced, table.sites)))
@@ -225,7 +228,8 @@ def torque_error_by_joint(diagnosis: TorqueDiagnosis, title: str) -> Figure:
 @rc_context(STYLE)
 def over_time(diagnosis: TorqueDiagnosis, title: str) -> Figure:
     """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
-    (time, torques), exerted = evidence_map.torques_over_time(diagnosis), _exerted(diagnosis)
+    time, torques = evidence_map.torques_over_time(diagnosis)
+    exerted = _exerted(diagnosis)
     styles: tuple[dict[str, Any], ...] = (
         {"color": "black", "linewidth": 3.5, "alpha": 0.35},
         {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"},
@@ -336,7 +340,8 @@ def finding_figure(
     order = range(len(diagnosis.findings)) if order is None else order
     places = order if chosen is None else chosen
     curves = [curve for k in places for curve in partial_residuals.finding_curves(diagnosis, k)]
-    (figure, panels), binned = panels_in_rows(len(curves), wide=True), False
+    figure, panels = panels_in_rows(len(curves), wide=True)
+    binned = False
     for panel, curve in zip(panels, curves, strict=True):
         effect = diagnosis.findings[curve.finding].effect
         binned |= _draw(panel, curve, isinstance(effect, Unnamed))
@@ -363,8 +368,12 @@ def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
     x_scale, across, angle = _across(curve)
     y_scale, up = _up(curve, unnamed)
     panel.set(xlabel=across, ylabel=up)
-    x, partial, at = x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at
-    fitted, std, binned = y_scale * curve.curve, y_scale * curve.std, False
+    x = x_scale * curve.driver
+    partial = y_scale * curve.partial
+    at = x_scale * curve.at
+    fitted = y_scale * curve.curve
+    std = y_scale * curve.std
+    binned = False
     discrete = curve.quantity is not None and curve.quantity.discrete
     dots(panel, x, partial, GREY)
     if curve.scattered:
@@ -380,7 +389,8 @@ def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
         panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
         binned = bool(np.isfinite(middle).any())
     inner = np.percentile(partial, (1, 99)) if len(partial) else np.zeros(2)
-    low, high = min(0.0, float(inner[0]), float(fitted.min())), max(0.0, float(inner[1]), float(fitted.max()))
+    low = min(0.0, float(inner[0]), float(fitted.min()))
+    high = max(0.0, float(inner[1]), float(fitted.max()))
     margin = 0.1 * (high - low or 1.0)
     panel.set_ylim(low - margin, high + margin)
     if discrete:
@@ -409,7 +419,8 @@ def _up(curve: FindingCurve, unnamed: bool) -> tuple[float, str]:
     """Factor and label of the vertical axis."""
     scale, unit = _DEFLECTIONS[curve.unit]
     if unnamed and curve.unit == "rad":  # as its peak to peak is read
-        scale, unit = 1e6, "µrad"
+        scale = 1e6
+        unit = "µrad"
     if curve.site is None:
         return scale, f"displacement along it ({unit})"
     field, _, component = curve.site

@@ -29,7 +29,8 @@ if TYPE_CHECKING:  # what studies take, and fits do not
 Array = NDArray[np.floating]
 
 # M. Okabe, K. Ito, Color Universal Design, 2002: distinguishable with colour blindness and in grey
-BEFORE, AFTER = "#D55E00", "#0072B2"
+BEFORE = "#D55E00"
+AFTER = "#0072B2"
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 MARKERS = "os^Dv<>P"
 SUFFIXES = (".png", ".svg")
@@ -55,7 +56,8 @@ _LEAST_IN_BIN = 5
 _MOST_POINTS = 2000
 _WIDE = ((1, (1, 7.5, 4.2)), (6, (2, 6.0, 4.2)), (15, (3, 5.0, 3.6)), (np.inf, (4, 4.6, 3.2)))
 """Layouts by the largest number of panels: the number of columns, and the width and height of a panel in inches."""
-_SEPARATE, _CROWDED = 50, 1000
+_SEPARATE = 50
+_CROWDED = 1000
 """Numbers of samples up to which dots are as large and opaque as they get, and from which they are smallest."""
 
 
@@ -115,7 +117,8 @@ def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tupl
     They may share their vertical axis. Wide panels, as for curves, are smaller the more there are.
     """
     columns = min(count, 4 if count > 6 else 3)
-    width, height = 3.0 + 3.0 / columns, 3.2
+    width = 3.0 + 3.0 / columns
+    height = 3.2
     if wide:
         columns, width, height = next(layout for panel_limit, layout in _WIDE if count <= panel_limit)
     rows = -(-count // columns)
@@ -176,7 +179,8 @@ def medians(x: Array, y: Array, count: int = BINS, share: float = 0.0) -> tuple[
         return np.zeros(0), np.zeros(0), np.zeros(0)
     edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), count + 1)
     at = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, count - 1)
-    middle, error = np.full(count, np.nan), np.full(count, np.nan)
+    middle = np.full(count, np.nan)
+    error = np.full(count, np.nan)
     for k in range(count):
         inside = y[at == k]
         if len(inside) >= max(_LEAST_IN_BIN, share * len(x) / count):
@@ -244,9 +248,13 @@ def parameter_differences(comparison: Comparison, title: str) -> Figure:
         values = scale * comparison.difference[:, chosen]
         for k in range(count):
             spread = 0.5 * ((k + 0.5) / count - 0.5)
-            name, colour, marker = None, AFTER, "o"
+            name = None
+            colour = AFTER
+            marker = "o"
             if count <= len(OKABE_ITO):
-                name, colour, marker = _short(comparison.names[k], k), OKABE_ITO[k], MARKERS[k]
+                name = _short(comparison.names[k], k)
+                colour = OKABE_ITO[k]
+                marker = MARKERS[k]
             panel.plot(
                 np.arange(len(chosen)) + spread, values[k], marker, color=colour, label=name,
                 markersize=6, alpha=0.85 if name else 0.5, markeredgewidth=0,
@@ -437,7 +445,8 @@ def designed_motion(plan: "TorquePlan", title: str) -> Figure:
         upper.plot(plan.time, scales[joint] * q, color=colour, linewidth=2, label=f"joint {joint + 1}")
     upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
     upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    base, scale = plan.identification.model.base, plan.identification.model.base_scale
+    base = plan.identification.model.base
+    scale = plan.identification.model.base_scale
     random = np.array([identification.standard_deviation for identification in plan.random]) / scale
     low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
     at = np.arange(len(base))

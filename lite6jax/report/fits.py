@@ -135,7 +135,8 @@ def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableT
     measured = solution.standard_deviation is not None
     below = solution.standard_deviation if measured else solution.parameters - solution.arm.hayati
     assert below is not None
-    free, determined = solution.free[: form.size], solution.determined[: form.size]
+    free = solution.free[: form.size]
+    determined = solution.determined[: form.size]
     at = {name: i for i, name in enumerate(form.names)}
 
     def cell(name: str, column: str) -> str:
@@ -164,14 +165,16 @@ def _frame_tables(solution: Solution) -> Iterator[RenderableType]:
     if solution.form.tool:
         T_flange_tool = np.linalg.inv(solution.arm.T_joint_flange) @ np.asarray(solution.model.T_flange_tool)
         parts.append(("Tool on the flange", "tool", T_flange_tool))
-    deviation, names = solution.standard_deviation, solution.form.names
+    deviation = solution.standard_deviation
+    names = solution.form.names
     for title, prefix, T in parts:
         yield f"{title} (mm, deg); below each number its standard deviation"
         table = listing(*SIX)
         cells = []
         table.columns[0].justify = "right"
         for k, (value, axis) in enumerate(zip(frames.row_from_transform(T), TWIST_NAMES, strict=True)):
-            i, (scale, _) = names.index(f"{prefix}_{axis}"), SCREEN["m" if k < 3 else "rad"]
+            i = names.index(f"{prefix}_{axis}")
+            scale, _ = SCREEN["m" if k < 3 else "rad"]
             cells.append(_cell(scale, value, None if deviation is None or not solution.free[i] else deviation[i]))
         table.add_row(*cells)
         yield from (table, "")
@@ -235,7 +238,8 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
 
 def comparison_report(comparison: "Comparison", width: int) -> Iterator[RenderableType]:
     """A comparison of arms of one model; the differences of each are listed where they fit beside each other."""
-    names, form = comparison.names, comparison.arm.form
+    names = comparison.names
+    form = comparison.arm.form
     arms = len(names)
     yield from (fill(_TEXTS["comparison"]["arms"], {"c": comparison}), "", "Distance from nominal (mm)")
     table = listing("arm", *(name for name, _ in STATISTICS), "file", left=[5], wrapped=[5])
@@ -247,7 +251,8 @@ def comparison_report(comparison: "Comparison", width: int) -> Iterator[Renderab
     rows = []
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
         scale, shown_unit = SCREEN[unit]
-        spread, largest = scale * comparison.spread[i], scale * comparison.largest[i]
+        spread = scale * comparison.spread[i]
+        largest = scale * comparison.largest[i]
         if largest >= SHOWS_AS_ZERO:
             differences = (fixed(scale * comparison.difference[k, i], sign="+") for k in shown)
             rows.append((name, shown_unit, *differences, f"{spread:.4f}", f"{largest:.4f}"))

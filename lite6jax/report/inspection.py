@@ -112,7 +112,8 @@ def choice_of_pose(inspection: Inspection) -> str:
 
 def choice_of_motors(inspection: Inspection) -> str:
     """More motors than the arm has joints, and how to say which are meant."""
-    arm, motors = inspection.arm, inspection.motors
+    arm = inspection.arm
+    motors = inspection.motors
     assert arm is not None
     names = arm.joint_names or [f"q{k + 1}" for k in range(arm.dof)]
     ways = list(map(_column_option, motors[0], inspection.joint_columns))

@@ -187,7 +187,8 @@ def is_of_fleet(document: Any) -> bool:
 
 def population_report(document: Document) -> Iterator[RenderableType]:
     """The screen report of a fleet's document."""
-    members, effects = document["recordings"], document["effects"]
+    members = document["recordings"]
+    effects = document["effects"]
     pooled = [member for member in members if member["used"]]
     arms = [arm for effect in effects for arm in effect["arms"]]
     outlying = sorted({arm["file"] for arm in arms if arm["outlier_p_value"] is not None})

@@ -112,9 +112,13 @@ def _template() -> jinja2.Template:
 # ------------------------------------------------------------------ the certificate
 
 
-_WIDTH, _HEIGHT, _MARGIN = 8.27, 11.69, 0.75
+_WIDTH = 8.27
+_HEIGHT = 11.69
+_MARGIN = 0.75
 """Inches, of A4 and its margins."""
-_SIZE, _LINE, _CHARACTERS = 7.8, 0.148, 100
+_SIZE = 7.8
+_LINE = 0.148
+_CHARACTERS = 100
 """Points of a letter, inches from line to line, and letters in a line."""
 _MOST = 14
 """Findings that the page has room for."""
@@ -223,7 +227,8 @@ def _findings(document: Document) -> list[str]:
 
 def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
     """The 95 % interval of a number in the unit in which it is read; one that was chosen has none."""
-    value, std = estimate["value"], estimate["std"]
+    value = estimate["value"]
+    std = estimate["std"]
     special_units = {"named": NAMED_OF_TORQUES} if torques else {}
     middle, *ends = (
         quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **special_units) for side in (0, -1, 1)

@@ -186,7 +186,8 @@ def with_articles(driver: str) -> str:
     """The phrases of several drivers, an article before each but the first; those of one quantity together."""
     first, _, second = driver.partition(" and ")
     for of in (" of joint ", " of link "):
-        (quantity, _, place), (second_quantity, _, further) = first.partition(of), second.partition(of)
+        quantity, _, place = first.partition(of)
+        second_quantity, _, further = second.partition(of)
         if further and quantity == second_quantity:
             return f"{quantity}{of.rstrip()}s {place} and {further}"
     return driver.replace(" and ", " and the ")

@@ -367,7 +367,8 @@ def _comparison_table(comparison: Comparison) -> Columns:
 
 @tabulate.register
 def _plan_table(plan: Plan | DiscriminationPlan) -> Columns:
-    joints, sliding = plan.joint_position.T, plan.experiment.arm.sliding
+    joints = plan.joint_position.T
+    sliding = plan.experiment.arm.sliding
     columns: Columns = {f"q{j + 1}_{'m' if j in sliding else 'rad'}": values for j, values in enumerate(joints)}
     accuracy = {"position_std_m": plan.accuracy} if isinstance(plan, Plan) else {"distance": plan.distance}
     return columns | accuracy

@@ -105,12 +105,15 @@ def progress(total: int | None, task: str) -> Iterator[Callable[..., None]]:
     Yields:
         a thread-safe function that advances it by so many, of so many where that is given.
     """
-    began, lock, done = time.monotonic(), threading.Lock(), 0
+    began = time.monotonic()
+    lock = threading.Lock()
+    done = 0
 
     def advance(more: int, of: int | None = None) -> None:
         nonlocal done, total
         with lock:
-            done, total = done + more, of or total
+            done = done + more
+            total = of or total
 
     def line() -> str:
         so_far = time.monotonic() - began

@@ -31,7 +31,8 @@ Document = Mapping[str, Any]
 Block = tuple[str, Any]
 """A part of a section: its kind, and what it shows."""
 
-_NARROW, _WIDE = 8, 40
+_NARROW = 8
+_WIDE = 40
 """Characters of the longest bar, on a narrow and on a wide terminal."""
 _MOST = 12
 """Findings that are drawn as bars on a terminal."""

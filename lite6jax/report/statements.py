@@ -198,8 +198,10 @@ def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
         return
     for companion in findings:
         if (companion["effect"], companion["site"]) == ("torque_scale", finding["site"]):
-            friction, scale = finding["parameters"]["coefficient"], companion["parameters"]["scale"]
-            (mu, s), deviations = (friction["value"], scale["value"]), np.array([friction["std"], scale["std"]])
+            friction = finding["parameters"]["coefficient"]
+            scale = companion["parameters"]["scale"]
+            mu, s = (friction["value"], scale["value"])
+            deviations = np.array([friction["std"], scale["std"]])
             shares = np.array([1 / ((1 + s) * (1 + mu)), (1 + s) * (1 - mu)])
             stds = np.linalg.norm(deviations * [[shares[0] / (1 + mu), shares[0] / (1 + s)], [1 + s, 1 - mu]], axis=1)
             if 0 < shares[1] <= 1 and shares[0] <= 1:
@@ -306,14 +308,16 @@ def _of_one_wave(finding: Entry, rival: Entry) -> bool:
 
 def with_comparison(comparison: Document) -> dict[str, Any]:
     """The comparison as in the JSON file, with a `statement` for each difference, each note and the whole."""
-    file, basis = comparison["file"], comparison["basis"]
+    file = comparison["file"]
+    basis = comparison["basis"]
     stated = {**comparison, "statement": model_statement(file, basis)}
     if basis == "rows":
         return stated
     if basis == "effects":
         wording = [{**entry, "statement": agreement_statement(entry)} for entry in comparison["differences"]]
         return stated | {"differences": wording}
-    stated["differences"], times = [], ("position_rms_before_m", "position_rms_after_m")
+    stated["differences"] = []
+    times = ("position_rms_before_m", "position_rms_after_m")
     for ends, group in groupby(comparison["differences"], key=lambda entry: tuple(entry.get(at) for at in times)):
         together = list(group)
         for entry in together:

@@ -64,7 +64,9 @@ def described(sensor: PlannedSensor) -> str:
 
 def identification_report(identification: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
     """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy."""
-    experiment, d, arm = identification.experiment, identification.determination, identification.experiment.arm
+    experiment = identification.experiment
+    d = identification.determination
+    arm = identification.experiment.arm
     sensor = described(experiment.sensor)
     yield from _begin(source, sentences.poses_studied(experiment, d.samples, drawn, sensor))
     narrow = identification.narrow()
@@ -208,7 +210,8 @@ def plan_report(plan: Plan, accuracy: float | None = None) -> Iterator[Renderabl
         determined = int(np.flatnonzero(np.isfinite(plan.accuracy))[0]) + 1
         fewest_poses = min(-(-4 * determined // 3), plan.count)
         for n in sorted({int(n) for n in np.geomspace(fewest_poses, plan.count, 6).round()}):
-            designed, drawn = plan.accuracy[n - 1], plan.random_median[n - 1]
+            designed = plan.accuracy[n - 1]
+            drawn = plan.random_median[n - 1]
             cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
             ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
             table.add_row(str(n), *cells, ratio)
@@ -310,7 +313,9 @@ def torque_identification_report(
 
 def torque_plan_report(plan: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
     """What a designed motion determines, beside random ones of the same limits."""
-    designed, random, room = plan.identification, plan.random, plan.room
+    designed = plan.identification
+    random = plan.random
+    room = plan.room
     scales, units = joint_units(room.arm.sliding, room.arm.dof)
     limits = []
     for limit, per in ((room.velocity, "/s"), (room.acceleration, "/s²")):

@@ -52,7 +52,8 @@ PLAIN_REACH = 0.5
 """m, of which a chain without lengths is drawn: axes that all meet."""
 LEAST_LIMIT = 3.0
 """Times the noise, at which colours end at least."""
-WITH, WITHOUT = "with the findings", "without the findings"
+WITH = "with the findings"
+WITHOUT = "without the findings"
 
 
 @final
@@ -225,11 +226,17 @@ def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, re
     """
     estimated = document["noise"]["estimated"]
     if isinstance(model, DiagnosedServos):
-        quantity, measured, noise = "angle", recording.joint_position, np.array(estimated["joint_rad"])
-        headline, findings = tracking.headline(document), tracking.findings_of(document)
+        quantity = "angle"
+        measured = recording.joint_position
+        noise = np.array(estimated["joint_rad"])
+        headline = tracking.headline(document)
+        findings = tracking.findings_of(document)
     else:
-        quantity, measured, noise = "torque", recording.torques(), np.array(estimated["torque_Nm"])
-        headline, findings = ranking.headline(document), statements.findings_of(document)
+        quantity = "torque"
+        measured = recording.torques()
+        noise = np.array(estimated["torque_Nm"])
+        headline = ranking.headline(document)
+        findings = statements.findings_of(document)
     models = [(WITH, model)]
     if model.terms.terms:
         models.append((WITHOUT, replace(model, terms=Terms(), values=np.zeros(0))))
@@ -242,7 +249,8 @@ def joint_scene(document: Document, model: DiagnosedMotors | DiagnosedServos, re
     def averaged(predicted: Array) -> Array:
         errors = (measured - predicted) / noise
         finite = np.isfinite(errors)  # in long gaps of uneven times nothing is predicted
-        squares, share = average(np.where(finite, errors**2, 0.0)), average(1.0 * finite)
+        squares = average(np.where(finite, errors**2, 0.0))
+        share = average(1.0 * finite)
         return np.sqrt(np.where(finite, squares / np.maximum(share, 1e-9), np.nan))
 
     errors = tuple(
@@ -262,7 +270,8 @@ def _scene(
 ) -> Scene:
     """The arm along the motion, with the findings; errors, and what else is to be remarked, are added to it."""
     frames = np.zeros((recording.samples, arm.dof + 1, 4, 4))
-    frames[:, 0], frames[:, :, 3, 3] = np.eye(4), 1.0
+    frames[:, 0] = np.eye(4)
+    frames[:, :, 3, 3] = 1.0
     frames[:, 1:, :3] = np.moveaxis(link_frames(arm, recording.joint_position)[:-1], (0, 3), (1, 0))
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     remark = "The file is shown as it is. For the diagnosis these were corrected or weighted"
@@ -299,9 +308,12 @@ def _parts(site: str, links: Sequence[int]) -> tuple[str, ...]:
 
 PORT = 8080
 """Where none is asked for: this one, or the next that is free."""
-FOUND, ARROWS = BEFORE, AFTER
+FOUND = BEFORE
+ARROWS = AFTER
 """Vermillion and blue of Okabe and Ito: with colour blindness too they differ from each other and from grey."""
-ARM, TOOL, PREDICTED = "#B4B8BD", "#6B7077", "#000000"
+ARM = "#B4B8BD"
+TOOL = "#6B7077"
+PREDICTED = "#000000"
 
 
 @contextmanager
@@ -317,7 +329,8 @@ def served(scene: Scene, host: str, port: int | None) -> "Iterator[Shown]":
         raise InputError("view takes the package viser; pip install 'lite6jax[view]'") from error
     port = _listening(host, port)
     console = rich.get_console()  # viser prints to it; what is said here is said by the command
-    quiet, console.quiet = console.quiet, True
+    quiet = console.quiet
+    console.quiet = True
     try:
         server = viser.ViserServer(host=host, port=port, label=f"lite6jax: {scene.arm.name}", verbose=False)
         try:
@@ -349,8 +362,10 @@ class Shown:
     """A scene as it is shown: all browsers that look at it see the same."""
 
     def __init__(self, scene: Scene, server: "ViserServer") -> None:
-        self.scene, self.server = scene, server
-        self._lock, self._at = threading.RLock(), 0.0
+        self.scene = scene
+        self.server = server
+        self._lock = threading.RLock()
+        self._at = 0.0
         self._size = (scene.arm.reach or PLAIN_REACH) / 20
         self._drawn = ""
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
@@ -419,7 +434,8 @@ class Shown:
         self._measured = add.add_frame("/measured", origin_color=_rgb(ARROWS), **axes) if oriented else None
 
     def _add_controls(self) -> None:
-        scene, gui = self.scene, self.server.gui
+        scene = self.scene
+        gui = self.server.gui
         gui.add_html(_paragraphs([scene.headline, *scene.remarks]))
         with gui.add_folder("Motion"):
             last = max(scene.samples, 2)
@@ -450,7 +466,8 @@ class Shown:
         with self._lock, self.server.atomic():
             self._at = self._at if int(self._at) == sample else float(sample)
             for link, T in zip(self._links, self.scene.frames[sample], strict=True):
-                link.wxyz, link.position = _wxyz(T[:3, :3]), T[:3, 3]
+                link.wxyz = _wxyz(T[:3, :3])
+                link.position = T[:3, 3]
             time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
             status = f"Row {self.scene.row[sample]}{time}"
             for errors in self.scene.errors:
@@ -488,7 +505,8 @@ class Shown:
             return ": nothing is predicted here"
         self._arrow.points = errors.arrows(scale, [sample]).astype(np.float32)
         T = errors.predicted[sample]
-        self._predicted.wxyz, self._predicted.position = _wxyz(T[:3, :3]), T[:3, 3]
+        self._predicted.wxyz = _wxyz(T[:3, :3])
+        self._predicted.position = T[:3, 3]
         if self._measured is not None and self.scene.orientation is not None:
             self._measured.wxyz = _wxyz(self.scene.orientation[sample])
             self._measured.position = T[:3, 3] + scale * errors.error[sample]

@@ -263,7 +263,8 @@ def quantity(
     if name in named:
         scale, unit = named[name]
     read = name.removesuffix("_rad" if end == "phase_rad" else end).replace("_", " ")
-    value, std = scale * estimate["value"], scale * estimate["std"]
+    value = scale * estimate["value"]
+    std = scale * estimate["std"]
     if not std:
         # the best of a few values, or a whole number such as that of a joint
         return RoundedParameter(read, f"{value:.6g}" if value == round(value) else f"{value:.4g}", "", unit)
@@ -272,7 +273,8 @@ def quantity(
 
 def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
     """A compliance as a stiffness, a rate as a drift per day; a compliance within its error of none has no inverse."""
-    value, std = estimate["value"], estimate["std"]
+    value = estimate["value"]
+    std = estimate["std"]
     if end == "_rad_per_Nm" and value > _STIFF * std:
         return f"stiffness {' ± '.join(rounded(1 / value, std / value**2))} Nm/rad"
     if end == "_m_per_N" and value > _STIFF * std:

@@ -60,7 +60,8 @@ _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
 """Of these to the best one: those that are tried first are a factor of 2 to 3 apart."""
-_FINEST, _GAINED = 5, 0.1
+_FINEST = 5
+_GAINED = 0.1
 """Rounds of ratios, each an eighth of the one before, and the gain below which no further one follows."""
 _STEPS = 3
 """Linearisations of a name of several numbers that is not linear."""
@@ -70,12 +71,15 @@ _AT_ONCE = 1 << 22
 """Numbers of functions that are multiplied in one call: 32 MB."""
 _WEIGHED = 100
 """Processes that are weighed in one call."""
-_EXACT, _UNDERRATED = 60, 2.5
+_EXACT = 60
+_UNDERRATED = 2.5
 """Terms, the likeliest, that are weighed exactly in autocorrelated noise, and what their log odds grow by at most.
 
 Of 217 processes that were the likeliest of a UR10 in 1500 postures, by 2.06.
 """
-_SHORTLIST, _REFINED, _BESIDE = 120, 24, 8
+_SHORTLIST = 120
+_REFINED = 24
+_BESIDE = 8
 """Pairs of quantities that are weighed as cubics, those of them as every kernel, and the singles that others join."""
 
 

@@ -166,8 +166,10 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     if not selection.state.tested:
         return selection
     for _ in range(options.relinearisations):
-        problem, f = selection.problem, selection.state.fit
-        there, none = problem.relinearised(f.nuisance), np.zeros_like(f.nuisance)
+        problem = selection.problem
+        f = selection.state.fit
+        there = problem.relinearised(f.nuisance)
+        none = np.zeros_like(f.nuisance)
         here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
         apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
         same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same
@@ -183,7 +185,8 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
 
     Evidence takes the noise as it is modelled; the score test by blocks does not.
     """
-    problem, state = selection.problem, selection.state
+    problem = selection.problem
+    state = selection.state
     selector = Selector(problem, replace(options, relinearisations=0))
     while state.tested:
         tested = []
@@ -213,7 +216,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     Of very many samples with white noise, alternatives are compared in every n-th, which stands for those between.
     """
     entered("naming")
-    problem, state = selection.problem, selection.state
+    problem = selection.problem
+    state = selection.state
     selector = Selector(problem, options.rough)
     state = selector.weighed(state)
     every = _stride(int(problem.valid.sum()), options.most_samples) if state.fit.noise.white else 1

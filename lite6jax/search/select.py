@@ -50,7 +50,9 @@ class Selector:
     """A problem with all that is tried in it."""
 
     def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
-        self.problem, self.options, self.scan = problem, options, Scan(problem, options, among)
+        self.problem = problem
+        self.options = options
+        self.scan = Scan(problem, options, among)
         self._preset = problem.preset[0].terms
         self._latest: ScoreTest | None = None
         self._grams: dict[Hashable, Array] = {}
@@ -110,7 +112,8 @@ class Selector:
             better = self._exchanged(state)
             if better is None:
                 return state
-            state, exchanged = better, exchanged + 1
+            state = better
+            exchanged = exchanged + 1
 
     def _with_names(self, state: State, asked: set[tuple[object, ...]]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
@@ -200,11 +203,13 @@ class Selector:
         A further term may be a part of what a present one does not describe. It is left out where it explains less than
         noise of its own would at that one's component.
         """
-        model, marginal = state.fit.terms.terms, Marginal(test)
+        model = state.fit.terms.terms
+        marginal = Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
-        taken, found = counts >= self.options.most_terms, list[Ranked]()
+        taken = counts >= self.options.most_terms
+        found = list[Ranked]()
         weighed = [self._continued(one, model) for one in self._not_refused(ranked, test, state)]
         for one in sorted(weighed, key=lambda one: -one.net):
             if one.net < self.options.margin or taken.all():
@@ -358,7 +363,8 @@ class Selector:
             state = self.weighed(state)
             tested = state.tested
             order = np.argsort([np.inf if one.term in self._preset else one.net for one in tested])
-            least, taken = set[int](), np.zeros(self.problem.rows, bool)
+            least = set[int]()
+            taken = np.zeros(self.problem.rows, bool)
             for k in order.tolist():
                 if tested[k].term in self._preset or tested[k].net >= self.options.margin or taken.all():
                     break

@@ -64,7 +64,9 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     w = _transform(place, weight, length)
     total = float(weight.sum())
     twice = w[2 * at]
-    ss, cc, sc = 0.5 * (total - twice.real), 0.5 * (total + twice.real), 0.5 * twice.imag
+    ss = 0.5 * (total - twice.real)
+    cc = 0.5 * (total + twice.real)
+    sc = 0.5 * twice.imag
     return at * step, _pair_gain(e.imag, e.real, ss, cc, sc)
 
 

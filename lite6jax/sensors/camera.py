@@ -23,7 +23,8 @@ FEWEST_CORNERS = 6
 """Of an image whose pose is determined with some to spare."""
 _TURNED = 0.1
 """rad, the most standard deviation of an image's orientation with which it counts."""
-_STEPS, _UNDISTORTED = 25, 30
+_STEPS = 25
+_UNDISTORTED = 30
 _FREEDOM = 4.0
 """Of Student's t, by which corners count."""
 _MATTERS = 0.1
@@ -67,7 +68,8 @@ class BoardPoses(NamedTuple):
 
 def project(lens: Lens, points: Any) -> DeviceArray:
     """The pixels `(…, 2)` of points `(…, 3)` in the camera's frame (OpenCV, calib3d, projectPoints)."""
-    x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
+    x = points[..., 0] / points[..., 2]
+    y = points[..., 1] / points[..., 2]
     k1, k2, p1, p2, k3 = lens.distortion
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -79,7 +81,8 @@ def project(lens: Lens, points: Any) -> DeviceArray:
 
 def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any) -> DeviceArray:
     """The pixels `(corner, 2)` of corners `(corner, 3)` at the pose `T` `(4, 4)` displaced by `twist` `(6,)`."""
-    p, R = T[:3, 3] + twist[:3], T[:3, :3] @ rotation_exp(twist[3:])
+    p = T[:3, 3] + twist[:3]
+    R = T[:3, :3] @ rotation_exp(twist[3:])
     return project(lens, corners @ R.T + p if mounted == "fixed" else (corners - p) @ R)
 
 
@@ -150,21 +153,27 @@ def board_poses(
     weight, shown = _weights(r, visible[good])
     sigma = noise or shown
     root = np.sqrt(weight)[..., None] / sigma
-    r, J = (root * r).reshape(len(usable_pixels), -1), (root[..., None] * J).reshape(len(usable_pixels), -1, 6)
+    r = (root * r).reshape(len(usable_pixels), -1)
+    J = (root[..., None] * J).reshape(len(usable_pixels), -1, 6)
     Q, U = np.linalg.qr(J)
     variance = np.linalg.inv(np.swapaxes(U, 1, 2) @ U + 1e-9 * np.eye(6))[:, [3, 4, 5], [3, 4, 5]]
     determined = ((variance > 0) & (variance < _TURNED**2)).all(1)  # corners in one line determine no pose
     good[good] = determined
     if not determined.any():
         return empty
-    T, r, Q, U, root = T[determined], r[determined], Q[determined], U[determined], root[determined]
+    T = T[determined]
+    r = r[determined]
+    Q = Q[determined]
+    U = U[determined]
+    root = root[determined]
     columns, prior = _constants(mounted, lens, corners, T, root, corner_noise, refined)
     inside = np.swapaxes(Q, 1, 2) @ columns
     remainder = columns - Q @ inside
     H = np.einsum("ikn,ikm->nm", remainder, remainder) + np.diag(prior)
     pull = np.einsum("ikn,ik->n", remainder, r)
     eigenvalues, V = np.linalg.eigh(H)
-    by_numbers, deviation = inside @ V, eigenvalues**-0.5
+    by_numbers = inside @ V
+    deviation = eigenvalues**-0.5
     matters = deviation * np.sqrt(np.einsum("ikn,ikn->n", by_numbers, by_numbers)) > _MATTERS
     significant = np.flatnonzero(matters)
     poses = empty._replace(by_numbers=np.zeros((count, 6, len(significant))))
@@ -177,7 +186,8 @@ def _constants(
     mounted: Mounted, lens: Lens, corners: Array, T: Array, root: Array, corner_noise: float, refined: bool
 ) -> tuple[Array, Array]:
     """The whitened columns `(image, pixel, number)` of constant errors, and their prior's precision `(number,)`."""
-    images, count = len(T), len(corners)
+    images = len(T)
+    count = len(corners)
     pinhole, place = map(np.asarray, _by_constants(mounted, lens, corners, T))
     columns: list[Array] = [np.zeros((images, count * 2, 0))]
     prior: list[Array] = [np.zeros(0)]
@@ -257,7 +267,8 @@ def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list
         H = H * np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
         U, _, Vt = np.linalg.svd(H[:, :2], full_matrices=False)
         a, b = (U @ Vt).T
-        R, t = np.stack([a, b, np.cross(a, b)], 1), H[:, 2] * spread[0]
+        R = np.stack([a, b, np.cross(a, b)], 1)
+        t = H[:, 2] * spread[0]
         sight = t / np.linalg.norm(t)
         # the other: turned half about the line of sight, and half about the normal
         mirrored = (2 * np.outer(sight, sight) - np.eye(3)) @ R @ np.diag([-1.0, -1.0, 1.0])
@@ -273,11 +284,15 @@ def _undistorted(lens: Lens, pixels: Array) -> Array:
     """The rays `(…, 2)` of pixels by fixed-point iteration (OpenCV, undistortPoints)."""
     fx, fy, cx, cy = np.asarray(lens.pinhole)
     k1, k2, p1, p2, k3 = np.asarray(lens.distortion)
-    x0, y0 = (pixels[..., 0] - cx) / fx, (pixels[..., 1] - cy) / fy
-    x, y = x0, y0
+    x0 = (pixels[..., 0] - cx) / fx
+    y0 = (pixels[..., 1] - cy) / fy
+    x = x0
+    y = y0
     for _ in range(_UNDISTORTED):
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        dx, dy = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        x, y = (x0 - dx) / radial, (y0 - dy) / radial
+        dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        x = (x0 - dx) / radial
+        y = (y0 - dy) / radial
     return np.stack([x, y], -1)

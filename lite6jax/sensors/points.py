@@ -168,7 +168,8 @@ class Plane(PointSensor):
         return tuple(OwnNumber(f"{kind} {name}", unit) for name in names for kind, unit in kinds)
 
     def moved(self, numbers: Any) -> "Plane":
-        normal, height = jnp.asarray(self.normal), jnp.asarray(self.height)
+        normal = jnp.asarray(self.normal)
+        height = jnp.asarray(self.height)
         for k, step in zip(np.flatnonzero(self.free), jnp.asarray(numbers).reshape(-1, 3), strict=True):
             turned = normal[:, k] + tangents(normal[:, k]) @ step[:2]
             normal = normal.at[:, k].set(turned / jnp.linalg.norm(turned))
@@ -182,7 +183,8 @@ class Plane(PointSensor):
     def shown(self, tool: Array) -> "Plane":
         normal, centre, height = (np.array(part) for part in (self.normal, self.centre, self.height))
         for k, _, p in self._of_each(self.free, tool):
-            centre[:, k], height[k] = p.mean(0), 0.0
+            centre[:, k] = p.mean(0)
+            height[k] = 0.0
             normal[:, k] = np.linalg.svd(p - p.mean(0), full_matrices=True)[2][2]
         return replace(self, normal=normal, centre=centre, height=height)
 
@@ -274,7 +276,8 @@ class Axis(PointSensor):
         return (OwnNumber("constant of the axis", "m"), *(OwnNumber("direction of the axis", "rad"),) * 2 * self.free)
 
     def moved(self, numbers: Any) -> "Axis":
-        numbers, direction = jnp.asarray(numbers), jnp.asarray(self.direction)
+        numbers = jnp.asarray(numbers)
+        direction = jnp.asarray(self.direction)
         if self.free:
             turned = direction + tangents(direction) @ numbers[1:3]
             direction = turned / jnp.linalg.norm(turned)

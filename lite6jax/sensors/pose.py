@@ -163,7 +163,8 @@ def _rotation_vector(R: Array) -> Array:
     Near half a turn, where the sine says nothing of the axis, they are SciPy's.
     """
     sines = 0.5 * np.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = np.linalg.norm(sines, axis=0), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
+    sine = np.linalg.norm(sines, axis=0)
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
     vector = sines * np.where(sine > 0, np.arctan2(sine, cosine) / np.maximum(sine, np.finfo(float).tiny), 1.0)
     half = cosine < -0.9
     if half.any():

@@ -166,7 +166,8 @@ class TrackingSimulation:
     @property
     def reported(self) -> list[tuple[Effect, dict[str, Estimate]]]:
         """The effects, each with its parameters."""
-        terms, values = self.model.terms, self.model.values
+        terms = self.model.terms
+        values = self.model.values
         effects = zip(terms.terms, terms.slices, strict=True)
         return [
             (effect, effect.reported(values[part], np.zeros((effect.size, effect.size))))

@@ -175,7 +175,8 @@ def measure(
         T_tool = arm.T_joint_flange @ frames.transform_from_row(tool)
     else:
         T_tool = arm.T_joint_flange @ (readings.tool_of(str(sensor)) if reading else np.eye(4))
-    model, statics = arm_model(chain.ravel(), T_sensor, T_tool), inertia_of_arm(arm, motion.settings)
+    model = arm_model(chain.ravel(), T_sensor, T_tool)
+    statics = inertia_of_arm(arm, motion.settings)
 
     def move_rigidly(moved: Recording) -> Array:
         """`(sample, 4, 4)`, the tool of the rigid arm."""

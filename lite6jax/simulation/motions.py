@@ -96,7 +96,8 @@ def draw_sensor_frame(seed: int = 0) -> Array:
     rng = make_generator(seed, "frame")
     distance, bearing, yaw = rng.uniform(1.5, 3.0), *rng.uniform(-np.pi, np.pi, 2)
     roll, pitch = rng.uniform(-1, 1, 2) * np.deg2rad(10)
-    x, y = distance * np.cos(bearing), distance * np.sin(bearing)
+    x = distance * np.cos(bearing)
+    y = distance * np.sin(bearing)
     return frames.transform_from_row([x, y, rng.uniform(-1.0, 0.5), roll, pitch, yaw])
 
 
@@ -307,7 +308,9 @@ def visit(
     which the joint with the longest way determines the limits.
     """
     stops = np.asarray(places, float)
-    pieces, zero = [], np.zeros(stops.shape[1])  # duration, half the acceleration, velocity and position at the start
+    # duration, half the acceleration, velocity and position at the start
+    pieces = []
+    zero = np.zeros(stops.shape[1])
     for start, end in zip(stops, np.roll(stops, -1, axis=0), strict=True):
         if pause:
             pieces.append((pause, zero, zero, start))

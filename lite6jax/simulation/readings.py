@@ -70,7 +70,8 @@ def read(
     rng = np.random.default_rng([seed, 50])
     usual = READERS[reading].noise
     scene = _SCENES[reading](rng, motion.samples, arm, usual if noise is None else noise, noise or usual)
-    target_poses, q = scene.target, motion.joint_position
+    target_poses = scene.target
+    q = motion.joint_position
     reached = np.ones(motion.samples, bool)
     if target_poses is not None:
         q, reached = reach(model, _target(target_poses, scene.turned), q, arm.joint_limits, arm.sliding, rng)
@@ -115,7 +116,9 @@ def _shifts(at: Array) -> Array:
 
 
 def _contact(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
-    points, names, distances = [], [], []
+    points = []
+    names = []
+    distances = []
     for k, angle in enumerate((-0.6, 0.7)):
         socket = draw_place(rng, arm, angle)
         along = rng.standard_normal(3)
@@ -138,7 +141,8 @@ def _plane(rng: np.random.Generator, samples: int, arm: Arm, noise: float, decla
     normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.1, 0.1], [0.1, 1.0, 0.2]])
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     centres = np.array([draw_place(rng, arm, angle) for angle in (0.0, 0.6, -0.9)])
-    group, error = np.arange(samples) % 3, noise * rng.standard_normal(samples)
+    group = np.arange(samples) % 3
+    error = noise * rng.standard_normal(samples)
     labels = [f"plate{k + 1}" for k in group]
     aside = _PLATE * arm.reach * rng.uniform(-1, 1, (samples, 3))
     aside += normals[group] * (error - np.sum(normals[group] * aside, 1))[:, None]
@@ -151,7 +155,8 @@ def _plane(rng: np.random.Generator, samples: int, arm: Arm, noise: float, decla
 
 
 def _distance(rng: np.random.Generator, samples: int, arm: Arm, noise: float, declared: float) -> _Scene:
-    anchor, error = draw_place(rng, arm, 2.5) * 1.6, noise * rng.standard_normal(samples)
+    anchor = draw_place(rng, arm, 2.5) * 1.6
+    error = noise * rng.standard_normal(samples)
     return _Scene(
         None,
         False,

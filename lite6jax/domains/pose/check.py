@@ -120,7 +120,8 @@ def check_recording(
     require_one_station(recording)
     recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, options=options, allow_undecided=True)
-    recording, arm = screened.recording, screened.arm
+    recording = screened.recording
+    arm = screened.arm
     assert arm is not None
     causes = []
     for outside in outside_limits(recording, arm.joint_limits):
@@ -145,7 +146,8 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
     declared = declared_tool(recording)
     position = recording.position
     assert position is not None
-    squares, tools = [], []
+    squares = []
+    tools = []
     for tool in (declared, None):
         T_sensor_base, T_flange_tool = frames_from_recording(recording, flange, tool)
         missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]

@@ -29,39 +29,54 @@ ALIKE = 1.5
 """Times the error of the best offset, within which another one is as likely: a motion that repeats itself."""
 _TRIED_ROWS = (80, 800)
 """Rows of the sensor by which an offset is tried: where it ran no longer than the robot's log, and at most."""
-_FEWEST_TRIED, _LEAST_OVERLAP = 20, 0.3
+_FEWEST_TRIED = 20
+_LEAST_OVERLAP = 0.3
 """Of them inside the robot's log: frame, point and offset have ten numbers; and as a share of those that could be."""
-_LONGEST_WINDOW_S, _GROWTH = 600.0, 4.0
+_LONGEST_WINDOW_S = 600.0
+_GROWTH = 4.0
 """In which the offset is sought: a drift of 1e-4 moves its ends by 30 ms. It grows from fit to fit until all rows are
 in it."""
-_FINEST_S, _MOST_FRAMES = 2e-3, 200_000
+_FINEST_S = 2e-3
+_MOST_FRAMES = 200_000
 """Step and number of the flange's frames, by which its speed is found."""
-_STEP, _STEPS_S = 0.04, (2e-3, 0.5)
+_STEP = 0.04
+_STEPS_S = (2e-3, 0.5)
 """Of the extent of the motion, covered from one offset to the next at a speed that the flange seldom exceeds."""
-_MOST_OFFSETS, _AT_ONCE = 60_000, 40_000
+_MOST_OFFSETS = 60_000
+_AT_ONCE = 40_000
 """Offsets that are tried, and rows of offsets that are tried together."""
-_TRIED_AGAIN, _TRIALS = 0.05, 3
+_TRIED_AGAIN = 0.05
+_TRIALS = 3
 """Share of the offsets that are tried again, and how often."""
 _NEAR_S = 10.0
 """Around the offset of clocks that count from one day."""
-_CANDIDATES, _REFINED_ROWS, _MOST_ROWS = 4, 1500, 20_000
+_CANDIDATES = 4
+_REFINED_ROWS = 1500
+_MOST_ROWS = 20_000
 """Minima that are refined, by how many rows; and by how many the best one then."""
-_GEOMETRY, _MOST_WITH_GEOMETRY = (1e-3, 3e-3), 3000
+_GEOMETRY = (1e-3, 3e-3)
+_MOST_WITH_GEOMETRY = 3000
 """Standard deviations in m and rad of an arm's numbers about the nominal ones, and the rows that fit them."""
-_OFFSET_S, _DRIFT = 1.0, 1e-3
+_OFFSET_S = 1.0
+_DRIFT = 1e-3
 """Standard deviations beforehand, of an offset around the candidate and of drifts: clocks drift by 1e-4 at most, and
 nominal frame rates are off by 1e-3."""
-_STILL_M, _LEVER_M = 5e-3, 0.1
+_STILL_M = 5e-3
+_LEVER_M = 0.1
 """A flange or a point that moves by less says nothing of the time; a lever by which its rotations count as motion."""
 _STANDSTILL_S = 0.1
 """A change of the offset that no moving arm would hide."""
-_DIFFERENCE_S, _DIFFERENCE = 1e-4, 1e-6
+_DIFFERENCE_S = 1e-4
+_DIFFERENCE = 1e-6
 """Steps of velocities, and in m and rad of derivatives by an arm's numbers."""
 _BEYOND = 2
 """Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
 _LEAST_LEFT = 0.1
 """Of the rows, as many as they are worth, that is left beside the numbers that were fitted."""
-_ROUNDS, _ROUNDS_WITH_GEOMETRY, _DONE_S, _DONE = 30, 10, 1e-9, 1e-2
+_ROUNDS = 30
+_ROUNDS_WITH_GEOMETRY = 10
+_DONE_S = 1e-9
+_DONE = 1e-2
 """At most; a step in s, and in standard deviations of the offset, that is the last."""
 
 
@@ -201,7 +216,8 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
 def _same(arm: Arm, joints: JointStream, time: Array, first: Clocks, second: Clocks) -> bool:
     """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
     rows = time[spread_rows(len(time), _REFINED_ROWS)]
-    start, end = first.robot_time(rows), second.robot_time(rows)
+    start = first.robot_time(rows)
+    end = second.robot_time(rows)
     times = [start + share * (end - start) for share in np.linspace(0, 1, 6)]
     covered = np.logical_and.reduce([joints.known(at) for at in times])
     if covered.sum() < FEWEST:
@@ -231,7 +247,8 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     start, end = joints.time[[0, -1]]
     fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
     times = np.arange(start, end, fine)
-    flange, covered = flange_poses(arm, joints.at(times)), joints.known(times)
+    flange = flange_poses(arm, joints.at(times))
+    covered = joints.known(times)
     origin, x, z = (flange[:, :3, k] for k in (3, 0, 2))
     points = np.concatenate([origin, origin + _LEVER_M * z, origin + _LEVER_M * x], 1)
     extent = _extent(points[covered]) if covered.any() else 0.0
@@ -240,9 +257,12 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
     speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
     stride = max(1, round(float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S)) / fine))
-    step, flange, covered = stride * fine, flange[::stride], covered[::stride]
+    step = stride * fine
+    flange = flange[::stride]
+    covered = covered[::stride]
 
-    span, logged = time[-1] - time[0], step * len(flange)
+    span = time[-1] - time[0]
+    logged = step * len(flange)
     rows = spread_rows(len(time), int(np.clip(_TRIED_ROWS[0] * span / logged, *_TRIED_ROWS)))
     place = np.round((time[rows] - time[0]) / step).astype(int)
     stride = 1 + (len(flange) + int(place[-1])) // _MOST_OFFSETS
@@ -348,7 +368,9 @@ def _fitted(
     T, T_tool = frames_from_poses(
         flange_poses(arm, joints.at(now.robot_time(time[covered]))), position[covered], None, None, None
     )
-    R, t, tool = T[:3, :3], T[:3, 3], T_tool[:3, 3]
+    R = T[:3, :3]
+    t = T[:3, 3]
+    tool = T_tool[:3, 3]
 
     def placed(joint: Array, change: Array | float) -> Array:
         changed = replace(arm, kinematics=arm.kinematics + change, dh=None)
@@ -379,8 +401,11 @@ def _fitted(
         J = np.concatenate(columns, axis=2)
         distance = np.linalg.norm(missed, axis=1)
         scale = 2 * max(float(np.median(distance)), 1e-9)
-        weight, noise = 1 / (1 + (distance / scale) ** 2), (scale / 3) ** 2  # m² of an axis, roughly
-        score, prior = weight[:, None] * np.einsum("sim,si->sm", J, missed), noise / std**2
+        # m² of an axis, roughly
+        weight = 1 / (1 + (distance / scale) ** 2)
+        noise = (scale / 3) ** 2
+        score = weight[:, None] * np.einsum("sim,si->sm", J, missed)
+        prior = noise / std**2
         if done or not rounds:
             break
         rounds -= 1
@@ -389,7 +414,9 @@ def _fitted(
         step = np.linalg.lstsq(normal, score.sum(axis=0) - prior * away, rcond=1e-12)[0]
         step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
         now = now._replace(offset=float(now.offset + step[0]), drift=float(now.drift + step[1]))
-        R, t, tool = Rotation.from_rotvec(step[2:5]).as_matrix() @ R, t + step[5:8], tool + step[8:11]
+        R = Rotation.from_rotvec(step[2:5]).as_matrix() @ R
+        t = t + step[5:8]
+        tool = tool + step[8:11]
         kinematics = kinematics + step[11:].reshape(-1, 6) if geometry else 0.0
         shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
         done = shift < max(_DONE_S, _DONE * float(np.sqrt(noise / max(normal[0, 0], 1e-300))))

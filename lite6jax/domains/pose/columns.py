@@ -169,7 +169,8 @@ class Deflections:
 
     def slope(self, effect: Effect, values: Array) -> Deflection:
         """The derivative of an effect's deflection by each of its numbers, at `values` `(number,)`."""
-        at, steps = jnp.asarray(values), jnp.eye(len(values))
+        at = jnp.asarray(values)
+        steps = jnp.eye(len(values))
 
         def deflected(v: jax.Array) -> Deflection:
             if isinstance(effect, Altering):  # by the joint positions; the change of the loads is of second order
@@ -271,7 +272,9 @@ _with_mass_errors = jax.jit(with_mass_errors)
 @partial(jax.jit, static_argnums=0)
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
     """The loads on an arm whose masses are off by some errors."""
-    position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
+    position = motion.joint_position
+    velocity = motion.joint_velocity
+    acceleration = motion.joint_acceleration
     payload = motion.payload + errors.payload
     inertia = with_mass_errors(inertia, errors.links)
     return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)

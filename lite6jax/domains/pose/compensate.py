@@ -206,7 +206,8 @@ def _targets_of(
     q = np.zeros((len(T), model.dof)) if start is None else np.asarray(start, float)
     if q.shape != (len(T), model.dof):
         raise InputError(f"compensate: start has the shape {q.shape}; give {(len(T), model.dof)} in rad")
-    position, quaternion = T, None
+    position = T
+    quaternion = None
     if T.ndim == 3:
         position = T[:, :3, 3]
         quaternion = unit_quaternions(T[:, :3, :3])
@@ -275,7 +276,8 @@ def _recognised(
         return {}, ()
     columns = dict(table.numbers())
     inspection = inspect(list(columns.items()), given={**declared, **meanings}, source=str(path))
-    place, turned = inspection.of("position"), inspection.of("rotation")
+    place = inspection.of("position")
+    turned = inspection.of("rotation")
     if place is None:
         if {"x_m", "x_mm"} & set(inspection.columns.values()):
             return inspection.columns, ()
@@ -357,10 +359,12 @@ class _Search:
 
     def branches(self, start: Array | None) -> Array:
         """`(row, joint)`: for each row a solution, or the nearest found; on the branch of `start`, or a short path."""
-        count, dof = self.targets.samples, self.model.dof
+        count = self.targets.samples
+        dof = self.model.dof
         has_start = np.zeros(count, bool) if start is None else np.asarray(np.isfinite(start).all(1))
         at = np.zeros((count, dof)) if start is None else np.where(has_start[:, None], start, 0.0)
-        motion, unsolved = self.motion(at), np.ones(count, bool)
+        motion = self.motion(at)
+        unsolved = np.ones(count, bool)
         solutions: list[tuple[Rows, Array, Array]] = []
 
         def solve(rows: Rows, q: Array) -> None:
@@ -378,7 +382,8 @@ class _Search:
             smallest = np.full(count, np.inf)
             np.minimum.at(smallest, attempted, missed)
             promising = (missed < _NEAR**2) | (missed == smallest[attempted])
-            attempted, rigid = attempted[promising], rigid[promising]
+            attempted = attempted[promising]
+            rigid = rigid[promising]
             key = np.column_stack([attempted, np.round(rigid / _SAME / 4).astype(int)])
             _, distinct = np.unique(key, axis=0, return_index=True)
             solve(attempted[distinct], rigid[distinct])

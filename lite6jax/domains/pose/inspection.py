@@ -276,7 +276,8 @@ def inspect(
     poses = _without_differences(poses, numbers)
     declared_deviations = {name for name, column in declared.items() if column.quantity in DEVIATION}
     at_times = any(block.kind == "time" for block in blocks)
-    read, unclear = [], []
+    read = []
+    unclear = []
     for pose in naming.sources(poses):
         read.append(_read_pose(pose, blocks, numbers, arm))
         if (deviation := pose.deviation) is None:
@@ -583,7 +584,8 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     arms = bundled_of(len(columns)) if arm is None else [arm]
     arms = [candidate for candidate in arms if (candidate.dof, candidate.sliding) == (len(columns), sliding)]
     joint = np.stack([numbers[name] for name in columns.values()], 1)
-    read, wobbles = [], []
+    read = []
+    wobbles = []
     for rotation in source.rotations or (None,):
         parts = [joint, position]
         pose_blocks = (source.position, *(() if rotation is None else (rotation,)))
@@ -671,7 +673,8 @@ def _read_sum(
         arm: as given.
         sign: −1 for the nominal position, where the other is measured.
     """
-    places, offsets = position.values(numbers), deviation.values(numbers)
+    places = position.values(numbers)
+    offsets = deviation.values(numbers)
     of_places = position.unit or alone.agreed.units.get(position.key) or sizes.length_unit(places)
     unit = deviation.unit
     if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":

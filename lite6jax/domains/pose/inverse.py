@@ -192,7 +192,8 @@ def reach(
         goal = Target(*(None if part is None else np.asarray(part)[..., rows] for part in target))  # type: ignore[arg-type]
         solved = solve_rigid(model, goal, guess, limits, sliding, _MOST_NEED)
         succeeded = (solved.cost < REACHED**2) & ~solved.pressed.any(0)
-        q[rows[succeeded]], reached[rows[succeeded]] = solved.joint_position.T[succeeded], True
+        q[rows[succeeded]] = solved.joint_position.T[succeeded]
+        reached[rows[succeeded]] = True
     return q, reached
 
 
@@ -228,7 +229,8 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     rows = np.flatnonzero(np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1))
     if not rows.size:
         return None
-    R, p = Rotation.from_quat(quaternion[rows], scalar_first=True), position[rows]
+    R = Rotation.from_quat(quaternion[rows], scalar_first=True)
+    p = position[rows]
     solved = _solver(arm, p, R.as_matrix())
     turned = np.concatenate([[0.0], (R[:-1].inv() * R[1:]).magnitude()])
     moved = np.concatenate([[0.0], np.linalg.norm(np.diff(p, axis=0), axis=1)])
@@ -238,7 +240,8 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
         if reached.mean() >= _FOLLOWED:
             joints = np.full((len(position), arm.dof), np.nan)
             followed = np.zeros(len(position), bool)
-            joints[rows[reached]], followed[rows[reached]] = q[reached], True
+            joints[rows[reached]] = q[reached]
+            followed[rows[reached]] = True
             return JointPath(joints, followed, len(branches))
     return None
 
@@ -257,7 +260,8 @@ def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray
     solved = _solver(arm, position[rows], Rotation.from_quat(quaternion[rows], scalar_first=True).as_matrix())
     indices = np.arange(len(rows))
     ends = [solved(indices, np.tile(start, (len(rows), 1))) for start in _starts(arm)]
-    q, reached = np.stack([joints for joints, _ in ends], 1), np.stack([mask for _, mask in ends], 1)
+    q = np.stack([joints for joints, _ in ends], 1)
+    reached = np.stack([mask for _, mask in ends], 1)
     if reached.any(1).mean() < _FOLLOWED:
         return None
     last = arm.joint_limits.mean(1)
@@ -266,7 +270,8 @@ def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray
     for k in np.flatnonzero(reached.any(1)):
         candidates = q[k, reached[k]]
         last = candidates[np.argmin(np.sum((candidates - last) ** 2, 1))]
-        joints[rows[k]], solvable[rows[k]] = last, True
+        joints[rows[k]] = last
+        solvable[rows[k]] = True
     first = q[np.argmax(reached.any(1))][reached[np.argmax(reached.any(1))]]
     circle = np.where(arm.slides, first, np.exp(1j * first))  # whole turns are one branch
     return JointPath(joints, solvable, len(np.unique(np.round(circle, 1), axis=0)))
@@ -311,7 +316,8 @@ def _followed(
 ) -> _Reached:
     """`(row, joint)` from the joints of the first row on, and where the poses are reached without a jump."""
     count = len(moved)
-    q, reached = np.zeros((count, len(start))), np.zeros(count, bool)
+    q = np.zeros((count, len(start)))
+    reached = np.zeros(count, bool)
     last = start
     first = 0
     while first < count:
@@ -353,7 +359,8 @@ def _solve(
     steps: ArrayLike,
 ) -> InverseSolution:
     dof = motion.dof
-    lower, upper = limits[:, :1], limits[:, 1:]
+    lower = limits[:, :1]
+    upper = limits[:, 1:]
 
     def residual(q: Array) -> Array:
         at = motion._replace(joint_position=q)
@@ -377,7 +384,8 @@ def _solve(
         new = normal(state.proposal)
         cost = jnp.sum(new[2] ** 2, 0)
         better = cost < state.cost
-        now, before = (state.proposal, *new, cost), (state.joints, *state[2:6])
+        now = (state.proposal, *new, cost)
+        before = (state.joints, *state[2:6])
         q, H, g, r, smallest = (jnp.where(better, a, b) for a, b in zip(now, before, strict=True))
         damping = jnp.clip(jnp.where(better, state.damping / 8, state.damping * 4), 1e-14, 1e4)
         free = 1.0 - held(q, g)

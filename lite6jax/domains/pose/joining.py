@@ -150,7 +150,8 @@ def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
     assert turned.form is not None
     # as it was read; in doubt as any that it may be
     further_forms = turned.forms if turned.form.sure != "certain" else ()
-    path, form = None, ""
+    path = None
+    form = ""
     for form in dict.fromkeys([turned.form.choice, *further_forms]):
         values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
         turns = with_quaternions(values, file.source)
@@ -198,7 +199,8 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     columns = {name: column[reached] for name, column in moved.file.columns.items()}
     columns |= {name: file.columns[name][reached] for name in of_target}
     inspection = inspect(list(columns.items()), arm, {}, file.source)
-    position, rotation = inspection.of("position"), inspection.of("rotation")
+    position = inspection.of("position")
+    rotation = inspection.of("rotation")
     if position is None or rotation is None or rotation.form is None or len(reached) < FEWEST:
         return SolvedPairs(columns, moved, False, (np.inf, np.inf))
     q = _joint_columns(File(file.source, file.stem, columns, inspection), arm)
@@ -290,7 +292,8 @@ def _joined_by_time(
     placed = in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     if len(placed) < FEWEST:
         raise InputError(f"{who}: {len(placed)} poses at different times are too few to find the offset of the clocks")
-    first, start = clock[states[0]], at[placed[0]]
+    first = clock[states[0]]
+    start = at[placed[0]]
     likely = float(start - first) if min(first, start) > LATEST_START_S else None
     try:
         clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
@@ -343,7 +346,8 @@ def _joint_columns(file: File, arm: Arm) -> Array:
 
 def _assumed(*files: File) -> str:
     """In which units times and joints were taken where nothing says so for certain, and how to give others."""
-    assumptions, remedies = [], []
+    assumptions = []
+    remedies = []
     for of_file, block in ((Path(file.source).name, block) for file in files for block in file.found.blocks):
         if block.kind not in ("q", "time") or block.unit is None or block.unit.sure == "certain":
             continue

@@ -109,7 +109,8 @@ def site_columns(
     )
     visible = np.abs(columns).max((1, 2), initial=0.0)
     columns[visible < _ROUNDING * visible.max()] = 0.0  # rounding: the last joint's, of a point on its axis
-    twisted, stretched = columns[: 6 * (dof + 2)].reshape(dof + 2, 6, *columns.shape[1:]), columns[6 * (dof + 2) :]
+    twisted = columns[: 6 * (dof + 2)].reshape(dof + 2, 6, *columns.shape[1:])
+    stretched = columns[6 * (dof + 2) :]
     sites: dict[Site, Array] = {("base", 0, k): twisted[1, k] for k in range(6)}
     for j in range(dof):
         sites |= {("link", j, k): twisted[j + 2, k] for k in range(6)}
@@ -178,7 +179,8 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
 
 def rigid_columns(rigid: RigidFrames, measured: SensorModel) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
-    F, tool = rigid.frames, rigid.tool
+    F = rigid.frames
+    tool = rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
     origins = np.moveaxis(F[:, :, :3, 3], 1, -1)
     lever = tool[:, :3, 3].T - origins

@@ -63,7 +63,8 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     moving = problem.recording.motion == "trajectory"
     if not moving or recording.time is None or problem.samples < _FEWEST or not isinstance(problem.measured, Measured):
         return 0.0
-    measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T
+    measured = problem.measured.position
+    predicted = problem.rigid.tool[:, :3, 3].T
     used = np.ones(problem.samples, bool) if training is None else training
     dt = float(np.median(np.diff(recording.time)[np.diff(recording.time) > 0]))
     runs = run_segments(2 * run_segments(recording.run) + used)
@@ -78,12 +79,15 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
         return 0.0
     longest_lag = int(_MOST_OF_RUN * max(len(speed) for speed, _ in speeds))
     lags = np.arange(-longest_lag, longest_lag + 1)
-    products, squares = np.zeros(len(lags)), np.zeros((2, len(lags)))
+    products = np.zeros(len(lags))
+    squares = np.zeros((2, len(lags)))
     for measured_speed, predicted_speed in speeds:
         size = len(measured_speed)
         overlapping = np.abs(lags) < size - _FEWEST // 2
         lag = lags[overlapping]
-        first, last = np.maximum(-lag, 0), np.minimum(size, size - lag)  # of the part of a run that overlaps
+        # of the part of a run that overlaps
+        first = np.maximum(-lag, 0)
+        last = np.minimum(size, size - lag)
         sums = _between(measured_speed, first, last), _between(predicted_speed, first + lag, last + lag)
         count = last - first
         spectra = np.conj(np.fft.rfft(measured_speed, 2 * size)) * np.fft.rfft(predicted_speed, 2 * size)
@@ -143,7 +147,8 @@ def search_load_model(
 
 def _other(problem: PoseProblem, reference: PoseProblem) -> tuple[PoseProblem, PoseProblem]:
     """Both with the other load model, where there is one."""
-    turned, turned_reference = problem.with_other_loads(), reference.with_other_loads()
+    turned = problem.with_other_loads()
+    turned_reference = reference.with_other_loads()
     return (problem, reference) if turned is None or turned_reference is None else (turned, turned_reference)
 
 

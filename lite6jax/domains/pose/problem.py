@@ -261,7 +261,8 @@ class PoseProblem(RigidArm):
         motion = self.deflections.host_motion
         families = []
         for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
-            column, q = self.sites["joint", j, 0], np.asarray(motion.joint_position)[j]
+            column = self.sites["joint", j, 0]
+            q = np.asarray(motion.joint_position)[j]
             families.append(PeriodicFamily(f"joint{j + 1}", column, q, partial(JointHarmonic, j + 1), _order))
         return tuple(families)
 
@@ -422,7 +423,9 @@ class PoseProblem(RigidArm):
         physics = physics_of(terms)
         values = np.asarray(values, float)
         dof = self.motion.dof
-        motion, host_motion, on_arm = self.motion, self.deflections.host_motion, self.deflections.loads
+        motion = self.motion
+        host_motion = self.deflections.host_motion
+        on_arm = self.deflections.loads
         bent = self._undeflected
         heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()
         errors = self.mass_errors(nuisance) if heavier else None
@@ -516,7 +519,8 @@ def pose_problem(
     turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
     precision = np.full(len(waves), ONCE_PER_TURN**-2.0)
-    free, none = np.zeros(len(moved)), np.zeros(len(masses))
+    free = np.zeros(len(moved))
+    none = np.zeros(len(masses))
     all_effects = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
     if touched:  # sockets, plates and anchors have no frame of their own that could move
         all_effects = tuple(effect for effect in all_effects if effect.site != "sensor")

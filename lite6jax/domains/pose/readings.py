@@ -47,7 +47,9 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
-_TURNS, _SLIDES, _PLACES = ("q", False), ("q", True), ("position", False)
+_TURNS = ("q", False)
+_SLIDES = ("q", True)
+_PLACES = ("position", False)
 _FIRST = ("q", "time", "dq", "ddq")
 """Kinds by whose units those of others are decided, in order."""
 _USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}

@@ -181,14 +181,16 @@ def compare(
         if side.sliding != arm.sliding:
             raise InputError(f"{side.source}: {other_joints(side.sliding, arm.sliding, arm.name)}")
         require_samples(side, 1)
-    file, rows = Path(reference.source).name, recording.samples
+    file = Path(reference.source).name
+    rows = recording.samples
     recording, reference = _match(recording, reference)
     notes: list[dict[str, Any]] = []
     if reference.samples < rows:
         notes.append({"note": "unmatched_rows", "count": rows - reference.samples, "rows": rows})
     if recording.numbers_per_sample != reference.numbers_per_sample:
         notes.append({"note": "positions_only"})
-        recording, reference = replace(recording, quaternion=None), replace(reference, quaternion=None)
+        recording = replace(recording, quaternion=None)
+        reference = replace(reference, quaternion=None)
     undeclared = reference.settings == RecordingSettings()
     if undeclared:
         settings = replace(reference.settings, pose_frame=recording.settings.pose_frame, tool=recording.settings.tool)
@@ -202,7 +204,8 @@ def compare(
         for declared, rounding in zip(declared_noise, _ROUNDING, strict=True)
     )
     # whether the tool, and the frame, are fitted although declared, fewest first; undeclared ones always are
-    tool, frame = reference.settings.tool != "unknown", reference.settings.pose_frame == "base"
+    tool = reference.settings.tool != "unknown"
+    frame = reference.settings.pose_frame == "base"
     combinations = ((False, False), (True, False), (False, True), (True, True))
     freed = [fitted for fitted in combinations if (tool or not fitted[0]) and (frame or not fitted[1])]
     candidates = [_explained_by(reference, arm, chain, fitted) for fitted in freed for chain in chains]
@@ -296,7 +299,8 @@ def _match(recording: Recording, reference: Recording) -> tuple[Recording, Recor
                 break
             candidate = spare[index[row, k]]
             if partner[open_rows[row]] < 0 and not used[candidate]:
-                partner[open_rows[row]], used[candidate] = candidate, True
+                partner[open_rows[row]] = candidate
+                used[candidate] = True
     rows = np.flatnonzero(partner >= 0)
     shorter = min(recording.samples, reference.samples)
     if 2 * rows.size < shorter:
@@ -314,11 +318,13 @@ def _corrected(recording: Recording, reference: Recording, arm: Arm, common: _Ri
     With D the reference's flange relative to that of the rigid arm that explains it, and P the recording's pose by its
     own model, Y' = P D⁻¹ P⁻¹ Y. Where Y = P D E, this leaves P E: what both share cancels exactly, whatever its size.
     """
-    settings, position = recording.settings, recording.position
+    settings = recording.settings
+    position = recording.position
     measured = reference.position
     assert position is not None
     assert measured is not None
-    F, U = common.registration.T_sensor_base, common.registration.T_flange_tool
+    F = common.registration.T_sensor_base
+    U = common.registration.T_flange_tool
     flange = flange_poses(replace(arm, kinematics=base, dh=None), recording.joint_position)
     P = _registered(recording, flange, (False, False)).T_sensor_base @ flange
     in_base = (measured - F[:3, 3]) @ F[:3, :3]
@@ -377,7 +383,8 @@ def _temperature(recording: Recording) -> Array | None:
 
 def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, Any]]:
     """Which drivers are equal in both recordings, so that their effects cancel, and which are not."""
-    temperature, reference_temperature = _temperature(recording), _temperature(reference)
+    temperature = _temperature(recording)
+    reference_temperature = _temperature(reference)
     differs = {
         "payload": np.abs(recording.payload - reference.payload) > _SAME_PAYLOAD,
         "direction_of_motion": (recording.direction_of_motion != reference.direction_of_motion).any(1),
@@ -392,7 +399,8 @@ def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, An
         if driver not in equal:
             notes.append({"note": f"{driver}_differs", "count": int(differs[driver].sum())})
     if temperature is not None and reference_temperature is not None and "temperature" not in equal:
-        mean, reference_mean = float(temperature.mean()), float(reference_temperature.mean())
+        mean = float(temperature.mean())
+        reference_mean = float(reference_temperature.mean())
         notes.append({"note": "temperature_differs", "mean_degC": mean, "reference_mean_degC": reference_mean})
     if (temperature is None) != (reference_temperature is None):
         notes.append({"note": "one_temperature"})
@@ -423,7 +431,8 @@ def _explained_by(reference: Recording, arm: Arm, chain: _Chain, fitted: tuple[b
 
 def _registered(recording: Recording, flange: Array, fitted: tuple[bool, bool]) -> Registration:
     """`register` of a recording's poses: tool and frame are fitted where they are not declared, or are to be."""
-    settings, position = recording.settings, recording.position
+    settings = recording.settings
+    position = recording.position
     assert position is not None
     tool = None if fitted[0] or settings.tool == "unknown" else declared_tool(recording)
     frame = np.eye(4) if settings.pose_frame == "base" and not fitted[1] else None
@@ -472,7 +481,8 @@ def _differences(declared: _RigidArm, chosen: _RigidArm) -> list[dict[str, Any]]
     if chosen.chain[:2] != declared.chain[:2]:
         model, reference = ({"kind": kind, "name": name} for kind, name, _ in (declared.chain, chosen.chain))
         differences.append({"difference": "other_table", "model": model, "reference": reference, **step})
-    expected, T = declared.registration, chosen.registration
+    expected = declared.registration
+    T = chosen.registration
     if chosen.fitted[1]:
         differences.append(
             {"difference": "other_frame", **_displacement(expected.T_sensor_base, T.T_sensor_base), **step}

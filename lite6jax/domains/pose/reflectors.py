@@ -187,7 +187,8 @@ def _rigid_pose(points: Array) -> RigidPose | None:
 def _carried(shape: Array, points: Array, weight: Array) -> tuple[Array, Array]:
     """The rotations `(row, 3, 3)` and translations `(row, 3)` that carry a shape onto the points of each row."""
     share = weight / weight.sum(1, keepdims=True)
-    a, b = share @ shape, np.einsum("rp,rpi->ri", share, points)
+    a = share @ shape
+    b = np.einsum("rp,rpi->ri", share, points)
     M = np.einsum("rp,rpi,rpj->rij", share, points - b[:, None], shape - a[:, None])
     U, _, Vt = np.linalg.svd(M)
     U[..., 2] *= np.linalg.det(U @ Vt)[:, None]

@@ -365,7 +365,10 @@ def rigid_arm(
     T_frame = np.eye(4)
     if touches is not None:
         declaration = declared_geometry(recording, arm, geometry, factory)
-        arm, form, movable, values = declaration.arm, declaration.form, declaration.movable, declaration.values
+        arm = declaration.arm
+        form = declaration.form
+        movable = declaration.movable
+        values = declaration.values
         declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
         noise = declared[0] or UNDECLARED_TOUCH, None
         sensor = touch_sensor(recording, noise[0])
@@ -374,8 +377,12 @@ def rigid_arm(
         T_tool = declaration.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
     else:
         problem = recording_problem(recording, arm, geometry, factory)
-        arm, form, movable = problem.arm, problem.form, problem.movable
-        noise, declared, whitener = problem.noise, problem.declared_noise, problem.whitener
+        arm = problem.arm
+        form = problem.form
+        movable = problem.movable
+        noise = problem.noise
+        declared = problem.declared_noise
+        whitener = problem.whitener
         sensor = measured_poses(recording, whitener if whitener.ndim == 1 else np.moveaxis(whitener, 0, -1))
         values, T_frame, T_tool = (np.asarray(leaf) for leaf in problem.start)
     exact = isinstance(form.chain, SixParameterForm)
@@ -473,7 +480,8 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
     Raises:
         InputError: a ring of known distances, or one place for several anchors.
     """
-    readings, settings = recording.touches, recording.settings
+    readings = recording.touches
+    settings = recording.settings
     assert readings is not None
     whitener = np.full(2, 1 / noise)
     present, group = np.unique(readings.group, return_inverse=True)

@@ -47,7 +47,8 @@ class TorqueFault:
 
     def of_positions(self, dof: int) -> tuple[Array, Array]:
         """`(joint, joint)` and `(joint,)` rad: positions are multiplied by the one, and the other is added."""
-        A, b = np.eye(dof), np.zeros(dof)
+        A = np.eye(dof)
+        b = np.zeros(dof)
         i, j = (*self.joints, *self.joints, 0, 0)[:2]
         match self.code:
             case "swapped_positions":
@@ -78,7 +79,8 @@ class TorqueFault:
 
 def undo(hypothesis: Hypothesis, data: TorqueRows) -> TorqueRows:
     """The rows without the faults of a hypothesis."""
-    dof, recording = data.arm.dof, data.recording
+    dof = data.arm.dof
+    recording = data.recording
     A, b, T, gravity = maps(hypothesis, dof)
     settings = recording.settings
     if settings.torque_noise_Nm is not None:
@@ -94,11 +96,16 @@ def undo(hypothesis: Hypothesis, data: TorqueRows) -> TorqueRows:
 
 def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[float, ...] | None]:
     """What undoes a hypothesis: `A` and `b` of positions, `T` of torques, and gravity, None where that is declared."""
-    A, b, T, gravity = np.eye(dof), np.zeros(dof), np.eye(dof), None
+    A = np.eye(dof)
+    b = np.zeros(dof)
+    T = np.eye(dof)
+    gravity = None
     for change in hypothesis:
         gravity = change.gravity if change.code in GRAVITY else gravity
         matrix, added = change.of_positions(dof)
-        A, b, T = matrix @ A, matrix @ b + added, change.of_torques(dof) @ T
+        A = matrix @ A
+        b = matrix @ b + added
+        T = change.of_torques(dof) @ T
     return A, b, T, gravity
 
 

@@ -190,7 +190,8 @@ def evenly_timed(recording: Recording) -> Even:
         return Even(replace(recording, time=even), DataFault("uneven_times", (), {"reason": "stamps"} | timing))
     longest = max(_each(runs), key=lambda rows: time[rows.stop - 1] - time[rows.start])
     grid = np.arange(float(time[longest.start]), float(time[longest.stop - 1]), step)
-    alone, velocities = np.zeros(len(grid), int), recording.velocities()[longest].T
+    alone = np.zeros(len(grid), int)
+    velocities = recording.velocities()[longest].T
     band = max(_bandwidth(np.interp(grid, time[longest], row), alone, 1 / step) for row in velocities)
     gaps = np.diff(time, prepend=time[0]) > max(_GAP * step, _BRIDGED / band)
     pieces = run_segments(runs * (1 + len(gaps)) + np.cumsum(gaps))
@@ -216,7 +217,8 @@ def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float
     """Whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
     rough = np.zeros(2)
     for rows in _each(runs):
-        t, y = time[rows], q[rows]
+        t = time[rows]
+        y = q[rows]
         if len(t) < _CUBIC or np.diff(t).max() > _GAP * step:
             continue
         for k, x in enumerate((t, _line(t))):
@@ -260,7 +262,8 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
     """The recording at other times, those of each part; poses are left out."""
     time = recording.time
     assert time is not None
-    cubic, monotone = scipy.interpolate.CubicSpline, scipy.interpolate.PchipInterpolator
+    cubic = scipy.interpolate.CubicSpline
+    monotone = scipy.interpolate.PchipInterpolator
     kinds: dict[str, Any] = {
         **dict.fromkeys(("joint_position", "joint_velocity", "joint_acceleration"), cubic),
         **dict.fromkeys(("joint_torque", "motor_current", "joint_temperature", "commanded_position"), monotone),
@@ -293,8 +296,10 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
         recording: a trajectory with times and velocities.
         chosen: the filter of torques, far above which there is no need of velocities.
     """
-    rate, runs = chosen.rate, chosen.runs
-    q, v = recording.joint_position.T, np.asarray(recording.velocities()).T
+    rate = chosen.rate
+    runs = chosen.runs
+    q = recording.joint_position.T
+    v = np.asarray(recording.velocities()).T
     cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
     cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
@@ -317,7 +322,9 @@ def _mend_ends(acceleration: Array, velocity: Array, cutoff: float, rate: float)
     The low pass follows the noise of the first and the last velocity, and its slope there is several times too large.
     """
     period = int(np.ceil(rate / cutoff))
-    near, window = 2 * period, max(period | 1, _CUBIC)  # farther inside, the low pass is as exact
+    # farther inside, the low pass is as exact
+    near = 2 * period
+    window = max(period | 1, _CUBIC)
     if velocity.shape[1] >= max(2 * near, window):
         slope = scipy.signal.savgol_filter(velocity, window, 3, deriv=1, delta=1 / rate)
         acceleration[:, :near], acceleration[:, -near:] = slope[:, :near], slope[:, -near:]
@@ -358,7 +365,8 @@ def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
     stride = _stride(recorded.every)
     at = np.concatenate([np.arange(r.start, r.stop, stride) for r in _each(recorded.runs)])
     kept_indices = np.searchsorted(at, recorded.kept)
-    decimation, rate = recorded.every // stride, recorded.rate / stride
+    decimation = recorded.every // stride
+    rate = recorded.rate / stride
     return replace(recorded, rate=rate, every=decimation, runs=recorded.runs[at], kept=kept_indices), at
 
 

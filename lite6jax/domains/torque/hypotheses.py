@@ -179,7 +179,8 @@ def _left_by_any_arm(data: TorqueRows) -> float:
 
 def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
     """The joint that turns about another axis of its frame than described; None where none exceeds that evidence."""
-    threshold, fault = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof), None
+    threshold = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof)
+    fault = None
     for joint in (i for i in range(rows.dof) if i not in rows.data.arm.sliding):
         for name, R in _AXES.items():
             turned = rows.with_axis(joint, R)
@@ -187,7 +188,8 @@ def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
             if scored.hypothesis or (scored.left > rows.declared.left / _CLEARLY).all():
                 continue
             if (turned_evidence := turned.evidence(())) > threshold:
-                threshold, fault = turned_evidence, DataFault("joint_axis", (), {"joint": joint + 1, "axis": name})
+                threshold = turned_evidence
+                fault = DataFault("joint_axis", (), {"joint": joint + 1, "axis": name})
     return fault
 
 
@@ -197,7 +199,8 @@ def computed_torque(data: TorqueRows) -> bool:
     The links may be others than declared. A sensor's noise, or a current's, is several times `_NOISELESS`, and friction
     of a gear some per cent of its torque.
     """
-    rows, regressors = data.measured, data.regressor
+    rows = data.measured
+    regressors = data.regressor
     size = np.maximum(np.std(rows, axis=1), 1e-300)
     steps = np.diff(data.torque, 3, axis=1) / np.sqrt(20.0)  # of white noise, its standard deviation
     if (1.4826 * np.median(np.abs(steps), 1) > _NOISELESS * size).any() or rows.shape[1] < 2 * regressors.shape[1]:
@@ -217,7 +220,8 @@ def computed_torque(data: TorqueRows) -> bool:
 
 def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
     """Every simple hypothesis about positions and gravity; torques are assigned to joints for each of them."""
-    dof, sliding = data.arm.dof, data.arm.sliding
+    dof = data.arm.dof
+    sliding = data.arm.sliding
     turning = [i for i in range(dof) if i not in sliding]
     declared = data.bodies.gravity
     strength = float(np.linalg.norm(declared))

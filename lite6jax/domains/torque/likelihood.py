@@ -43,7 +43,8 @@ _WIDTHS = (0.03, 0.1, 0.3, 1.0)
 """Relative standard deviations of declared inertial numbers, of which each hypothesis has the likeliest."""
 _FLOOR = 2e-3
 """Of a joint's torque: what no model of a motor is more exact than."""
-_PAYLOAD, _PAYLOAD_LEVER = 0.15, 0.15
+_PAYLOAD = 0.15
+_PAYLOAD_LEVER = 0.15
 """Of the mass of the arm, and m: what may hang on the flange, one sigma of its mass and of its place."""
 _BASE = 0.15
 """rad, one sigma of a base's tilt."""
@@ -101,7 +102,8 @@ class Samples:
         """The same of an arm whose joint, from 0, turns about the axis of its frame that `R` turns z into."""
         bodies = self.data.bodies
         variant = copy(self)
-        kinematics, links = bodies.kinematics.copy(), bodies.links.copy()
+        kinematics = bodies.kinematics.copy()
+        links = bodies.links.copy()
         T = np.eye(4)
         T[:3, :3] = R
         kinematics[joint] = frames.row_from_transform(frames.transform_from_row(kinematics[joint]) @ T)
@@ -162,7 +164,8 @@ class Samples:
 
     def rigid(self, moved: Array, gravity: Array) -> Array:
         """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
-        bodies, sliding = self.data.bodies, self.data.arm.sliding
+        bodies = self.data.bodies
+        sliding = self.data.arm.sliding
         torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, *moved, gravity, sliding))
         if self.payload.any():
             per_kg = inverse_dynamics(bodies.kinematics, bodies.at_flange, *moved, gravity, sliding)
@@ -231,24 +234,29 @@ class Samples:
         square = squares[:, :-1].reshape(dof, 2, dof).transpose(1, 2, 0)
         signed_torques = np.stack([measured, -measured], 1)
         numbers, rss = _nonnegative(np.concatenate([joint_columns, (rigid / weight)[:, None]], 1), signed_torques)
-        factor, loaded = numbers[..., -1].T / weight.T, rss.T / n
+        factor = numbers[..., -1].T / weight.T
+        loaded = rss.T / n
         observable = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > TRUSTED
         square = np.maximum(square, self.floor[None, :, None] ** 2)
         loaded = np.maximum(loaded, self.floor**2)
-        joints, of_sign = np.arange(dof), np.array([0.0, _OF_SIGN])
+        joints = np.arange(dof)
+        of_sign = np.array([0.0, _OF_SIGN])
         cost = half * np.log(square) + of_sign[:, None, None] + 0.5 * _of_pair(dof) * (1 - np.eye(dof))
         columns, place = linear_sum_assignment(cost.min(0))
         order = np.empty(dof, int)
         order[place] = columns
         reversed_ = np.argmin(cost[:, order, joints], 0) == 1
-        total, residual_rms = cost.min(0)[order, joints], np.sqrt(square[reversed_.astype(int), order, joints])
+        total = cost.min(0)[order, joints]
+        residual_rms = np.sqrt(square[reversed_.astype(int), order, joints])
         constants = np.ones(dof)
-        code, with_any = "wrong_torque_constant", half * np.log(loaded) + of_sign[:, None] + self._of_number
+        code = "wrong_torque_constant"
+        with_any = half * np.log(loaded) + of_sign[:, None] + self._of_number
         for of_all in (False, True):
             rescaled = self._constants(with_any, factor, cost[:, joints, joints], observable if of_all else None)
             if rescaled is not None and rescaled[1].sum() < total.sum():
                 code = "torque_unit" if of_all else "wrong_torque_constant"
-                order, (constants, total, reversed_) = joints, rescaled
+                order = joints
+                constants, total, reversed_ = rescaled
                 k = reversed_.astype(int)
                 residual_rms = np.sqrt(np.where(constants != 1, loaded[k, joints], square[k, joints, joints]))
         changes = [*hypothesis, *exchanges(order)]
@@ -271,7 +279,8 @@ class Samples:
         """
         low, high = _FACTORS
         if observable is not None:
-            k, joints = np.argmin(loaded, 0), np.arange(self.dof)
+            k = np.argmin(loaded, 0)
+            joints = np.arange(self.dof)
             joint_factors = factor[k, joints]
             shown = joint_factors[observable]
             if 2 * observable.sum() < self.dof or not ((shown > high).all() or ((shown > 0) & (shown < low)).all()):
@@ -329,7 +338,8 @@ class Samples:
         X = np.stack([of_axes[:, j] - (of_axes[:, j] @ Q) @ Q.T for j, Q in enumerate(bases)])
         Y = np.stack([rigid_residual[j] - (rigid_residual[j] @ Q) @ Q.T for j, Q in enumerate(bases)])
         for _ in range(4):
-            A, b = np.concatenate(X / scale[:, None, None], 1), np.concatenate(Y / scale[:, None])
+            A = np.concatenate(X / scale[:, None, None], 1)
+            b = np.concatenate(Y / scale[:, None])
             gravity = np.linalg.lstsq(A.T, b, rcond=None)[0]
             scale = np.maximum(np.sqrt(np.mean((Y - np.einsum("k,jks->js", gravity, X)) ** 2, 1)), self.floor)
         size = float(np.linalg.norm(gravity))
@@ -360,7 +370,8 @@ class Samples:
         m = joint_columns.shape[1]
         dof = self.dof
         columns = [np.vstack([shared[:, j], joint_columns[j]]) for j in range(dof)]
-        grams, sides = [c @ c.T for c in columns], [c @ row for c, row in zip(columns, rigid_residual, strict=True)]
+        grams = [c @ c.T for c in columns]
+        sides = [c @ row for c, row in zip(columns, rigid_residual, strict=True)]
         places = [np.r_[:k, k + m * j : k + m * (j + 1)] for j in range(dof)]
         lower = np.r_[np.zeros(k, bool), np.tile(bounded, dof)]
         squares = np.sum(rigid_residual**2, 1)
@@ -375,7 +386,8 @@ class Samples:
             H = np.zeros((len(lower), len(lower)))
             x = np.zeros(len(lower))
             for _ in range(5):
-                H, g = np.zeros_like(H), np.zeros(len(lower))
+                H = np.zeros_like(H)
+                g = np.zeros(len(lower))
                 for at, gram, side, sigma in zip(places, grams, sides, noise, strict=True):
                     weight = self.counted / (n * sigma**2)
                     H[np.ix_(at, at)] += weight * gram
@@ -455,7 +467,8 @@ def _solved(H: Array, g: Array, lower: NDArray[np.bool_]) -> Array:
     """The minimum of ½ xᵀHx − gᵀx in which the numbers `lower` are not negative."""
     free = ~lower
     L = np.linalg.cholesky(H[np.ix_(free, free)])
-    B, c = np.linalg.solve(L, H[np.ix_(free, lower)]), np.linalg.solve(L, g[free])
+    B = np.linalg.solve(L, H[np.ix_(free, lower)])
+    c = np.linalg.solve(L, g[free])
     S = np.linalg.cholesky(H[np.ix_(lower, lower)] - B.T @ B)
     x = np.zeros(len(g))
     x[lower] = nnls(S.T, np.linalg.solve(S, g[lower] - B.T @ c))[0]

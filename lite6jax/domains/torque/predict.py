@@ -111,11 +111,14 @@ def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer
     for offset in set(offsets[offsets != 0].tolist()):
         joints = np.flatnonzero(offsets == offset)
         for rows, spline in interpolant(torque[joints], time, runs):
-            t, part = time[rows], torque[joints, rows]
+            t = time[rows]
+            part = torque[joints, rows]
             at = np.clip(t + offset, t[0], t[-1])
-            beyond, shifted = t + offset - at, spline(at)
+            beyond = t + offset - at
+            shifted = spline(at)
             if beyond.any():
-                near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
+                near = ((0, _LINE), (-1 - _LINE, -1))[offset > 0]
+                far = (0, -1)[offset > 0]
                 along = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
                 shifted = np.where(beyond != 0, part[:, [far]] + along[:, None] * beyond, shifted)
             value[joints, rows] = shifted
@@ -296,7 +299,8 @@ def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:
         in_run = np.isin(even.row, motion.row[rows])
         if not in_run.any():
             continue
-        at, t = motion.time[rows], even.time[in_run]
+        at = motion.time[rows]
+        t = even.time[in_run]
         near = np.abs(t[np.clip(np.searchsorted(t, at), 1, len(t) - 1) - np.array([[1], [0]])] - at).min(0) <= step
         columns = [np.interp(at[near], t, column) for column in values[in_run].T]
         resampled[rows[near]] = np.stack(columns, 1)
@@ -313,7 +317,9 @@ def _bars(
     model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
 ) -> tuple[Array, Flags]:
     """Standard deviations `(sample, joint)` Nm, and whether a row is outside."""
-    recorded, slides, states = uncertainty.recorded, model.arm.slides, bodies.moved
+    recorded = uncertainty.recorded
+    slides = model.arm.slides
+    states = bodies.moved
     beyond: dict[str, Array] = {}
     ranges = (recorded.joints, recorded.velocities, recorded.accelerations)
     for quantity, state, limits in zip(_LEAST, states, ranges, strict=True):
@@ -383,7 +389,8 @@ def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
 
 def with_free_numbers(terms: Terms, values: Array) -> tuple[Terms, Array]:
     """The terms with the numbers that were chosen for them as their last ones, unless these are whole and so exact."""
-    free, numbers = [], []
+    free = []
+    numbers = []
     for effect, part in pairs(terms):
         free.append(freed(effect))
         order = [] if free[-1] is effect else [effect.chosen or 0.0]

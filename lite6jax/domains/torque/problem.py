@@ -66,7 +66,8 @@ _MOVING = ("velocity", "speed", "direction of motion", "acceleration", "travel s
 """Drivers that postures at rest do not have."""
 _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
-_UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
+_UNKNOWN_MASS = 3.0
+_UNKNOWN_LEVER = 0.1
 """kg and m, of links about which nothing is declared."""
 _HIGHEST = 1000.0
 """Waves along the stroke of a prismatic joint that are searched at most: a screw's lead of 1 mm on a metre."""
@@ -296,7 +297,8 @@ class TorqueProblem:
     @lazy
     def quantities(self) -> tuple[DriverValues, ...]:
         """The drivers that are known and vary, each with the joint whose own it is."""
-        motion, rise = self.dynamics.motion, self.dynamics.motion.joint_temperature_rise
+        motion = self.dynamics.motion
+        rise = self.dynamics.motion.joint_temperature_rise
         apart = (
             rise is not None and np.ptp(np.asarray(rise), 0).any()
         )  # else that of the whole arm would be there twice
@@ -383,7 +385,8 @@ class TorqueProblem:
 
     def _shown_everywhere(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """As `torque`, `(joint, every sample)`, without delays."""
-        data, total = self.data, self._rigid_everywhere
+        data = self.data
+        total = self._rigid_everywhere
         if nuisance.any():
             total = total + data.filter.whole(data.bodies.of_inertia(np.tensordot(nuisance, self.directions, 1)))
         return self._shown(total, nuisance, terms, values, everywhere=True)
@@ -421,7 +424,9 @@ class TorqueProblem:
         at = np.zeros(column_terms.size) if values is None else np.asarray(values, float)
         acting_terms, numbers = beside or (column_terms, at)
         columns = np.zeros((column_terms.size, self.rows, self.samples))
-        slope, late = columns[:0], None  # by the time of torques that are late by that
+        # by the time of torques that are late by that
+        slope = columns[:0]
+        late = None
         for effect, part in pairs(column_terms):
             joints = joints_of(effect)
             if isinstance(effect, Scaling):
@@ -433,7 +438,8 @@ class TorqueProblem:
                 if effect not in acting_terms.terms:
                     offsets = offsets + effect.offset(float(at[part][0]), self.rows)
                 if late is None or not np.array_equal(offsets, late):
-                    slope, late = self._slope(acting_terms, numbers, offsets), offsets
+                    slope = self._slope(acting_terms, numbers, offsets)
+                    late = offsets
                 columns[part] = effect.offset(1.0, self.rows)[:, None] * slope
             elif effect.linear:
                 columns[part, joints] = self._units(effect)
@@ -473,7 +479,8 @@ class TorqueProblem:
         """
         arm = self.data.arm
         if isinstance(term, PayloadTorque | PayloadBody):
-            lightest, heaviest_added = -float(np.min(np.asarray(self.data.motion.payload))), heaviest_payload(arm)
+            lightest = -float(np.min(np.asarray(self.data.motion.payload)))
+            heaviest_added = heaviest_payload(arm)
             moment = heaviest_added * PAYLOAD_LENGTH
             return [(lightest, heaviest_added), *[(-moment, moment)] * (term.size - 1)]
         if isinstance(term, LinkMass):
@@ -579,10 +586,12 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
                 "it from EFFECTS"
             )
         require_kind(effect, data.arm.sliding)
-    settings, links = data.recording.settings, data.bodies.links
+    settings = data.recording.settings
+    links = data.bodies.links
     inertial = settings.inertial
     if inertial == "declared":
-        directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
+        directions = np.zeros((0, *links.shape))
+        deviations = np.zeros(0)
     else:
         directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
     candidates = (*torque_catalogue(data.arm.dof, data.arm.sliding), *effects)
@@ -633,7 +642,8 @@ def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
     mass = np.maximum(links[:, 0], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
     lever = np.linalg.norm(links[:, 1:4], axis=1) / mass
     lever = np.maximum(lever, lever.mean() if lever.any() else _UNKNOWN_LEVER)
-    directions, deviations = np.zeros((len(links), 10, *links.shape)), np.zeros((len(links), 10))
+    directions = np.zeros((len(links), 10, *links.shape))
+    deviations = np.zeros((len(links), 10))
     for j, (m, length) in enumerate(zip(mass, lever, strict=True)):
         center = links[j, 1:4] / m
         central_moment = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2

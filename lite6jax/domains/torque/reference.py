@@ -110,13 +110,16 @@ def _at_times_of(
     torque = reference.torques()
     if recording.time is None or reference.time is None:
         return None
-    segments, reference_segments = run_segments(recording.run), run_segments(reference.run)
+    segments = run_segments(recording.run)
+    reference_segments = run_segments(reference.run)
     if segments[-1] != reference_segments[-1]:
         return None
-    matching, at = np.zeros(recording.samples, bool), np.zeros_like(recording.joint_position)
+    matching = np.zeros(recording.samples, bool)
+    at = np.zeros_like(recording.joint_position)
     states = [(side.joint_position, side.velocities()) for side in (recording, reference)]
     for run in np.unique(segments):
-        rows, reference_rows = np.flatnonzero(segments == run), np.flatnonzero(reference_segments == run)
+        rows = np.flatnonzero(segments == run)
+        reference_rows = np.flatnonzero(reference_segments == run)
         since, reference_times = (
             side[part] - side[part[0]] for side, part in ((recording.time, rows), (reference.time, reference_rows))
         )

@@ -237,6 +237,7 @@ def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: NDArray[np.i
     first, end = (np.searchsorted(motion.run[0], motion.run[0], side) for side in ("left", "right"))
     motion = motion._replace(run=np.stack([first, end - 1]))
     period = 1 / samples.rate
-    dq, ddq = motion.joint_velocity, motion.joint_acceleration
+    dq = motion.joint_velocity
+    ddq = motion.joint_acceleration
     motion = motion._replace(direction=direction(dq, arm.slides, change=period * ddq))
     return replace(bodies, motion=motion, drives=declared_torque(arm, motion, period), period=period)

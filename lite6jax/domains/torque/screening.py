@@ -240,7 +240,8 @@ def _require_unit(recording: Recording, faults: tuple[DataFault, ...]) -> None:
 def _require_axes(recording: Recording, faults: tuple[DataFault, ...]) -> None:
     for fault in faults:
         if fault.code == "joint_axis":
-            joint, axis = fault.numbers["joint"], fault.numbers["axis"]
+            joint = fault.numbers["joint"]
+            axis = fault.numbers["axis"]
             raise InputError(
                 f"{recording.source}: the torques fit an arm whose joint {joint} turns about {axis} of its frame, "
                 "where the description has z; correct the joint's axis in the arm's description"
@@ -263,7 +264,8 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     A register may be off by a constant. At rest that is a direction of motion that is not there. The bias is what
     velocities show where positions stand still, and it has to be what they show on average too.
     """
-    recorded, time = recording.joint_velocity, recording.time
+    recorded = recording.joint_velocity
+    time = recording.time
     biases = np.zeros(recording.dof)
     if recorded is None or recording.velocity_differentiated or time is None:
         return biases
@@ -297,7 +299,8 @@ def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[
 
     It has one if no other reading is smaller, and the joint moves slowly through enough of the zeros.
     """
-    recorded, time = recording.joint_velocity, recording.time
+    recorded = recording.joint_velocity
+    time = recording.time
     if recorded is None or recording.velocity_differentiated or time is None:
         return recording, []
     velocity = recorded.copy()
@@ -440,9 +443,11 @@ def held_by_friction(data: TorqueRows) -> RestFriction:
     """
     still = at_rest(data)
     near = _around(still, data)
-    slack, repeated = np.zeros(still.shape), np.zeros(still.shape[1], bool)
+    slack = np.zeros(still.shape)
+    repeated = np.zeros(still.shape[1], bool)
     filtered_rows = data.filter.kept
-    joints, bands = [], []
+    joints = []
+    bands = []
     for j in range(len(still)):
         resting = still[j, filtered_rows]
         band = _left_at_rest(data, j, resting, ~near[j, filtered_rows]) if resting.sum() >= _FEWEST else 0.0
@@ -491,8 +496,11 @@ def turning_friction(data: TorqueRows) -> Array:
     it is not known where within this time a joint turns, and over the error of its velocity. Friction of c Nm is then
     uncertain by c·√(1 - d²); the low pass spreads that over the samples beside it.
     """
-    motion, chosen, slides = data.motion, data.filter, data.arm.slides
-    velocity, acceleration = np.asarray(motion.joint_velocity), np.asarray(motion.joint_acceleration)
+    motion = data.motion
+    chosen = data.filter
+    slides = data.arm.slides
+    velocity = np.asarray(motion.joint_velocity)
+    acceleration = np.asarray(motion.joint_acceleration)
     window = max(int(chosen.rate / (2 * data.motion_cutoff)), 1)  # shorter than what the low pass leaves
     away = uniform_filter1d(data.recording.velocities().T[:, data.rows] - velocity, window, mode="nearest")
     error = np.sqrt(np.maximum(uniform_filter1d(away**2, window, mode="nearest"), 0.0))  # it rounds

@@ -331,7 +331,8 @@ def _with_ratios(recording: Recording, arm: Arm) -> CorrectedColumns:
             "measured": with_readouts(recording, recording.joint_position / factor),
             "commanded": replace(recording, commanded_position=np.asarray(recording.commanded_position) * factor),
         }
-        side, decided = _plausible_side(choices, arm, joint), True
+        side = _plausible_side(choices, arm, joint)
+        decided = True
         if side is None:
             side, decided = _relative_side(choices, arm, joint)
         recording = choices[side]

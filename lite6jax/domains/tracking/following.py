@@ -130,7 +130,8 @@ def scan_lags(even: Recording, joints: NDArray[np.integer], rows: slice) -> tupl
     lags = np.arange(-most, most + 1)
     squares = np.zeros((len(lags), len(joints)))
     for place, lag in enumerate(lags):
-        first, last = max(lag, 0), count + min(lag, 0)
+        first = max(lag, 0)
+        last = count + min(lag, 0)
         y = measured[first:last]
         u = command[first - lag : last - lag]
         squares[place] = _squared_correlations(u, y)

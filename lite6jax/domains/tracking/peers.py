@@ -65,7 +65,8 @@ def _second_order(command: Array, measured: Array, runs: Runs, period: float, tr
     def follow(numbers: Array) -> Array:
         w, z = np.exp(np.clip(numbers[:2], -10.0, 10.0))
         system: Any = cont2discrete(([w * w], [1.0, 2 * z * w, w * w]), period)
-        numerator, denominator = np.ravel(system[0]), np.ravel(system[1])
+        numerator = np.ravel(system[0])
+        denominator = np.ravel(system[1])
         position = np.empty_like(command)
         for first, last in zip(*run_ends(runs), strict=True):
             u = command[first:last]

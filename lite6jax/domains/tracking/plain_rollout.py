@@ -77,7 +77,8 @@ def rollout(time, command):
 def delayed(time, command, grid, h):
     """The commands that arrive (step, joint) rad: means over the steps around times of the grid, and at their ends."""
     edges = np.append(grid, grid[-1] + h) - 0.5 * h - time[0]
-    columns, ends = [], []
+    columns = []
+    ends = []
     for joint, u in enumerate(command.T):
         at = time[0] + edges * (1 + CLOCK_RATE[joint]) - DELAY[joint]
         if INTERPOLATED:
@@ -99,7 +100,8 @@ def shaped(command, ends, h):
     filtered = TIME_CONSTANT > 1e-9
     most = RATE_LIMIT * h
     low = limited = last = command[0]
-    targets, changes = [], []
+    targets = []
+    changes = []
     for u, end in zip(command, ends, strict=True):
         mean_low = u + (low - u) * mean_decay
         low = np.where(filtered, u + (low - u) * decay, end)
@@ -134,7 +136,8 @@ def roll(target, rate, load, mass, extra, h):
     v = a = error = np.zeros_like(q)
     # before the first time an integral part has balanced what acts on a joint at rest
     summed = np.where(INTEGRAL > 0, (SPRING * q + outer[1][0]) / np.where(INTEGRAL > 0, INTEGRAL, 1.0), 0.0)
-    places, speeds = [], [v]
+    places = []
+    speeds = [v]
     for n, u in enumerate(target):
         e = u - q
         e = e - np.minimum(np.maximum(e, -DEAD_BAND), DEAD_BAND)
@@ -192,7 +195,8 @@ def torques(q, dq, ddq, gravity):
     z = np.array([0.0, 0.0, 1.0])
     w = alpha = np.zeros((len(q), 3))
     a = np.zeros((len(q), 3)) - gravity
-    frames, wrenches = [], []
+    frames = []
+    wrenches = []
     for j, (row, link) in enumerate(zip(KINEMATICS, LINKS, strict=True)):
         p = row[:3]
         R = turn(row[3:]) @ about_z(q[:, j])
@@ -200,7 +204,9 @@ def torques(q, dq, ddq, gravity):
         w_last = back(R, w)
         alpha = back(R, alpha) + np.cross(w_last, z) * dq[:, j, None] + z * ddq[:, j, None]
         w = w_last + z * dq[:, j, None]
-        m, c, (xx, yy, zz, xy, xz, yz) = link[0], link[1:4], link[4:]
+        m = link[0]
+        c = link[1:4]
+        xx, yy, zz, xy, xz, yz = link[4:]
         I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         f = m * a + np.cross(alpha, c) + np.cross(w, np.cross(w, c))
         n = alpha @ I + np.cross(w, w @ I) + np.cross(c, a)
@@ -209,7 +215,8 @@ def torques(q, dq, ddq, gravity):
     tau = np.zeros_like(q)
     f = n = np.zeros((len(q), 3))
     for j in range(q.shape[1] - 1, -1, -1):
-        f, n = wrenches[j][0] + f, wrenches[j][1] + n
+        f = wrenches[j][0] + f
+        n = wrenches[j][1] + n
         tau[:, j] = n[:, 2]
         R, p = frames[j]
         f = np.einsum("sij,sj->si", R, f)
@@ -226,7 +233,9 @@ def turn(angles):
 
 def about_z(angle):
     """(sample, 3, 3), rotations by angles (sample,) rad."""
-    c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
+    zero = np.zeros_like(angle)
     return np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], 1).reshape(-1, 3, 3)
 
 

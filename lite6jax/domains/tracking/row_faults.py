@@ -349,7 +349,8 @@ def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tupl
 
 def _whole_absence(away: Mask, run: NDArray[np.integer], first: int, last: int, more: int) -> tuple[int, int]:
     """An interval with what is before and after it of the same absence, in its run."""
-    begin, end = first, last
+    begin = first
+    end = last
     while begin > 0 and away[begin - 1] and run[begin - 1] == run[first]:
         begin -= 1
     while end < len(away) and away[end] and run[end] == run[first]:

@@ -61,7 +61,8 @@ _LEAST_STEPS = 5
 """Differences of values from which a read-out may be known to have a step."""
 _MULTIPLES = 50
 """Multiples of a step that tell it; values without one are seldom so near each other."""
-_WHOLE, _MOSTLY = 0.1, 0.95
+_WHOLE = 0.1
+_MOSTLY = 0.95
 """By which multiples are whole, and the share of them that is."""
 
 
@@ -110,7 +111,8 @@ class TrackingRows:
     @cached_property
     def dynamics(self) -> Dynamics:
         """The arm along the measured motion."""
-        arm, settings = self.arm, self.recording.settings
+        arm = self.arm
+        settings = self.recording.settings
         links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
         center = self.bodies.payload_center
         gravity = np.array(settings.gravity_m_per_s2)
@@ -141,7 +143,8 @@ def even_rows(recording: Recording) -> Recording:
     """
     if recording.time is None:
         raise InputError(f"{recording.source}: commands need times; add time_s")
-    time, run = recording.time, recording.run
+    time = recording.time
+    run = recording.run
     steps = np.diff(time)[(np.diff(run) == 0) & (np.diff(time) > 0)]
     if len(steps) < _FEWEST:
         raise InputError(f"{recording.source}: has {recording.samples} rows; record at least {_FEWEST + 1}")

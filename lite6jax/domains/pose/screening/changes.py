@@ -73,7 +73,8 @@ class PoseFault:
         return self._poses(recording) if self.code in POSES else self._joints(recording)
 
     def _poses(self, recording: Recording) -> Recording:
-        position, quaternion = recording.position, recording.quaternion
+        position = recording.position
+        quaternion = recording.quaternion
         assert position is not None
         if self.code == "sensor_scale":
             return replace(recording, position=position / float(self.value))
@@ -92,7 +93,8 @@ class PoseFault:
 
     def _joints(self, recording: Recording) -> Recording:
         """What is recorded of each joint, changed as its position is."""
-        A, b = np.eye(recording.dof), np.zeros(recording.dof)
+        A = np.eye(recording.dof)
+        b = np.zeros(recording.dof)
         i, j = (*self.joints, *self.joints)[:2]
         if self.code == "swapped_joints":
             A[[i, j]] = A[[j, i]]
@@ -155,7 +157,8 @@ def _changes_of_poses(recording: Recording) -> Iterator[Hypothesis]:
 
 def with_zeros(recording: Recording) -> list[int]:
     """The joints whose zeros the poses show: a free frame and a free tool take up those of the first and the last."""
-    first, last = recording.settings.pose_frame != "base", recording.settings.tool == "unknown"
+    first = recording.settings.pose_frame != "base"
+    last = recording.settings.tool == "unknown"
     return [i for i in range(int(first), recording.dof - int(last)) if i not in recording.sliding]
 
 

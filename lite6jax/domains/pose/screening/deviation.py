@@ -160,7 +160,8 @@ class Deviation:
 
     def log_likelihood(self, scale: float) -> float:
         """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
-        arm, (R, z) = self.arm, self.data
+        arm = self.arm
+        R, z = self.data
         Ru = R @ self.displaced
         at_fit = replace(arm, precision=np.zeros(len(arm.precision))).log_likelihood(scale)
         return at_fit - float(z @ Ru - 0.5 * Ru @ Ru) + self.weighed(()).evidence
@@ -175,7 +176,8 @@ class Deviation:
     def share(self, change: PoseFault, weighed: DeviationEvidence) -> float:
         """The largest displacement by a change, of a zero, a frame or a tool, over what factories grant of it."""
         displaced = np.abs(weighed.displacements[self.places(change)])
-        of_length, of_angle = self.granted[6], self.granted[11]
+        of_length = self.granted[6]
+        of_angle = self.granted[11]
         granted = np.repeat([of_length, of_angle], 3) if len(displaced) == 6 else np.array([of_angle])
         return float(np.max(displaced / granted))
 

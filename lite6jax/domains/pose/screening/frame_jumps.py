@@ -44,7 +44,9 @@ class Jump(NamedTuple):
 
 def remove_jumps(state: Screened) -> Screened:
     """The poses after each jump where they would have been without it."""
-    known_jumps, limit, options = state.corrections.known_jumps, state.corrections.jumps, state.options
+    known_jumps = state.corrections.known_jumps
+    limit = state.corrections.jumps
+    options = state.options
     if known_jumps is not None:
         for row, part in known_jumps:
             jump = _jump_at(state.rigid_arm, row, part, options)
@@ -65,7 +67,9 @@ def remove_jumps(state: Screened) -> Screened:
 
 def _without(state: Screened, jump: Jump) -> Screened:
     arm, refined = without_jump(state.rigid_arm, jump, state.options, state.corrections.beside_physics)
-    row, run, k = arm.recording.row, arm.recording.run, jump.sample
+    row = arm.recording.row
+    run = arm.recording.run
+    k = jump.sample
     numbers: dict[str, Any] = {
         "row": int(row[k]),
         "part": jump.part,
@@ -247,7 +251,8 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
         if R is not None:
             turned = np.where(after[:, None, None], correction[:3, :3] @ R, R)
     else:
-        flange, tool = fitted.rigid.frames[-1], fitted.T_flange_tool
+        flange = fitted.rigid.frames[-1]
+        tool = fitted.T_flange_tool
         position[after] -= (flange @ T @ tool - flange @ tool)[after, :3, 3]
         if R is not None:
             turned = np.where(after[:, None, None], R @ np.linalg.inv(T @ tool)[:3, :3] @ tool[:3, :3], R)
@@ -258,7 +263,8 @@ def _best_split(
     projected: Projected, columns: Array, starts: NDArray[np.integer], options: ScreeningOptions
 ) -> tuple[int, float]:
     """The start from which columns, switched on there, explain most of the residual, and the squares they explain."""
-    rows, n = projected.arm.rows, projected.arm.samples
+    rows = projected.arm.rows
+    n = projected.arm.samples
     starts = np.unique(np.concatenate([[0], starts]))
     C = columns * projected.weight
 
@@ -293,7 +299,8 @@ def _sharp(arm: RigidArm, k: int, options: ScreeningOptions) -> bool:
     jumps = np.stack([np.convolve(row, kernel[::-1], "valid") for row in arm.residuals])  # at samples w … n − w
     at = np.arange(w, n - w + 1)
     inside = segment[at - w] == segment[at + w - 1]
-    jumps, at = jumps[:, inside], at[inside]
+    jumps = jumps[:, inside]
+    at = at[inside]
     spread = 1.4826 * np.median(np.abs(jumps), axis=1, keepdims=True)
     size = np.sum((jumps / np.maximum(spread, 1e-300)) ** 2, 0)
     near = np.abs(at - k) <= w

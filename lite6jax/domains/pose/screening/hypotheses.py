@@ -59,7 +59,8 @@ def correct_mismatch(state: Screened) -> Screened:
 
     It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
     """
-    arm, options = state.rigid_arm, state.options
+    arm = state.rigid_arm
+    options = state.options
     limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
     thinned = arm.select(spread_rows(arm.samples, options.column_rows))
     error = median_error(thinned)
@@ -100,7 +101,8 @@ def correct_mismatch(state: Screened) -> Screened:
     gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
     if gain < options.prior.cost("data_fault"):
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
-    distinct, rivals = [chosen], []
+    distinct = [chosen]
+    rivals = []
     for hypothesis, fit in equal[1:]:
         if any(differ_by_turns(hypothesis, accepted) for accepted in distinct) or contains(hypothesis, chosen):
             continue
@@ -233,8 +235,10 @@ def _scales(thinned: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
 def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     """Zeros of joints that are off by more than a calibration corrects, of a fit of all of them."""
     arm = _free_frames(thinned, undo(hypothesis, thinned.recording))
-    settings, dof = arm.recording.settings, arm.recording.dof
-    free_frame, free_tool = settings.pose_frame != "base", settings.tool == "unknown"
+    settings = arm.recording.settings
+    dof = arm.recording.dof
+    free_frame = settings.pose_frame != "base"
+    free_tool = settings.tool == "unknown"
     if thinned.recording.touches is not None:
         free_frame = thinned.form.frame
     zeros = with_zeros(arm.recording)
@@ -310,8 +314,10 @@ def median_error(arm: RigidArm) -> float:
 
 def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
     """How many joint positions a hypothesis puts outside the limits."""
-    arm, slack = state.rigid_arm, state.options.limit_slack_rad
-    q, (low, high) = undo(hypothesis, arm.recording).joint_position, arm.arm.joint_limits.T
+    arm = state.rigid_arm
+    slack = state.options.limit_slack_rad
+    q = undo(hypothesis, arm.recording).joint_position
+    low, high = arm.arm.joint_limits.T
     return int(np.sum((q < low - slack) | (q > high + slack)))
 
 
@@ -320,7 +326,8 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
 
 def explain_deviation(state: Screened) -> Screened:
     """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
-    fitted, options = state.rigid_arm, state.options
+    fitted = state.rigid_arm
+    options = state.options
     if all(name != "link" for name, _, _ in fitted.unknown):
         return state.rule_out("arm_deviation", reason="known")
     start = rigid_arm(fitted.recording, fitted.arm, state.geometry, state.factory)
@@ -338,7 +345,9 @@ def explain_deviation(state: Screened) -> Screened:
         if again.scale > options.equal_ratio * fitted.scale:  # the fit had taken up something else
             break
         alternatives += rivals
-        made, start, fitted = more, begun, again
+        made = more
+        start = begun
+        fitted = again
     if made:
         numbers: dict[str, Any] = {"median_error_m": error, "corrected_error_m": median_error(start)}
         numbers["alternatives"] = listed(alternatives)
@@ -397,7 +406,8 @@ def use_other_table(state: Screened) -> Screened:
     other table must halve the residuals. Where the chain is fitted, the other table must be likelier than the declared
     one, and than a fitted chain for its more numbers.
     """
-    arm, options = state.rigid_arm, state.options
+    arm = state.rigid_arm
+    options = state.options
     tables = tables_of_model(arm.arm.name)
     declared = [arm.arm]
     if arm.exact:
@@ -419,7 +429,9 @@ def use_other_table(state: Screened) -> Screened:
         share, std = (float(n[0]) for n in estimated(arm, physics_columns(arm, skip=("links",)), column, options))
         clear = std < options.share_std or theirs.scale < options.table_ratio * arm.scale
         at_alternative = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
-        decided, likelier, vague = bool(clear and at_alternative), bool(theirs.scale < arm.scale), bool(np.isinf(std))
+        decided = bool(clear and at_alternative)
+        likelier = bool(theirs.scale < arm.scale)
+        vague = bool(np.isinf(std))
         numbers |= {"decided": decided} | ({"share": share, "share_std": std} if np.isfinite(std) else {})
     else:
         ours = _with_table(arm, arm.arm).fitted(options.most_fitted)

@@ -36,7 +36,8 @@ def reproduced(arm: RigidArm) -> tuple[float, float]:
         return np.inf, np.inf
     turns = frames.chain(links, thinned.recording.joint_position, thinned.recording.sliding)
     turns[:, :3, 3] = 0.0
-    T_frame, T_tool = np.eye(4), np.eye(4)
+    T_frame = np.eye(4)
+    T_tool = np.eye(4)
     T_frame[:3, :3], T_tool[:3, :3] = _frame_and_tool(turns[:, :3, :3], measured)
     rows = np.array([frames.row_from_transform(link) for link in links])
     unknown: list[Site] = [("base", 0, k) for k in (3, 4, 5)]

@@ -105,7 +105,9 @@ def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
         arm: fitted.
         skip: "direction", "drift" or "links" (of their own length each), to be left out.
     """
-    recording, joints, twists = arm.recording, arm.joints, arm.twists
+    recording = arm.recording
+    joints = arm.joints
+    twists = arm.twists
     q = recording.joint_position.T
     out = [
         joints * shape[:, None] for shape in (np.ones_like(q), q, np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q))
@@ -145,13 +147,16 @@ def _moments(arm: RigidArm) -> Array | None:
     """`(dof + 1, 3, sample)` gravity's moment about the base's and each frame's origin, in its axes."""
     if arm.arm.mass is None or arm.arm.center_of_mass is None:
         return None
-    recording, F = arm.recording, arm.rigid.frames
+    recording = arm.recording
+    F = arm.rigid.frames
     g = arm.T_sensor_base[:3, :3] @ np.array(recording.settings.gravity_m_per_s2)
     center = arm.arm.T_joint_flange[:3, :3] @ np.array(recording.settings.payload_com_m) + arm.arm.T_joint_flange[:3, 3]
-    R, o = F[..., :3, :3], F[..., :3, 3]
+    R = F[..., :3, :3]
+    o = F[..., :3, 3]
     first = arm.arm.mass[:, None, None] * (np.einsum("jsab,jb->jsa", R[1:], arm.arm.center_of_mass) + o[1:])
     first[-1] += recording.payload[:, None] * (R[-1] @ center + o[-1])
     weight = np.cumsum(arm.arm.mass[::-1])[::-1, None] + recording.payload
     pulled = np.cumsum(first[::-1], 0)[::-1]
-    pulled, weight = np.concatenate([pulled[:1], pulled]), np.concatenate([weight[:1], weight])
+    pulled = np.concatenate([pulled[:1], pulled])
+    weight = np.concatenate([weight[:1], weight])
     return np.einsum("jsab,jsa->jbs", R, np.cross(pulled - weight[..., None] * o, g))

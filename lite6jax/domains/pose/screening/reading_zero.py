@@ -17,8 +17,10 @@ from lite6jax.recordings.fault import DataFault
 
 def free_constant(state: Screened) -> Screened:
     """With a constant of the distances that is fitted, where it is a fault or was decided to be one."""
-    recording, decision = state.recording, state.corrections.constant
-    readings, settings = recording.touches, recording.settings
+    recording = state.recording
+    decision = state.corrections.constant
+    readings = recording.touches
+    settings = recording.settings
     if readings is None or readings.kind != "distance" or settings.distance_offset == "unknown":
         return state
     if decision is False:

@@ -74,7 +74,8 @@ def drop_repeats(state: Screened) -> Screened:
 
 def convert_positions(state: Screened) -> Screened:
     """Positions in m, where some rows are a thousand times too far away or too near."""
-    recording, position = state.recording, state.recording.position
+    recording = state.recording
+    position = state.recording.position
     assert position is not None
     factor = np.ones(recording.samples)
     farthest: list[tuple[float, float]] = []
@@ -92,7 +93,8 @@ def convert_positions(state: Screened) -> Screened:
 
 def _factors(position: Array, options: ScreeningOptions) -> tuple[Array, float, float]:
     """By how much each position is too large `(sample,)`; and the largest and the median distance from their middle."""
-    middle, size = np.median(position, axis=0), max(median_distance(position), 1e-6)
+    middle = np.median(position, axis=0)
+    size = max(median_distance(position), 1e-6)
 
     def distance(points: Array) -> Array:
         return np.linalg.norm(points - middle, axis=1)
@@ -107,7 +109,8 @@ def _factors(position: Array, options: ScreeningOptions) -> tuple[Array, float, 
 
 def note_commanded(state: Screened) -> Screened:
     """As it is, where joints are round numbers: they were commanded."""
-    recording, options = state.recording, state.options
+    recording = state.recording
+    options = state.options
     if recording.settings.joint_source == "commanded":
         return state.rule_out("commanded_joints", reason="declared")
     values = np.unique(np.abs(recording.joint_position))
@@ -127,7 +130,8 @@ def note_commanded(state: Screened) -> Screened:
 
 def drop_computed_orientations(state: Screened) -> Screened:
     """Positions alone, where a table reproduces the orientations to rounding and not the positions: two sources."""
-    recording, options = state.recording, state.options
+    recording = state.recording
+    options = state.options
     if recording.quaternion is None or recording.readings is not None:
         return state
     if recording.settings.pose_source == "controller_fk":
@@ -153,7 +157,9 @@ def drop_computed_orientations(state: Screened) -> Screened:
 
 def note_computed(state: Screened) -> Screened:
     """As it is, where a table, or one that is fitted, reproduces the poses to rounding: a controller computed them."""
-    arm, recording, options = state.rigid_arm, state.recording, state.options
+    arm = state.rigid_arm
+    recording = state.recording
+    options = state.options
     if recording.settings.pose_source == "controller_fk":
         return state.rule_out("computed_pose", reason="declared")
     declared = rigid_arm(recording, arm.arm, state.geometry, state.factory)
@@ -184,7 +190,8 @@ def _is_computed(fitted: RigidArm) -> bool:
 
 def remove_turns(state: Screened) -> Screened:
     """Joints without whole turns, where they wrap round in a trajectory or are beyond their limits by such turns."""
-    recording, slack = state.recording, state.options.limit_slack_rad
+    recording = state.recording
+    slack = state.options.limit_slack_rad
     limits = state.rigid_arm.arm.joint_limits
     q = without_turns(recording, limits, slack)
     changed = np.abs(q - recording.joint_position) > 1.0

@@ -83,7 +83,8 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     are estimated beside each other. Where the moves that follow explain the poses too, nothing is said: the order of
     the poses is tied to where they are, and it is something else that depends on that.
     """
-    recording, dof = arm.recording, arm.recording.dof
+    recording = arm.recording
+    dof = arm.recording.dof
     too_few = {"reason": "too_few_rows"}
     if arm.samples < 3:
         return None, too_few
@@ -118,7 +119,8 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
             remainder = np.where(concerned, per_joint, 0.0)
             explained = float(np.sum((remainder / std) ** 2))
         else:
-            remainder, std = np.full(dof, shared[0]), np.full(dof, np.sqrt(variance[0, 0]))
+            remainder = np.full(dof, shared[0])
+            std = np.full(dof, np.sqrt(variance[0, 0]))
             concerned = np.ones(dof, bool)
             explained = common
         if explained < options.settling_share * projected.freedom:

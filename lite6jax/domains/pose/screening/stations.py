@@ -30,7 +30,8 @@ def join_stations(state: Screened) -> Screened:
     Raises:
         InputError: too few poses of a station, or poses that are mirrored, inverted or of another convention.
     """
-    recording, station = state.recording, state.recording.station
+    recording = state.recording
+    station = state.recording.station
     parts: list[RigidArm] = []
     for k in range(len(recording.stations) + 1):
         part = replace(recording.select(station == k), stations=())
