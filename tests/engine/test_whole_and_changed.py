@@ -13,7 +13,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import Span
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
-from lite6jax.search.scan import Scan, Weighed
+from lite6jax.search.scan import ModelScan, Scan
 from lite6jax.search.spectrum import lines
 
 OPTIONS = EngineOptions()
@@ -34,7 +34,7 @@ def assert_close(some, others, tolerance=1e-9):
 
 def all_weighed(scan, test):
     """Log odds of all that is tried, by what it is."""
-    weighed = Weighed(scan, test)
+    weighed = ModelScan(scan, test)
     candidates = [*weighed.ranked(), *weighed.named()]
     pairs = [((pair.names[0].cause, pair.names[1].cause), pair.net) for pair in weighed.pairs_at("x")]
     by_name = {(one.key, one.process[2:], round(one.cost, 3)): one.net for one in candidates}
