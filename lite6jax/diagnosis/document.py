@@ -31,6 +31,8 @@ _FAMILY = "lite6jax/diagnosis/"
 SCHEMA = f"{_FAMILY}3"
 DAMAGED = "run `lite6jax diagnose` again"
 _SIZE_LIMIT = 1 << 26
+_REPORTED = ("verdict", "before", "after", "left", "noise", "findings", "data_faults", "ruled_out")
+"""What every report of a diagnosis says something of."""
 
 
 # ------------------------------------------------------------------ models from values of JSON
@@ -173,12 +175,15 @@ def check_document(document: Any, path: str | Path) -> None:
     """Refuses what is no diagnosis or has no whole model, for a report; effects of a user's own are not needed.
 
     Raises:
-        InputError: as `model_from_document`.
+        InputError: as `model_from_document`, or a part is missing that every report has.
     """
     if not is_of_torques(document):
         _read(document, domain_of(document), str(path))
     if is_of_torques(document) or "torques" in document:
         _read(document, "torques", str(path))
+    missing = [name for name in _REPORTED if name not in document]
+    if missing:
+        raise InputError(f"{path}: is damaged (it lacks {missing[0]!r}); {DAMAGED}")
 
 
 def is_of_torques(document: Any) -> bool:

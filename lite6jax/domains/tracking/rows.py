@@ -246,7 +246,8 @@ def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
     if not count:
         return best
     for lag in lags:
-        both = np.corrcoef(measured[lag:].T, command[: len(command) - lag].T)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a column that stands still
+            both = np.corrcoef(measured[lag:].T, command[: len(command) - lag].T)
         matrix = np.nan_to_num(np.atleast_2d(both)[:count, count:])
         best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
     return best
