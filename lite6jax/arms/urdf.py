@@ -337,10 +337,9 @@ def write_into_urdf(
         else:
             left_out.append(f"what follows the last joint (no fixed joint leads to {tree.tip})")
     bodies = [(arm.mass, old.mass), (arm.center_of_mass, old.center_of_mass), (arm.inertia, old.inertia)]
-    has_bodies = all(values is not None for values, _ in bodies)
-    if has_bodies and not all(
-        was is not None and np.allclose(values, was, rtol=1e-12, atol=1e-15) for values, was in bodies
-    ):
+    present = [(values, was) for values, was in bodies if values is not None]
+    are_same = all(was is not None and np.allclose(values, was, rtol=1e-12, atol=1e-15) for values, was in present)
+    if len(present) == len(bodies) and not are_same:
         for i, joint in enumerate(tree.moving):
             fixed = {name for name, _ in rigid_links(joint.child, tree.joints)}
             beside = [

@@ -388,15 +388,19 @@ class EncoderScale(ServoEffect):
 
 @final_effect
 class EncoderEccentricity(ServoEffect):
-    """The read-out errs by A·sin(q + φ); its coordinates are A cos φ and A sin φ."""
+    """The read-out errs by A·sin(q + φ); its coordinates are A cos φ and A sin φ.
+
+    Encoders that are off their axis err by some mrad. One degree is taken as the most: a larger wave stands for what
+    the model of a real arm lacks.
+    """
 
     name: ClassVar[str] = "encoder_eccentricity"
     specificity: ClassVar[int] = 5
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     fields: ClassVar[tuple[str, ...]] = ("sine", "cosine")
     numbers: ClassVar[tuple[Coordinate, ...]] = (
-        symmetric("sine_rad", "rad", 1e-3, 0.1),
-        symmetric("cosine_rad", "rad", 1e-3, 0.1),
+        symmetric("sine_rad", "rad", 1e-3, 0.02),
+        symmetric("cosine_rad", "rad", 1e-3, 0.02),
     )
 
     @property

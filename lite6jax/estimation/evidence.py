@@ -162,10 +162,11 @@ class Marginal:
         unit = 1 / test.scale[0]
         weight, inside, pull = test.over_rows(column)
         white = test.fit.noise.white
-        exact = white or np.count_nonzero(column.any(1)) == 1
+        rows = np.asarray(column.any(1))
+        exact = white or np.count_nonzero(rows) == 1
         if exact and not white:
             inside, pull = test.unwhitened_sums(column)
-        return Sums(column, weight * unit**2, pull * unit, inside * unit, *self._of_groups(column.any(1)), exact)
+        return Sums(column, weight * unit**2, pull * unit, inside * unit, *self._of_groups(rows), exact)
 
     def equations(self, sums: Sums, functions: Array, keys: Sequence[Hashable] = ()) -> tuple[Array, Array]:
         """Pull `(group, number)` and information `(group, number, number)` of functions `(group, number, sample)`.

@@ -176,6 +176,9 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
         return None
     level = float(np.median(y[near]))
     end = rows & (np.abs(y - level) < max(highest - level, _LEVEL * noise))
+    resting = _from_the_start(end, data.recording.run)
+    end &= ~resting
+    rows = rows & ~resting
     followed = _followed(data, joint, rows & ~end)
     position = sign * followed.position
     spread = float(np.sqrt(np.mean((position - y)[followed.usual & ~end] ** 2)))
@@ -189,6 +192,14 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
     if np.sqrt(np.mean((clipped - y)[edges] ** 2)) > _EDGES_FIT * max(spread, noise):
         return None
     return end
+
+
+def _from_the_start(rows: Mask, run: NDArray[np.integer]) -> Mask:
+    """Of rows those from the beginning of their run on: a joint that has not moved yet has reached no end."""
+    begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
+    others = np.cumsum(~rows)
+    before = np.repeat(others[begins] - ~rows[begins], np.diff(np.append(begins, len(run))))
+    return rows & (others == before)
 
 
 # ------------------------------------------------------------------ servos without torque
