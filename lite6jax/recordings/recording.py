@@ -601,6 +601,10 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
     return replace(recording.select(~bad), notes=(*recording.notes, note))
 
 
+_TORQUES = ("joint_torque", "motor_current")
+"""Arrays that logs of commands are joined without."""
+
+
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
     """One recording of poses, of touches of one kind, distances, or commands, with the arm, its effects and the tool
     shared.
@@ -644,7 +648,8 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     arrays: dict[str, Any] = {
         "row": np.concatenate([recording.row + k for recording, k in zip(recordings, before, strict=False)])
     }
-    for name in OF_ARRAY:
+    left_out = _TORQUES if kinds == {"commands"} else ()
+    for name in (name for name in OF_ARRAY if name not in left_out):
         parts = [getattr(recording, name) for recording in recordings]
         derived = name == "joint_velocity" and first.velocity_differentiated
         if all(array is not None for array in parts) and not derived:
@@ -688,9 +693,9 @@ def _kind_of(recording: Recording) -> str:
         return "images"
     if recording.position is not None:
         return "poses"
-    if recording.has_torques:
-        return "torques"
-    return "joints alone" if recording.commanded_position is None else "commands"
+    if recording.commanded_position is not None:
+        return "commands"
+    return "torques" if recording.has_torques else "joints alone"
 
 
 def _has_stations(recording: Recording) -> bool:
@@ -710,6 +715,8 @@ def _describe_join(recordings: Sequence[Recording], before: Int[np.ndarray, " fi
             f"the sensor of {listed} has {frames}, which the poses determine; all that is said or predicted in a "
             f"sensor's frame is in that of {first}"
         )
+    if _kind_of(recordings[0]) == "commands" and any(recording.has_torques for recording in recordings):
+        sentences.append("torques are left out, as several logs are diagnosed by their commands")
     if len({recording.quaternion is None for recording in recordings}) == 2:
         lacking = next(Path(recording.source).name for recording in recordings if recording.quaternion is None)
         sentences.append(f"orientations are left out, as {lacking} has none")

@@ -11,7 +11,7 @@ from typed import flat, refused, run
 from lite6jax import cli
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import write_arm
-from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.diagnose import diagnose, domains_of
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.domains.predict import predicted
 from lite6jax.domains.tracking.problem import tracking_problem
@@ -322,3 +322,18 @@ def test_logs_of_several_files_are_runs_of_one(tmp_path):
     residual = problem.residual(np.zeros(0), Terms(), np.zeros(0))
     for run_number in np.unique(problem.run):
         assert np.sqrt(np.mean(residual[:, problem.run == run_number] ** 2)) < 1.2
+
+
+def test_several_logs_with_torques_are_joined_by_their_commands(tmp_path):
+    logs = []
+    for name in ("sines", "steps"):
+        columns = columns_of(commands_of(SAMPLES), NOISE)
+        file = tmp_path / name
+        file.mkdir()
+        log = read_recording(write_log(file, columns | {"tau1_Nm": np.zeros(SAMPLES)}, noise=NOISE))
+        logs.append(replace(log, source=f"{name}.csv"))
+        assert logs[-1].has_torques
+    both = join_recordings(logs)
+    assert not both.has_torques
+    assert "torques are left out, as several logs are diagnosed by their commands" in both.notes
+    assert domains_of(both) == ("tracking",)
