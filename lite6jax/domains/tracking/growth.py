@@ -66,7 +66,7 @@ _MOST = 8
 
 @final
 @dataclass(frozen=True, eq=False)
-class JointModel:
+class NamedJoint:
     """A joint with names.
 
     Attributes:
@@ -113,7 +113,7 @@ class _Lanes:
         ends = np.cumsum([0, *(len(variants) for *_, variants in wanted)])
         return [readouts[first:last] for first, last in pairwise(ends)]
 
-    def fitted(self, models: Sequence[JointModel], masks: Sequence[Mask], most: int) -> list[JointModel]:
+    def fitted(self, models: Sequence[NamedJoint], masks: Sequence[Mask], most: int) -> list[NamedJoint]:
         """Models fitted to some samples each by Levenberg–Marquardt steps; their error is that in these samples."""
         current = list(models)
         damping = [_FIRST_DAMPING] * len(models)
@@ -161,7 +161,7 @@ class _Lanes:
         sums = np.sum((readouts - self.measured[joint])[:, mask] ** 2, 1)
         return np.where(np.isfinite(sums), sums, np.inf)
 
-    def _derivative_steps(self, model: JointModel) -> Array:
+    def _derivative_steps(self, model: NamedJoint) -> Array:
         """By how much each number is changed for a derivative, `(number,)`."""
         count = len(self.unknowns[model.joint])
         steps = [0.02] * count
@@ -171,7 +171,7 @@ class _Lanes:
             steps += [self.problem.step_of(term, k, float(at)) for k, at in enumerate(values[part])]
         return np.array(steps)
 
-    def _steps_from(self, model: JointModel, columns: Array, residual: Array, damping: float) -> Array:
+    def _steps_from(self, model: NamedJoint, columns: Array, residual: Array, damping: float) -> Array:
         """The numbers `(variant, number)` after steps of several dampings, within the limits of terms."""
         size = np.maximum(np.linalg.norm(columns, axis=1), 1e-12)
         unit = columns / size[:, None]
@@ -189,7 +189,7 @@ class _Lanes:
             trials.append(numbers)
         return np.array(trials)
 
-    def judged(self, models: Sequence[JointModel], folds: Sequence[Mask], valid: Mask) -> list[JointModel]:
+    def judged(self, models: Sequence[NamedJoint], folds: Sequence[Mask], valid: Mask) -> list[NamedJoint]:
         """Models with their errors in the rows of folds, by fits without these."""
         asked = []
         masks = []
@@ -215,7 +215,7 @@ class _Lanes:
 
     # -------------------------------------------------------------- names
 
-    def is_better(self, model: JointModel, simpler: JointModel) -> bool:
+    def is_better(self, model: NamedJoint, simpler: NamedJoint) -> bool:
         """Whether a model predicts so much better than one with fewer names that these are worth their choice.
 
         Errors of neighbouring rows are alike: what counts is how often the residual begins anew.
@@ -227,7 +227,7 @@ class _Lanes:
             return bool(model.error < (1 - _USUALLY_WORTH) * simpler.error)
         return bool(model.error < (1 - _WORTH) * simpler.error and gain > _MARGIN + np.log(self.choices))
 
-    def at_limits(self, model: JointModel) -> set[Term]:
+    def at_limits(self, model: NamedJoint) -> set[Term]:
         """The names of which a number is at one of its limits."""
         values = model.numbers[len(self.unknowns[model.joint]) :]
         at_limits = set[Term]()
@@ -252,7 +252,7 @@ class _Lanes:
             if isinstance(name, OfJoint) and name.joint == joint + 1
         ]
 
-    def begun(self, model: JointModel) -> list[tuple[Terms, list[Array]]]:
+    def begun(self, model: NamedJoint) -> list[tuple[Terms, list[Array]]]:
         """Sets of terms with one more name each, and the numbers from which their fits may start."""
         present = set(model.terms.terms) | {more for term in model.terms.terms for more in term.includes}
         labels = {term.label for term in model.terms.terms}
@@ -300,7 +300,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
     valid = problem.valid
     bare = [(joint, Terms(), np.zeros((1, len(lanes.unknowns[joint])))) for joint in range(problem.rows)]
     models = [
-        JointModel(joint, terms, variants[0], readouts[0])
+        NamedJoint(joint, terms, variants[0], readouts[0])
         for (joint, terms, variants), readouts in zip(bare, lanes.rolled(bare), strict=True)
     ]
     models = lanes.fitted(models, [valid] * len(models), _STEPS)
@@ -332,7 +332,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
     return nuisance, Terms(tuple(terms)), np.concatenate(values)
 
 
-def _with_usual(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
     """Models each with all names that nearly every joint has."""
     begun = []
     for model in models:
@@ -346,7 +346,7 @@ def _with_usual(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mas
     return lanes.judged(fitted, folds, lanes.problem.valid)
 
 
-def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+def _with_one_more(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
     """Models each with the name that predicts best, where there is any."""
     valid = lanes.problem.valid
     begun = [(model, terms, starts) for model in models for terms, starts in lanes.begun(model)]
@@ -354,7 +354,7 @@ def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[
     trials = []
     for (model, terms, starts), of_starts in zip(begun, readouts, strict=True):
         best = int(np.argmin(lanes._squares(model.joint, of_starts, valid)))
-        trials.append(JointModel(model.joint, terms, starts[best], of_starts[best]))
+        trials.append(NamedJoint(model.joint, terms, starts[best], of_starts[best]))
     screened = lanes.fitted(trials, [valid] * len(trials), _SCREENED)
     likeliest = []
     for model in models:
@@ -366,7 +366,7 @@ def _with_one_more(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[
     return _best_of_joints(lanes.judged(likeliest, folds, valid))
 
 
-def _within(lanes: _Lanes, model: JointModel) -> JointModel:
+def _within(lanes: _Lanes, model: NamedJoint) -> NamedJoint:
     """A model without the names, other than usual ones, that went to their limits at last."""
     beyond = lanes.at_limits(model) & set(_chosen(model.terms))
     if not beyond:
@@ -374,18 +374,18 @@ def _within(lanes: _Lanes, model: JointModel) -> JointModel:
     count = len(lanes.unknowns[model.joint])
     terms, values = model.terms.part(model.numbers[count:], [term not in beyond for term in model.terms.terms])
     numbers = np.concatenate([model.numbers[:count], values])
-    return JointModel(model.joint, terms, numbers, lanes.rolled([(model.joint, terms, numbers[None])])[0][0])
+    return NamedJoint(model.joint, terms, numbers, lanes.rolled([(model.joint, terms, numbers[None])])[0][0])
 
 
-def _best_of_joints(models: Sequence[JointModel]) -> list[JointModel]:
-    best: dict[int, JointModel] = {}
+def _best_of_joints(models: Sequence[NamedJoint]) -> list[NamedJoint]:
+    best: dict[int, NamedJoint] = {}
     for model in models:
         if model.joint not in best or model.error < best[model.joint].error:
             best[model.joint] = model
     return list(best.values())
 
 
-def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[Mask]) -> list[JointModel]:
+def _without_idle(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
     """Models without the names that later ones made idle."""
     chosen = {model.joint: model for model in models}
     waiting = [model for model in models if len(_chosen(model.terms)) > 1]
@@ -397,7 +397,7 @@ def _without_idle(lanes: _Lanes, models: Sequence[JointModel], folds: Sequence[M
                 kept = [term != left_out for term in model.terms.terms]
                 terms, values = model.terms.part(model.numbers[count:], kept)
                 numbers = np.concatenate([model.numbers[:count], values])
-                trials.append(JointModel(model.joint, terms, numbers, model.readout))
+                trials.append(NamedJoint(model.joint, terms, numbers, model.readout))
         readouts = lanes.rolled([(trial.joint, trial.terms, trial.numbers[None]) for trial in trials])
         trials = [replace(trial, readout=rolled[0]) for trial, rolled in zip(trials, readouts, strict=True)]
         trials = lanes.fitted(trials, [lanes.problem.valid] * len(trials), _STEPS)
