@@ -212,9 +212,8 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
         for joint in range(1, len(document["before"][_BY_JOINT]) + 1)
     ]
     rows.append(["all", *(number(_MRAD * column[_ERROR]) for column in columns.values())])
-    headers = ["held-out error (mrad RMS)", *columns]
-    if "simulator" in peers:  # one column more than a terminal is wide
-        headers = [header.replace(" ", "\n", 1) for header in headers]
+    # a terminal may be 60 columns wide
+    headers = ["held-out error\n(mrad RMS)", *(name.replace(" ", "\n", 1) for name in columns)]
     return headers, rows
 
 
