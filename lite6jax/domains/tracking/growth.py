@@ -9,7 +9,7 @@ Along loads that are given joints are decoupled: each has its fit, and the rollo
 lanes of one call.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -118,7 +118,7 @@ class _Lanes:
         current = list(models)
         damping = [_FIRST_DAMPING] * len(models)
         squares = [
-            self._squares(model.joint, model.readout[None], mask)[0] for model, mask in zip(models, masks, strict=True)
+            self.squares(model.joint, model.readout[None], mask)[0] for model, mask in zip(models, masks, strict=True)
         ]
         active = list(range(len(models)))
         for _ in range(most):
@@ -140,7 +140,7 @@ class _Lanes:
             going = []
             for k, trial, readouts in zip(active, trials, self.rolled(asked), strict=True):
                 model = current[k]
-                sums = self._squares(model.joint, readouts, masks[k])
+                sums = self.squares(model.joint, readouts, masks[k])
                 best = int(np.argmin(sums))
                 if not sums[best] < squares[k]:
                     continue
@@ -156,7 +156,7 @@ class _Lanes:
             for model, total, count in zip(current, squares, counts, strict=True)
         ]
 
-    def _squares(self, joint: int, readouts: Array, mask: Mask) -> Array:
+    def squares(self, joint: int, readouts: Array, mask: Mask) -> Array:
         """Sums of squared errors `(variant,)`."""
         sums = np.sum((readouts - self.measured[joint])[:, mask] ** 2, 1)
         return np.where(np.isfinite(sums), sums, np.inf)
@@ -189,6 +189,18 @@ class _Lanes:
             trials.append(numbers)
         return np.array(trials)
 
+    def without(self, model: NamedJoint, left_out: Collection[Term]) -> NamedJoint:
+        """A model without some of its names, with the numbers that it has, not rolled out."""
+        count = len(self.unknowns[model.joint])
+        kept = [term not in left_out for term in model.terms.terms]
+        terms, values = model.terms.part(model.numbers[count:], kept)
+        return NamedJoint(model.joint, terms, np.concatenate([model.numbers[:count], values]), model.readout)
+
+    def at_numbers(self, models: Sequence[NamedJoint]) -> list[NamedJoint]:
+        """Models rolled out at their numbers."""
+        readouts = self.rolled([(model.joint, model.terms, model.numbers[None]) for model in models])
+        return [replace(model, readout=of_model[0]) for model, of_model in zip(models, readouts, strict=True)]
+
     def judged(self, models: Sequence[NamedJoint], folds: Sequence[Mask], valid: Mask) -> list[NamedJoint]:
         """Models with their errors in the rows of folds, by fits without these."""
         asked = []
@@ -198,14 +210,12 @@ class _Lanes:
                 numbers = model.parts[place] if model.parts else model.numbers
                 asked.append(replace(model, numbers=numbers))
                 masks.append(valid & ~fold)
-        readouts = self.rolled([(model.joint, model.terms, model.numbers[None]) for model in asked])
-        started = [replace(model, readout=of_model[0]) for model, of_model in zip(asked, readouts, strict=True)]
-        parts = self.fitted(started, masks, _STEPS)
+        parts = self.fitted(self.at_numbers(asked), masks, _STEPS)
         judged = []
         for k, model in enumerate(models):
             of_folds = parts[k * len(folds) : (k + 1) * len(folds)]
             squares = [
-                self._squares(model.joint, part.readout[None], fold & valid)[0]
+                self.squares(model.joint, part.readout[None], fold & valid)[0]
                 for part, fold in zip(of_folds, folds, strict=True)
             ]
             count = sum(int((fold & valid).sum()) for fold in folds)
@@ -353,7 +363,7 @@ def _with_one_more(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[
     readouts = lanes.rolled([(model.joint, terms, np.array(starts)) for model, terms, starts in begun])
     trials = []
     for (model, terms, starts), of_starts in zip(begun, readouts, strict=True):
-        best = int(np.argmin(lanes._squares(model.joint, of_starts, valid)))
+        best = int(np.argmin(lanes.squares(model.joint, of_starts, valid)))
         trials.append(NamedJoint(model.joint, terms, starts[best], of_starts[best]))
     screened = lanes.fitted(trials, [valid] * len(trials), _SCREENED)
     likeliest = []
@@ -371,10 +381,7 @@ def _within(lanes: _Lanes, model: NamedJoint) -> NamedJoint:
     beyond = lanes.at_limits(model) & set(_chosen(model.terms))
     if not beyond:
         return model
-    count = len(lanes.unknowns[model.joint])
-    terms, values = model.terms.part(model.numbers[count:], [term not in beyond for term in model.terms.terms])
-    numbers = np.concatenate([model.numbers[:count], values])
-    return NamedJoint(model.joint, terms, numbers, lanes.rolled([(model.joint, terms, numbers[None])])[0][0])
+    return lanes.at_numbers([lanes.without(model, beyond)])[0]
 
 
 def _best_of_joints(models: Sequence[NamedJoint]) -> list[NamedJoint]:
@@ -390,16 +397,8 @@ def _without_idle(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[M
     chosen = {model.joint: model for model in models}
     waiting = [model for model in models if len(_chosen(model.terms)) > 1]
     while waiting:
-        trials = []
-        for model in waiting:
-            count = len(lanes.unknowns[model.joint])
-            for left_out in _chosen(model.terms):
-                kept = [term != left_out for term in model.terms.terms]
-                terms, values = model.terms.part(model.numbers[count:], kept)
-                numbers = np.concatenate([model.numbers[:count], values])
-                trials.append(NamedJoint(model.joint, terms, numbers, model.readout))
-        readouts = lanes.rolled([(trial.joint, trial.terms, trial.numbers[None]) for trial in trials])
-        trials = [replace(trial, readout=rolled[0]) for trial, rolled in zip(trials, readouts, strict=True)]
+        smaller = [lanes.without(model, {name}) for model in waiting for name in _chosen(model.terms)]
+        trials = lanes.at_numbers(smaller)
         trials = lanes.fitted(trials, [lanes.problem.valid] * len(trials), _STEPS)
         waiting = []
         for model in _best_of_joints(lanes.judged(trials, folds, lanes.problem.valid)):
