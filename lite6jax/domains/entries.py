@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.domains.uncertainty import RecordedRange, ReferenceOrigin, Uncertainty, freed
@@ -101,6 +102,22 @@ class ModelEntry(Strict, kw_only=True):
         return tuple(joint - 1 for joint in self.prismatic_joints)
 
 
+class JointModelEntry(ModelEntry, kw_only=True):
+    """What predictions of what joints do need, of their torques or of how they follow commands."""
+
+    T_joint_flange: Transform
+    links: list[Link]
+    payload_center: Point
+    gravity: Gravity
+
+    def declared_arm(self, **drives: Any) -> Arm:
+        """The arm, with what is known of its drives, by the fields `DRIVE_FIELDS`."""
+        limits = np.asarray(self.joint_limits, float)
+        flange = np.asarray(self.T_joint_flange, float)
+        kinematics = np.asarray(self.kinematics, float)
+        return Arm(self.arm, kinematics, sliding=self.sliding, T_joint_flange=flange, joint_limits=limits, **drives)
+
+
 class Document(msgspec.Struct, Generic[M], kw_only=True):
     """What is read of a diagnosis of a domain beside its report.
 
@@ -149,6 +166,20 @@ def effect_entry(effect: Effect) -> dict[str, Any]:
     """Which effect, where, and of what."""
     driver = " and ".join(driver.phrase for driver in effect.drivers) or "none"
     return {"effect": effect.name, "site": effect.site, "driver": driver}
+
+
+def joint_fields(model: Any) -> dict[str, Any]:
+    """The fields of `JointModelEntry` that are its own, and its chain; of a `JointModel` with bodies."""
+    arm = model.arm
+    return {
+        "arm": arm.name,
+        "kinematics": np.asarray(arm.kinematics).tolist(),
+        "T_joint_flange": arm.T_joint_flange.tolist(),
+        "links": model.links.tolist(),
+        "payload_center": model.payload_center.tolist(),
+        "gravity": model.gravity.tolist(),
+        "joint_limits": arm.joint_limits.tolist(),
+    }
 
 
 def shared_fields(model: Any, parts: Sequence[tuple[Effect, slice]], covariances: Sequence[Array]) -> dict[str, Any]:

@@ -7,17 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.domains.entries import (
-    Document,
-    Gravity,
-    Link,
-    ModelEntry,
-    Point,
-    Transform,
-    restored_uncertainty,
-    shared_fields,
-)
+from lite6jax.domains.entries import Document, JointModelEntry, joint_fields, restored_uncertainty, shared_fields
 from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
 from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.effect import Effect
@@ -26,13 +16,9 @@ from lite6jax.estimation.terms import Terms, join
 Array = NDArray[np.floating]
 
 
-class TorqueModelEntry(ModelEntry, kw_only=True):
+class TorqueModelEntry(JointModelEntry, kw_only=True):
     """What predictions of torques need; `drives` has the fields `DRIVE_FIELDS` of an arm."""
 
-    T_joint_flange: Transform
-    links: list[Link]
-    payload_center: Point
-    gravity: Gravity
     drives: dict[str, list[float]] = msgspec.field(default_factory=dict)
 
 
@@ -45,9 +31,7 @@ class TorqueDocument(Document[TorqueModelEntry], kw_only=True):
         """The model; `effects` are a user's own."""
         model = self.model
         joints = model.joints
-        fields = {"T_joint_flange": model.T_joint_flange, "joint_limits": model.joint_limits, **model.drives}
-        arrays: dict[str, Any] = {name: np.asarray(part, float) for name, part in fields.items()}
-        arm = Arm(model.arm, np.asarray(model.kinematics, float), sliding=model.sliding, **arrays)
+        arm = model.declared_arm(**{name: np.asarray(part, float) for name, part in model.drives.items()})
         if len(model.links) != joints:
             raise ValueError(f"it has {joints} joints, but links of the shape {np.shape(model.links)}")
         model_effects, numbers = self.restored_effects(effects)
@@ -66,16 +50,9 @@ class TorqueDocument(Document[TorqueModelEntry], kw_only=True):
 
 def model_entry(model: DiagnosedMotors, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
-    arm = model.arm
-    drives = {field: values.tolist() for field, values in arm.drives.items()}
+    drives = {field: values.tolist() for field, values in model.arm.drives.items()}
     return {
-        "arm": arm.name,
-        "kinematics": arm.kinematics.tolist(),
-        "T_joint_flange": arm.T_joint_flange.tolist(),
-        "links": model.links.tolist(),
+        **joint_fields(model),
         **({"drives": drives} if drives else {}),
-        "payload_center": model.payload_center.tolist(),
-        "gravity": model.gravity.tolist(),
-        "joint_limits": arm.joint_limits.tolist(),
         **shared_fields(model, pairs(model.terms), covariances),
     }

@@ -7,18 +7,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.domains.entries import (
-    Document,
-    Gravity,
-    Link,
-    Mass,
-    ModelEntry,
-    Point,
-    Ranges,
-    Transform,
-    shared_fields,
-)
+from lite6jax.domains.entries import Document, JointModelEntry, Mass, Ranges, joint_fields, shared_fields
 from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
 from lite6jax.effects.effect import Effect
@@ -28,14 +17,10 @@ from lite6jax.estimation.terms import Terms, join
 Array = NDArray[np.floating]
 
 
-class TrackingModelEntry(ModelEntry, kw_only=True):
+class TrackingModelEntry(JointModelEntry, kw_only=True):
     """What predictions of joints from commands need; `servo` has the numbers of each joint, without the effects."""
 
-    T_joint_flange: Transform
-    links: list[Link]
-    payload_center: Point
     payload_kg: Mass
-    gravity: Gravity
     compensated: bool
     servo: dict[str, list[float]]
     step_s: Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -65,13 +50,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
         velocity = np.asarray(model.velocity_range_rad_per_s, float)
         weight = np.asarray(model.weight_range_Nm, float)
         return DiagnosedServos(
-            arm=Arm(
-                model.arm,
-                np.asarray(model.kinematics, float),
-                sliding=model.sliding,
-                T_joint_flange=np.asarray(model.T_joint_flange, float),
-                joint_limits=np.asarray(model.joint_limits, float),
-            ),
+            arm=model.declared_arm(),
             servo=Servo(**{name: np.asarray(by_joint, float) for name, by_joint in model.servo.items()}),
             links=np.asarray(model.links, float),
             payload_center=np.asarray(model.payload_center, float),
@@ -91,19 +70,13 @@ def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[st
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     parts: list[tuple[Any, slice]] = list(zip(model.terms.terms, model.terms.slices, strict=True))
     return {
-        "arm": model.arm.name,
-        "kinematics": np.asarray(model.arm.kinematics).tolist(),
-        "T_joint_flange": model.arm.T_joint_flange.tolist(),
-        "links": model.links.tolist(),
-        "payload_center": model.payload_center.tolist(),
+        **joint_fields(model),
         "payload_kg": model.payload,
-        "gravity": model.gravity.tolist(),
         "compensated": model.compensated,
         "servo": {name: np.asarray(by_joint).tolist() for name, by_joint in model.servo._asdict().items()},
         "step_s": model.step,
         "interpolated": model.interpolated,
         "velocity_range_rad_per_s": model.ranges.velocity.tolist(),
         "weight_range_Nm": model.ranges.weight.tolist(),
-        "joint_limits": model.arm.joint_limits.tolist(),
         **shared_fields(model, parts, covariances),
     }
