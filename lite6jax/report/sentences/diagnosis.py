@@ -601,7 +601,7 @@ def confounded_effects(document: Document) -> str:
 
 
 def separate_undecided(document: Document, title: str, alternatives: Sequence[str], drivers: Sequence[str]) -> str:
-    """Says what to record so that an effect is told from those that explain the recording as well."""
+    """Says what to record so that an effect is distinguished from those that explain the recording as well."""
     more = "more poses"
     if is_of_torques(document):
         more = "another motion"

@@ -97,7 +97,7 @@ def placeholder_found(fault: DataFault) -> str:
 
 
 def _placeholder(array: str, column: int | None, value: float | None, unit: str) -> str:
-    """Says what stands in the place of a measurement."""
+    """Says what was recorded instead of a measurement."""
     nouns = {"joint_position": "joints", "position": "coordinates"}
     quantities = nouns.get(array, "torques")
     if value is None:
