@@ -105,7 +105,7 @@ def test_what_diagnose_refuses(capsys, arm, recorded, tmp_path):
     assert said == f"{joints}: has no measured positions; a fit needs the columns x_m y_m z_m"
     assert "none.csv" in refused(capsys, "diagnose", tmp_path / "none.csv", "--out", out)
     said = refused(capsys, "diagnose", recorded, "--out", out, "--poses", "--torques")
-    assert "give one of them, or none to diagnose both" in said
+    assert "give one of them, or none to diagnose all that was recorded" in said
     said = refused(capsys, "diagnose", recorded, "--out", tmp_path / "d.txt")
     assert said == f"{tmp_path / 'd.txt'}: what is written here is json; let the name end in .json"
     assert not out.exists()

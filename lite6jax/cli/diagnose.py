@@ -98,7 +98,7 @@ class DiagnoseCommand:
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
     torques: bool = False
-    """Of a recording that has poses and torques, diagnose the torques only."""
+    """Of a recording that has poses or commands beside torques, diagnose the torques only."""
     poses: bool = False
     """Of such a recording, diagnose the poses only."""
     tracking: bool = False
@@ -131,7 +131,7 @@ class DiagnoseCommand:
         domain_options = [option for option, is_chosen in domains.items() if is_chosen]
         if len(domain_options) > 1:
             raise InputError(
-                f"{' and '.join(domain_options)}: give one of them, or none to diagnose both poses and torques"
+                f"{' and '.join(domain_options)}: give one of them, or none to diagnose all that was recorded"
             )
         if self.simulator is not None:
             of_arm = {"poses": self.poses, "torques": self.torques, "arm": self.arm, "reference": self.reference}
@@ -425,7 +425,7 @@ class ViewCommand:
                 scene = viewer.pose_scene(document, model, recordings.read_motion(file, model))
             else:
                 measured = recordings.read_recording(file, arm=model.arm)
-                scene = viewer.joint_scene(diagnosis_file.find_torques(document) or document, model, measured)
+                scene = viewer.joint_scene(diagnosis_file.find_part(document, "torques") or document, model, measured)
         with viewer.served(scene, self.host, self.port) as shown:
             screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
@@ -485,7 +485,7 @@ class PredictCommand:
             model, registered = registration.register_model(model, recording)
         prediction = predict.predicted(model, recording)
         columns = prediction.columns()
-        if of_poses and diagnosis_file.find_torques(document) is not None:
+        if of_poses and diagnosis_file.find_part(document, "torques") is not None:
             columns, torque_notes = self._add_torques(document, columns, recording, effects)
         table = pa.table(columns)
         path = write_atomically(self.out, lambda target: recording_files.write_table(table, target), self.force)

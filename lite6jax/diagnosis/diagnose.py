@@ -1,13 +1,14 @@
 """The diagnosis: screen, explain, estimate finally, verify on held-out rows, design what to record next.
 
-Of a recording that has poses and torques both are diagnosed, and what they say of the quantities that they share.
+Of a recording that has poses and torques, or torques and commands, both are diagnosed, and what they say of the
+quantities that they share.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypedDict, Unpack, final, overload
+from typing import Any, ClassVar, Literal, NamedTuple, TypedDict, Unpack, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from lite6jax.design.information import Experiment
 from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.document import require_domain
-from lite6jax.diagnosis.estimates import Agreement, compare_domains
+from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
     errors_of_folds,
@@ -79,23 +80,15 @@ Nominal = Arm | str | Path | None
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(DomainDiagnosis[PoseProblem]):
-    """The diagnosis of poses, and beside it that of the torques of the same recording where it has them.
-
-    Attributes:
-        torques: the diagnosis of the torques; None where there are none, or these cannot be diagnosed.
-        shared: quantities on which both depend and which a finding concerns.
-        torques_refused: why the torques cannot be diagnosed, with the remedy; None where they are, or there are none.
-    """
+    """The diagnosis of poses, and beside it that of the torques of the same recording where it has them."""
 
     domain: ClassVar[DomainName] = "poses"
 
-    torques: TorqueDiagnosis | None = None
-    shared: tuple[Agreement, ...] = ()
-    torques_refused: str | None = None
-
     @property
-    def parts(self) -> tuple[DomainDiagnosis[Any], ...]:
-        return (self,) if self.torques is None else (self, self.torques)
+    def torques(self) -> TorqueDiagnosis | None:
+        """The diagnosis of the torques; None where there are none, or these cannot be diagnosed."""
+        of_torques = (diagnosis for diagnosis in self.beside if isinstance(diagnosis, TorqueDiagnosis))
+        return next(of_torques, None)
 
     @property
     def before(self) -> Array:
@@ -322,9 +315,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     def _own_parts(self) -> dict[str, Any]:
         problem = self.problem
-        beside: dict[str, Any] = {} if self.torques_refused is None else {"torques_refused": self.torques_refused}
-        if self.torques is not None:
-            beside = {"torques": self.torques.to_dict(), "shared": [agreement.to_dict() for agreement in self.shared]}
         nuisance: dict[str, Any] = {
             "numbers": len(problem.frames),
             "parts": list(dict.fromkeys(at[0] for at in problem.frames)),
@@ -337,7 +327,6 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             "left_out": problem.recording.row[self.left_out].tolist(),
             "nuisance": nuisance,
             "model": model_entry(self.model, self._covariances),
-            **beside,
         }
 
 
@@ -499,13 +488,13 @@ def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bo
     return bool(np.sum(remainder**2) > options.same_effect * np.sum(effect**2))
 
 
-# ------------------------------------------------------------------ of either domain, or of both
+# ------------------------------------------------------------------ of one domain, or of several
 
 
 def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[DomainName, ...]:
     """The domains of a recording that are diagnosed, of all or of the one that is asked for.
 
-    Commands are diagnosed where nothing else was measured beside the joints, or where they are asked for.
+    Commands are diagnosed where no poses were measured, or where they are asked for.
 
     Raises:
         InputError: no such domain, poses are asked for where there are torques or commands alone, or commands where
@@ -513,15 +502,118 @@ def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[
     """
     require_domain(domain)
     recorded = [candidate for candidate in DOMAINS.values() if candidate.is_recorded(recording)]
-    measured = [candidate for candidate in recorded if not candidate.is_last_resort] or recorded
     if domain is None:
-        return tuple(candidate.name for candidate in measured) or (POSES.name,)
+        names = {candidate.name for candidate in recorded}
+        chosen = [candidate.name for candidate in recorded if names.isdisjoint(candidate.gives_way_to)]
+        return tuple(chosen) or (POSES.name,)
     if DOMAINS[domain] is TRACKING and TRACKING not in recorded:
         raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
-    if DOMAINS[domain] not in recorded and measured and POSES not in measured:
+    if DOMAINS[domain] not in recorded and recorded and POSES not in recorded:
         option = f"--{domain} or domain={domain!r}"
-        raise InputError(f"{recording.source}: has {measured[0].measured} and no {domain}; leave {option} out")
+        raise InputError(f"{recording.source}: has {recorded[0].measured} and no {domain}; leave {option} out")
     return (domain,)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What `diagnose` was asked for, with its files read; names are those of its arguments."""
+
+    recording: Recording
+    arm: Arm | None
+    reference: Recording | None
+    simulator: Simulator | None
+    geometry: Geometry
+    effects: tuple[Effect, ...]
+    factory: FactoryCalibration | None
+    options: Options | None
+    progress: Callable[[Stage], object] | None
+
+    @property
+    def particular(self) -> list[str]:
+        """The arguments that not every domain takes, which were given."""
+        is_given = {
+            "reference": self.reference is not None,
+            "simulator": self.simulator is not None,
+            "geometry": self.geometry != "declared",
+            "effects": bool(self.effects),
+            "factory": self.factory is not None,
+        }
+        return [name for name, given in is_given.items() if given]
+
+
+def _poses(request: _Request) -> Diagnosis:
+    return diagnose_poses(
+        request.recording,
+        request.arm,
+        reference=request.reference,
+        geometry=request.geometry,
+        effects=by_domain(request.effects)[0],
+        factory=request.factory,
+        options=request.options,
+        progress=request.progress,
+    )
+
+
+def _torques(request: _Request) -> TorqueDiagnosis:
+    return diagnose_torques(
+        request.recording,
+        request.arm,
+        reference=request.reference,
+        effects=by_domain(request.effects)[1],
+        options=request.options,
+        progress=request.progress,
+    )
+
+
+def _commands(request: _Request) -> TrackingDiagnosis:
+    return diagnose_tracking(
+        request.recording,
+        request.arm,
+        simulator=request.simulator,
+        options=request.options,
+        progress=request.progress,
+    )
+
+
+class Diagnoser(NamedTuple):
+    """How a recording is diagnosed by one domain.
+
+    Attributes:
+        diagnosed: the diagnosis of a request.
+        takes: the arguments of `diagnose` that not every domain takes, and this one does.
+    """
+
+    diagnosed: Callable[[_Request], DomainDiagnosis[Any]]
+    takes: frozenset[str]
+
+
+DIAGNOSERS: dict[DomainName, Diagnoser] = {
+    "poses": Diagnoser(_poses, frozenset({"reference", "geometry", "effects", "factory"})),
+    "torques": Diagnoser(_torques, frozenset({"reference", "effects"})),
+    "tracking": Diagnoser(_commands, frozenset({"simulator"})),
+}
+"""By domain; one that is added here and to `DOMAINS` is diagnosed by `diagnose`."""
+
+
+def _require_taken(request: _Request, domains: Sequence[DomainName]) -> None:
+    """Refuses an argument that none of the domains takes."""
+    measured = " and ".join(DOMAINS[domain].measured for domain in domains)
+    for argument in request.particular:
+        if not any(argument in DIAGNOSERS[domain].takes for domain in domains):
+            source = request.recording.source
+            raise InputError(f"{argument}: is not of {measured}, by which {source} is diagnosed; leave it out")
+
+
+def _requests(request: _Request, domains: Sequence[DomainName]) -> dict[DomainName, _Request]:
+    """The request of each domain: of several each has the reference only where that holds what it measures.
+
+    One that holds nothing of any is left to the first domain, which refuses it.
+    """
+    reference = request.reference
+    if reference is None or len(domains) == 1:
+        return dict.fromkeys(domains, request)
+    takers = [domain for domain in domains if DOMAINS[domain].is_recorded(reference)] or domains[:1]
+    return {domain: request if domain in takers else replace(request, reference=None) for domain in domains}
 
 
 class _Given(TypedDict, total=False):
@@ -564,13 +656,13 @@ def diagnose(
     factory: FactoryCalibration | None = None,
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
-) -> Diagnosis | TorqueDiagnosis | TrackingDiagnosis:
+) -> DomainDiagnosis[Any]:
     """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
-    A recording of poses and torques is diagnosed by both, and what they say of quantities on which both depend is
-    compared: the result is that of the poses, with that of the torques as `torques`. Torques that cannot be diagnosed
-    beside poses (of an arm at rest, or without inertia) are left out with the reason. A log of commands and measured
-    joints, without poses and torques, is diagnosed by rollouts from its commands alone.
+    A recording of poses and torques, or of torques and commands, is diagnosed by both, and what they say of quantities
+    on which both depend is compared: the result is that of the poses, or of the torques, with the other in `beside`.
+    What cannot be diagnosed beside it (torques of an arm at rest, or without inertia) is left out, with the reason in
+    `refused`. A log of commands and measured joints alone is diagnosed by rollouts from its commands.
 
     Args:
         recording: measured poses, or torques or currents with times, in SI units, or both; or the path of its file. Of
@@ -578,11 +670,11 @@ def diagnose(
             tilt. Or commands beside measured joints, with times.
         arm: the nominal arm, a bundled name or a file; from the sidecar, or of poses recognised, where not given. Of
             torques its chain is that of the factory calibration, where the sidecar declares one.
-        domain: what of the recording is diagnosed: "poses", "torques" or "tracking"; poses and torques, or commands
-            where there are neither, where not given.
+        domain: what of the recording is diagnosed: "poses", "torques" or "tracking"; where not given all that was
+            recorded, but commands only where there are no poses.
         reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
-            another what either shows is compared. `against` of the result, and of its `torques`, is the comparison.
+            another what either shows is compared. `against` of the result, and of those `beside`, is the comparison.
         simulator: an MJCF file with position actuators, of commands only: its arm and servos are the nominal ones, and
             what MuJoCo makes of the commands is compared with the log. `model.xml#tip` names a chain of several.
             Or what `read_simulator` makes of it.
@@ -592,7 +684,7 @@ def diagnose(
         factory: the arm's calibration; from the sidecar where not given; of poses.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block; of the
-            poses, and then of the torques.
+            first domain, and then of the others.
 
     Effects that raise the error on rows that were not used, or of poses leave several times as much there as in those
     that they were fitted to, are not kept, unless they hold in shorter blocks without which they are fitted again: they
@@ -600,12 +692,12 @@ def diagnose(
 
     Raises:
         InputError: nothing of the domain was recorded, or too little, or as `fit` and `compare`; of torques no arm is
-            declared, no times, gaps in most of them, an arm at rest, or another unit; or an argument that is of poses
-            where torques alone are diagnosed.
+            declared, no times, gaps in most of them, an arm at rest, or another unit; or an argument that is of another
+            domain than those that are diagnosed.
     """
+    simulated = None
     if simulator is None:
         arm = load_nominal(arm)
-        simulated = None
         recording = load_recording(recording, arm)
     else:
         if arm is not None:
@@ -614,49 +706,26 @@ def diagnose(
         with naming_the_chain(simulated):
             recording = load_recording(recording, simulated.arm)
         if domain is None and recording.commanded_position is not None:
-            domain = "tracking"
+            domain = TRACKING.name
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     domains = domains_of(recording, domain)
-    if simulated is not None and domains != ("tracking",):
-        raise InputError(
-            f"simulator: is of commands, and {recording.source} is diagnosed by other columns; leave it out, or ask "
-            "for its commands with domain='tracking'"
-        )
-    kinematic, dynamic = by_domain(effects)
-    arguments: dict[str, Any] = {"options": options, "progress": progress}
-    if domains == ("tracking",):
-        unused = {"geometry": geometry != "declared", "factory": factory is not None}
-        unused |= {"reference": reference is not None, "effects": bool(effects)}
-        for name in (name for name, is_given in unused.items() if is_given):
-            raise InputError(f"{name}: is not of commands, by which {recording.source} is diagnosed; leave it out")
-        return diagnose_tracking(recording, arm, simulator=simulated, **arguments)
-    if domains == ("torques",):
-        if geometry != "declared" or factory is not None:
-            argument = "geometry" if geometry != "declared" else "factory"
-            raise InputError(
-                f"{argument}: is of poses, and {recording.source} is diagnosed by its torques; leave it out"
-            )
-        reference_recording = None if reference is None else load_recording(reference, arm)
-        return diagnose_torques(recording, arm, reference=reference_recording, effects=dynamic, **arguments)
-    with_torques = "torques" in domains
-    arm = arm or arm_of(recording) if with_torques else arm
+    if len(domains) > 1 and POSES.name in domains:
+        arm = arm or arm_of(recording)  # the same for all
     reference_recording = None if reference is None else load_recording(reference, arm)
-    of_poses = (
-        reference_recording
-        if not with_torques
-        or reference_recording is None
-        or not reference_recording.has_torques
-        or reference_recording.numbers_per_sample
-        else None
+    request = _Request(
+        recording, arm, reference_recording, simulated, geometry, tuple(effects), factory, options, progress
     )
-    of_arm: dict[str, Any] = {"geometry": geometry, "factory": factory}
-    poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **arguments)
-    if not with_torques:
-        return poses
-    of_torques = reference_recording if reference_recording is not None and reference_recording.has_torques else None
-    try:
-        torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **arguments)
-    except InputError as error:
-        return replace(poses, torques_refused=str(error))
-    return replace(poses, torques=torques, shared=compare_domains(poses, torques))
+    _require_taken(request, domains)
+    first = domains[0]
+    requests = _requests(request, domains)
+    diagnosis = DIAGNOSERS[first].diagnosed(requests[first])
+    beside = []
+    refused = {}
+    for name in domains[1:]:
+        try:
+            beside.append(DIAGNOSERS[name].diagnosed(requests[name]))
+        except InputError as error:
+            refused[name] = str(error)
+    shared = [agreement for other in beside for agreement in compare_domains(diagnosis, other)]
+    return replace(diagnosis, beside=tuple(beside), shared=tuple(shared), refused=refused)

@@ -125,7 +125,7 @@ def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Doma
     Args:
         path: what `diagnose` wrote.
         effects: a user's own, where the model has them.
-        domain: "poses" or "torques", to have the model of that one of a diagnosis of both; or "tracking".
+        domain: "poses", "torques" or "tracking", to have the model of that one of a diagnosis of several.
 
     Raises:
         InputError: no such domain or file, not a diagnosis of the domain, or something in it is missing or not
@@ -177,10 +177,9 @@ def check_document(document: Any, path: str | Path) -> None:
     Raises:
         InputError: as `model_from_document`, or a part is missing that every report has.
     """
-    if not is_of_torques(document):
-        _read(document, domain_of(document), str(path))
-    if is_of_torques(document) or "torques" in document:
-        _read(document, "torques", str(path))
+    _read(document, domain_of(document), str(path))
+    for domain in domains_beside(document):
+        _read(document, domain, str(path))
     missing = [name for name in _REPORTED if name not in document]
     if missing:
         raise InputError(f"{path}: is damaged (it lacks {missing[0]!r}); {DAMAGED}")
@@ -202,18 +201,30 @@ def domain_of(document: Any) -> DomainName:
     return name if name in DOMAINS else "poses"
 
 
-def find_torques(document: Any) -> dict[str, Any] | None:
-    """The diagnosis of torques that a document is, or that stands in one of poses; None where there is none."""
-    if is_of_torques(document):
+def find_part(document: Any, domain: DomainName) -> dict[str, Any] | None:
+    """The diagnosis by a domain that a document is, or that stands in one by another; None where there is none."""
+    if not isinstance(document, dict):
+        return None
+    if domain_of(document) == domain:
         return document
-    inside = document.get("torques") if isinstance(document, dict) else None
-    return inside if is_of_torques(inside) else None
+    inside = document.get(domain)
+    return inside if isinstance(inside, dict) and inside.get("domain") == domain else None
+
+
+def domains_beside(document: Mapping[str, Any]) -> list[DomainName]:
+    """The other domains by which the recording of a document was diagnosed as well."""
+    own_domain = domain_of(document)
+    return [name for name in DOMAINS if name != own_domain and find_part(document, name) is not None]
+
+
+def refusals(document: Mapping[str, Any]) -> dict[DomainName, str]:
+    """By domain, why the recording of a document could not be diagnosed by it as well."""
+    return {name: document[f"{name}_refused"] for name in DOMAINS if f"{name}_refused" in document}
 
 
 def _read(document: Any, domain: DomainName, source: str) -> Document[Any]:
-    """A document of a domain by its schema; of torques also that in one of poses."""
-    torques = domain == "torques"
-    part = find_torques(document) if torques else document
+    """A document of a domain by its schema, or that in one of another domain."""
+    part = find_part(document, domain) or document
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
         kind, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
         raise InputError(f"{source}: is no diagnosis {kind}; give what `lite6jax diagnose --out` wrote{wrote}")

@@ -1,19 +1,22 @@
-"""What a diagnosis of either domain says of one effect, and whether two agree."""
+"""What a diagnosis of a domain says of one effect, and whether two agree."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
+from lite6jax.diagnosis.agreement import Agreement, EffectEstimate, compare_estimates
+from lite6jax.diagnosis.gains import compare_gains
 from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.domains.base import DomainName
 from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueEffect, TorqueTimeOffset, UnnamedTorque
+from lite6jax.domains.tracking.problem import TrackingProblem
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueTimeOffset, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
 from lite6jax.estimation.least_squares import Fit, fit
@@ -21,70 +24,8 @@ from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
 
-DISAGREE = 0.0027
-"""The probability of a difference by chance, three standard deviations, below which two estimates disagree."""
 _VAGUE = 30.0
 """Typical sizes beyond which the standard deviation of an estimate says that a recording does not show it."""
-
-
-class EffectEstimate(NamedTuple):
-    """What one domain says of a quantity: its values `(number,)`, their covariance, and the same with their names.
-
-    What is not `found` was estimated beside the findings.
-    """
-
-    found: bool
-    values: Array
-    covariance: Array
-    parameters: dict[str, Estimate]
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Agreement:
-    """Two estimates of one quantity, and whether they agree.
-
-    Attributes:
-        of: what, by codes: a `quantity` on which both domains depend; or `effect`, `site` and, of a nonparametric one,
-            `driver`.
-        estimates: by side: `poses` and `torques`, or `recording` and `reference`; None where a side does not show it.
-        p_value: of a difference as large; None where a side does not show the quantity.
-    """
-
-    of: Mapping[str, str]
-    estimates: Mapping[str, EffectEstimate | None]
-    p_value: float | None
-
-    @property
-    def agree(self) -> bool | None:
-        """Whether both say the same within their uncertainty; None where one of them says nothing."""
-        return None if self.p_value is None else self.p_value >= DISAGREE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Codes and numbers."""
-        sides = {
-            side: None
-            if estimate is None
-            else {"found": estimate.found, "parameters": {key: e._asdict() for key, e in estimate.parameters.items()}}
-            for side, estimate in self.estimates.items()
-        }
-        return {**self.of, **sides, "p_value": self.p_value, "agree": self.agree}
-
-
-def compare_estimates(
-    of: Mapping[str, str], estimates: Mapping[str, EffectEstimate | None], sign: float = 1.0, compared: int = 1
-) -> Agreement:
-    """The comparison of two normal estimates, the second of `sign` over the first, as of `Agreement`.
-
-    The p-value is family-wise over as many as are `compared`.
-    """
-    first, second = estimates.values()
-    if first is None or second is None:
-        return Agreement(of, estimates, None)
-    off = first.values - sign * second.values
-    together = first.covariance + second.covariance
-    p_value = float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
-    return Agreement(of, estimates, min(1.0, compared * p_value))
 
 
 def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstimate | None:
@@ -130,26 +71,46 @@ def _of(is_finding: bool, effect: Effect, values: Array, covariance: Array) -> E
     return EffectEstimate(is_finding, values, covariance, parameters)
 
 
-# ------------------------------------------------------------------ poses and torques of one recording
+# ------------------------------------------------------------------ two domains of one recording
 
 
-_PAIRS: tuple[tuple[str, Effect, TorqueEffect, float], ...] = (
-    ("payload_mass", PayloadError(), PayloadTorque(), 1.0),
-    # poses state by what gravity is turned, torques by what the base is: the opposite
-    ("gravity_direction", GravityDirection(), BaseTilt(), -1.0),
-    ("clock_offset", TimeOffset(), TorqueTimeOffset(), 1.0),
-)
-"""The effects of both domains that are one quantity, and the sign of the second over the first."""
+class _OneQuantity(NamedTuple):
+    """Effects of two domains that are one quantity, and the sign of the second over the first."""
+
+    quantity: str
+    first: Effect
+    second: Effect
+    sign: float = 1.0
+
+
+_SHARED: dict[tuple[DomainName, DomainName], tuple[_OneQuantity, ...]] = {
+    ("poses", "torques"): (
+        _OneQuantity("payload_mass", PayloadError(), PayloadTorque()),
+        # poses state by what gravity is turned, torques by what the base is: the opposite
+        _OneQuantity("gravity_direction", GravityDirection(), BaseTilt(), -1.0),
+        _OneQuantity("clock_offset", TimeOffset(), TorqueTimeOffset()),
+    ),
+    ("torques", "tracking"): (
+        _OneQuantity("payload_mass", PayloadTorque(), PayloadTorque()),
+        _OneQuantity("gravity_direction", BaseTilt(), BaseTilt()),
+    ),
+}
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def compare_domains(poses: DomainDiagnosis[Any], torques: DomainDiagnosis[Any]) -> tuple[Agreement, ...]:
-    """The quantities that a finding of either concerns, each as both see it."""
+def compare_domains(first: DomainDiagnosis[Any], second: DomainDiagnosis[Any]) -> tuple[Agreement, ...]:
+    """The quantities that a finding of either concerns, each as both see it; of torques and commands also the gains."""
+    sides = (first.domain, second.domain)
     agreements = []
-    for quantity, kinematic, dynamic, sign in _PAIRS:
-        if poses.has(kinematic) or torques.has(dynamic):
-            estimates = {"poses": estimate_effect(poses, kinematic), "torques": estimate_effect(torques, dynamic)}
-            agreements.append(compare_estimates({"quantity": quantity}, estimates, sign))
+    for shared in _SHARED.get(sides, ()):
+        if first.has(shared.first) or second.has(shared.second):
+            estimates = {
+                first.domain: estimate_effect(first, shared.first),
+                second.domain: estimate_effect(second, shared.second),
+            }
+            agreements.append(compare_estimates({"quantity": shared.quantity}, estimates, shared.sign))
+    if isinstance(first.problem, TorqueProblem) and isinstance(second.problem, TrackingProblem):
+        agreements += compare_gains(first, second)
     return tuple(agreements)
 
 

@@ -13,7 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
-from lite6jax.diagnosis.document import find_torques, model_from_document, parse_document
+from lite6jax.diagnosis.document import find_part, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
 from lite6jax.domains.tracking.predict import DiagnosedServos
@@ -75,7 +75,7 @@ def read_diagnosed_arm(
     if isinstance(model, DiagnosedServos):
         raise InputError(f"{path}: is of commands; give its model to convert_servos")
     chain, left_out = diagnosed_chain(model, nominal, alone)
-    if find_torques(document) is None:
+    if find_part(document, "torques") is None:
         return chain, left_out
     motors = model_from_document(document, effects, str(path), "torques")
     assert isinstance(motors, DiagnosedMotors)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from lite6jax.diagnosis.agreement import Agreement
 from lite6jax.diagnosis.document import SCHEMA, Verdict
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.base import DomainName, DomainProblem
@@ -190,6 +191,9 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         searched_again: errors where the search was repeated; None where `errors` are these.
         against: how the recording was compared with a reference; None where it was not.
         separating: poses that separate findings from their alternatives.
+        beside: the diagnoses of the same recording by other domains.
+        shared: quantities on which two of these depend and which a finding concerns.
+        refused: by domain, why the recording cannot be diagnosed by it as well, with the remedy.
     """
 
     domain: ClassVar[DomainName]
@@ -207,11 +211,14 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     searched_again: SearchedAgain | None = None
     against: Against | None = None
     separating: tuple[SeparatingPoses, ...] = ()
+    beside: "tuple[DomainDiagnosis[Any], ...]" = ()
+    shared: tuple[Agreement, ...] = ()
+    refused: Mapping[DomainName, str] = field(default_factory=dict)
 
     @property
     def parts(self) -> "tuple[DomainDiagnosis[Any], ...]":
-        """Itself, and after poses the diagnosis of the torques of the same recording where there is one."""
-        return (self,)
+        """Itself, and the diagnoses of the same recording by other domains."""
+        return (self, *self.beside)
 
     @property
     def fit(self) -> Fit:
@@ -406,7 +413,16 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             ],
             **({} if self.against is None else {"against": self.against.to_dict()}),
             **self._own_parts(),
+            **{f"{domain}_refused": reason for domain, reason in self.refused.items()},
+            **self._parts_beside(),
         }
+
+    def _parts_beside(self) -> dict[str, Any]:
+        """The documents of the other domains, by their names, and what they share with this one."""
+        if not self.beside:
+            return {}
+        documents = {diagnosis.domain: diagnosis.to_dict() for diagnosis in self.beside}
+        return {**documents, "shared": [agreement.to_dict() for agreement in self.shared]}
 
     def _finding(self, k: int) -> dict[str, Any]:
         finding = self.findings[k]

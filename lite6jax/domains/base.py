@@ -111,15 +111,17 @@ class Domain:
     Attributes:
         name: by which it is asked for, such as "poses".
         measured: what is measured, in a word for messages.
+        singular: the same of one.
         source: what the sidecar says from where its numbers are.
         document: what is read of its diagnosis.
         is_recorded: whether a recording holds what is measured.
-        is_last_resort: whether it is diagnosed unasked only where no other domain is recorded.
+        gives_way_to: domains beside which it is diagnosed only when it is asked for.
     """
 
     name: str
     measured: str
+    singular: str
     source: Callable[[RecordingSettings], str]
     document: type[Document[Any]]
     is_recorded: Callable[[Recording], bool]
-    is_last_resort: bool = False
+    gives_way_to: frozenset[DomainName] = frozenset()

@@ -8,6 +8,7 @@ from lite6jax.domains.tracking.entry import TrackingDocument
 POSES = Domain(
     "poses",
     "poses",
+    "pose",
     lambda settings: settings.pose_source,
     PoseDocument,
     lambda recording: recording.numbers_per_sample > 0,
@@ -15,6 +16,7 @@ POSES = Domain(
 TORQUES = Domain(
     "torques",
     "torques",
+    "torque",
     lambda settings: settings.torque_source,
     TorqueDocument,
     lambda recording: recording.has_torques,
@@ -22,10 +24,11 @@ TORQUES = Domain(
 TRACKING = Domain(
     "tracking",
     "commands",
+    "command",
     lambda settings: settings.joint_source,
     TrackingDocument,
     lambda recording: recording.commanded_position is not None,
-    is_last_resort=True,
+    gives_way_to=frozenset({"poses"}),
 )
 
 DOMAINS: dict[str, Domain] = {domain.name: domain for domain in (POSES, TORQUES, TRACKING)}

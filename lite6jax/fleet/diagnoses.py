@@ -116,8 +116,8 @@ def make_row(
     """The row of a recording of this name in its folder: of its `document`, the `text` of that file, of a fleet the
     file of the `reduced` recording, and what was remarked on the way."""
     poses = document if diagnosis_file.domain_of(document) == "poses" else None
-    tracking = document if diagnosis_file.is_of_tracking(document) else None
-    torques = diagnosis_file.find_torques(document)
+    tracking = diagnosis_file.find_part(document, "tracking")
+    torques = diagnosis_file.find_part(document, "torques")
     row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
     faults = []
     findings = []

@@ -18,6 +18,7 @@ from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
 from lite6jax.domains.base import DomainName
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import ranking
@@ -44,8 +45,6 @@ from lite6jax.report.words import SCREEN, joint_units, torque_units
 
 Array = NDArray[np.floating]
 
-PREFIX = "torque_"
-"""Of the names of the figures of torques, beside those of poses."""
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {
     "direction of motion": "direction\nof motion",
@@ -65,16 +64,25 @@ _LOWEST = 1e-4
 
 def figure_names(domains: Sequence[DomainName]) -> list[str]:
     """The figures that `drawings` may give of a diagnosis of these domains."""
-    first, *other_domains = (
-        [*_DRAWN.get(domain, {}), *([] if domain in REPORTS else ["findings"])] for domain in domains
-    )
-    return [*first, *(PREFIX + name for names in other_domains for name in names)]
+    names = []
+    for k, domain in enumerate(domains):
+        prefix = prefix_of(domain) if k else ""
+        drawn = [*_DRAWN.get(domain, {})]
+        if domain not in REPORTS:
+            drawn.append("findings")
+        names += [prefix + name for name in drawn]
+    return names
+
+
+def prefix_of(domain: DomainName) -> str:
+    """With which the names of figures of a domain begin that was diagnosed beside another."""
+    return f"{DOMAINS[domain].singular}_"
 
 
 def drawings(
     diagnosis: DomainDiagnosis[Any], title: str, document: Mapping[str, Any] | None = None
 ) -> Iterator[tuple[str, Figure]]:
-    """The figures by name, those of torques beside poses with `PREFIX`; those of what there is not are left out.
+    """The figures by name, those of domains beside with `prefix_of`; those of what there is not are left out.
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
@@ -83,9 +91,9 @@ def drawings(
             yield name, draw(diagnosis, title)
     if diagnosis.findings and diagnosis.domain not in REPORTS:
         yield "findings", finding_figure(diagnosis, title, order=None if document is None else ranking.order(document))
-    for torques in diagnosis.parts[1:]:
-        torque_document = None if document is None else document["torques"]
-        yield from ((PREFIX + name, figure) for name, figure in drawings(torques, title, torque_document))
+    for other in diagnosis.beside:
+        of_domain = None if document is None else document[other.domain]
+        yield from ((prefix_of(other.domain) + name, figure) for name, figure in drawings(other, title, of_domain))
 
 
 # ------------------------------------------------------------------ of poses

@@ -22,7 +22,7 @@ from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.errors import InputError
 from lite6jax.report import ranking, statements
-from lite6jax.report.diagnosis_figures import PREFIX, drawings, finding_figure
+from lite6jax.report.diagnosis_figures import drawings, finding_figure, prefix_of
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import STYLE
 from lite6jax.report.ranking import Files
@@ -63,11 +63,10 @@ def diagnosis_page(
     source = recorded if source is None else source
     figures = dict(drawings(diagnosis, Path(source).name, document)) if figures is None else figures
     pictures = [_pictures(diagnosis, document, figures)]
-    for torques in diagnosis.parts[1:]:
-        torque_figures = {
-            name.removeprefix(PREFIX): figure for name, figure in figures.items() if name.startswith(PREFIX)
-        }
-        pictures.append(_pictures(torques, document["torques"], torque_figures))
+    for other in diagnosis.beside:
+        prefix = prefix_of(other.domain)
+        of_domain = {name.removeprefix(prefix): figure for name, figure in figures.items() if name.startswith(prefix)}
+        pictures.append(_pictures(other, document[other.domain], of_domain))
     parts = parts_of(document, files, pictures=pictures)
     return _template().render(source=source, verdict=document["verdict"], parts=parts)
 

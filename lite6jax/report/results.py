@@ -223,11 +223,12 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     notes = [*diagnosis_sentences.assumptions(document), *statements.what_to_record(document)]
     subject = "the torques of " if diagnosis.domain == "torques" else ""
     beside = []
-    for part in diagnosis.parts[1:]:
-        subject = "the poses and torques of "
-        torque_description = describe(part)
-        beside = [*torque_description.sentences, *map(statements.agreement_statement, document["shared"])]
-        notes += torque_description.notes
+    for part in diagnosis.beside:
+        subject = f"the {diagnosis_sentences.measured(document)} of "
+        of_domain = describe(part)
+        beside += of_domain.sentences
+        notes += of_domain.notes
+    beside += map(statements.agreement_statement, document.get("shared", ()))
     sentences = [
         ranking.headline(document),
         diagnosis_sentences.verdict_statement(document),
@@ -237,8 +238,7 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     sentences += [f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`."] if hidden > 0 else []
     sentences += [f"The held-out {start} {after_effects}{sizes[0]} RMS with the model of the arm alone."]
     sentences += [f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}."] if faults else []
-    if "torques_refused" in document:
-        sentences.append(diagnosis_sentences.refusal(document))
+    sentences += [diagnosis_sentences.refusal(domain, reason) for domain, reason in diagnosis.refused.items()]
     return Description(f"Diagnosis of {subject}a {document['model']['arm']}", (*sentences, *beside), tuple(notes))
 
 

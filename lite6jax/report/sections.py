@@ -14,7 +14,9 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import domain_of, domains_beside, is_of_torques, refusals
+from lite6jax.domains.base import DomainName
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
@@ -121,21 +123,35 @@ def parts_of(
     document: Document,
     files: Files | None = None,
     details: bool = True,
-    pictures: Sequence[Mapping[str, Picture]] = ({}, {}),
+    pictures: Sequence[Mapping[str, Picture]] | None = None,
 ) -> list[tuple[str, list[Section]]]:
     """The sections of each domain of a document, and of both together, with titles where there are several parts.
 
     Arguments are those of `sections_of`, with the pictures of each domain.
     """
-    parts = [("", sections_of(document, files, details, pictures[0]))]
-    if "torques" in document:
-        agreements = [entry["statement"] for entry in document["shared"]] or [statements.NOTHING_SHARED]
-        shared = Section("What poses and torques both depend on", [("bullets", agreements)])
-        torques = sections_of(document["torques"], None, details, pictures[1], "torque-")
-        parts = [("Poses", parts[0][1]), ("Torques", torques), ("Both", [shared])]
-    elif "torques_refused" in document:
-        parts = [("Poses", parts[0][1]), ("Torques", [Section("", _texts(sentences.refusal(document)))])]
+    beside = domains_beside(document)
+    pictures = pictures or [{} for _ in range(1 + len(beside))]
+    first = sections_of(document, files, details, pictures[0])
+    refused = refusals(document)
+    if not beside and not refused:
+        return [("", first)]
+    parts = [(_title(domain_of(document)), first)]
+    for domain, of_domain in zip(beside, pictures[1:], strict=True):
+        parts.append(
+            (_title(domain), sections_of(document[domain], None, details, of_domain, f"{DOMAINS[domain].singular}-"))
+        )
+    for domain, reason in refused.items():
+        parts.append((_title(domain), [Section("", _texts(sentences.refusal(domain, reason)))]))
+    if beside:
+        agreements = [entry["statement"] for entry in document["shared"]] or [sentences.nothing_shared(document)]
+        parts.append(
+            ("Both", [Section(f"What {sentences.measured(document)} both depend on", [("bullets", agreements)])])
+        )
     return parts
+
+
+def _title(domain: DomainName) -> str:
+    return capital(DOMAINS[domain].measured)
 
 
 def _texts(*lines: str) -> list[Block]:
@@ -286,13 +302,12 @@ def show_sections(sections: Sequence[Section]) -> Iterator[RenderableType]:
 def diagnosis_report(
     document: Document, source: str, files: Files | None = None, details: bool = False
 ) -> Iterator[RenderableType]:
-    """What a terminal shows of a document with statements; of both domains poses, torques, and what both depend on.
+    """What a terminal shows of a document with statements; of several domains one after the other, and what they share.
 
     Without files there are no commands to copy. Details: rejected alternatives, what was ruled out and not tested.
     """
-    titles = ("Poses", "Torques") if "torques" in document else ("Poses",)
     yield unbroken(source)
     for title, sections in parts_of(document, files, details):
-        yield from ["", Text(title, style="bold")] if title in titles else []
+        yield from ["", Text(title, style="bold")] if title not in ("", "Both") else []
         yield from show_sections(sections)
     yield ""

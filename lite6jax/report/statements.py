@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import domains_beside, is_of_torques
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.recordings.fault import DataFault
@@ -45,7 +46,6 @@ from lite6jax.report.words import (
 
 _TEXTS = read_texts("diagnosis.yaml")
 NOT_CHECKED: str = _TEXTS["not_checked"]
-NOTHING_SHARED = "No finding concerns a quantity on which both poses and torques depend."
 _STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "maximum"}
 """Of held-out errors: by the part of a key of the document, what it is called."""
 
@@ -84,8 +84,8 @@ def with_statements(document: Document) -> dict[str, Any]:
     ]
     if "against" in document:
         stated["against"] = with_comparison(document["against"])
-    if "torques" in document:
-        stated["torques"] = with_statements(document["torques"])
+    for domain in domains_beside(document):
+        stated[domain] = with_statements(document[domain])
         stated["shared"] = [{**entry, "statement": agreement_statement(entry)} for entry in document["shared"]]
     return stated
 
@@ -337,18 +337,19 @@ def model_statement(file: str, basis: Basis) -> str:
 
 
 def agreement_statement(entry: Entry) -> str:
-    """What two sides say of one quantity, and whether they agree: of two recordings, or of poses and torques.
+    """What two sides say of one quantity, and whether they agree: of two recordings, or of two domains.
 
     Parameters without a standard deviation were chosen and not estimated: two recordings have them alike.
     """
     shared = "quantity" in entry
+    domains = [name for name in DOMAINS if name in entry]
     sides = {
         side: ", ".join(
             str(quantity(name, estimate, NAMED_OF_TORQUES))
             for name, estimate in (entry[side] or {"parameters": {}})["parameters"].items()
             if shared or estimate["std"]
         )
-        for side in (("poses", "torques") if shared else ("recording", "reference"))
+        for side in (domains if shared else ("recording", "reference"))
     }
     if shared:
         return sentences.shared_quantity(entry, sides)

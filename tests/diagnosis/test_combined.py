@@ -73,7 +73,7 @@ def found(recording):
     """Both, the payload found by the torques alone: the poses have it beside their finding."""
     poses = diagnosed.diagnosed(recording, (JointCompliance(2),))
     torques = torque_diagnosed.diagnosed(recording, (ViscousFriction(2), PayloadTorque()))
-    return replace(poses, torques=torques, shared=compare_domains(poses, torques))
+    return replace(poses, beside=(torques,), shared=compare_domains(poses, torques))
 
 
 def test_the_payload_is_compared(recording, found):
@@ -159,7 +159,7 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
     assert [line for line in said.splitlines() if line != str(out)] == shown
     assert "joint 2 (Nm), RMS" in said
     assert "they agree" in flat(said)
-    refused = replace(found, torques=None, shared=(), torques_refused="it holds static poses")
+    refused = replace(found, beside=(), shared=(), refused={"torques": "it holds static poses"})
     write_document(with_statements(refused.to_dict()), out, overwrite=True)
     assert "not diagnosed: it holds static poses." in flat(run(capsys, "report", out)[1])
     document = found.to_dict()
@@ -171,11 +171,11 @@ def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_pat
 
 
 def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
-    poses = replace(found, torques=None, shared=())
+    poses = replace(found, beside=(), shared=())
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose_poses", lambda *_, **__: poses)
     alone = diagnose(recording, replace(LITE6, mass=None, center_of_mass=None, inertia=None))
     assert alone.torques is None
-    assert "has no masses" in alone.torques_refused
+    assert "has no masses" in alone.refused["torques"]
     document = with_statements(alone.to_dict())
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
@@ -189,7 +189,7 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
 def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, tmp_path, capsys, monkeypatch):
     """Each domain is given the effects of a user's own that are of it; what it does not have is refused."""
     given, own = {}, {"poses": JointCompliance(2), "torques": ViscousFriction(2)}
-    for name, one in (("poses", replace(found, torques=None, shared=())), ("torques", found.torques)):
+    for name, one in (("poses", replace(found, beside=(), shared=())), ("torques", found.torques)):
         take = lambda *_, name=name, one=one, **more: given.update({name: more["effects"]}) or one  # noqa: E731
         monkeypatch.setattr(f"lite6jax.diagnosis.diagnose.diagnose_{name}", take)
     of_poses, of_torques = replace(recording, joint_torque=None), replace(recording, position=None, quaternion=None)
@@ -205,5 +205,5 @@ def test_the_columns_or_the_domain_decide_what_is_diagnosed(recording, found, tm
     alone = write_recording(of_torques, tmp_path / "motors.csv")
     said = refused(capsys, "diagnose", alone, "--poses")
     assert said == f"{alone}: has torques and no poses; leave --poses or domain='poses' out"
-    with pytest.raises(InputError, match=r"^geometry: is of poses, and .* is diagnosed by its torques; leave it out$"):
+    with pytest.raises(InputError, match=r"^geometry: is not of torques, by which .* is diagnosed; leave it out$"):
         diagnose(of_torques, geometry="exact")

@@ -7,7 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from lite6jax.calibration.quality import NOISES
-from lite6jax.diagnosis.document import is_of_torques
+from lite6jax.diagnosis.document import domain_of, domains_beside, is_of_torques
+from lite6jax.domains.base import DomainName
+from lite6jax.domains.registry import DOMAINS
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
 from lite6jax.report.remedies import component, drivers_of, effect_name, effect_title, shape, with_articles
@@ -213,9 +215,20 @@ def not_measured(document: Document) -> list[str]:
     return lines
 
 
-def refusal(document: Document) -> str:
-    """Says why the torques beside poses were not diagnosed."""
-    return f"The torques of this recording are not diagnosed: {document['torques_refused']}."
+def refusal(domain: DomainName, reason: str) -> str:
+    """Says why a recording was not diagnosed by a domain beside another."""
+    return f"The {DOMAINS[domain].measured} of this recording are not diagnosed: {reason}."
+
+
+def measured(document: Document) -> str:
+    """Names what a recording of several domains was diagnosed by."""
+    domains = (domain_of(document), *domains_beside(document))
+    return joined([DOMAINS[domain].measured for domain in domains])
+
+
+def nothing_shared(document: Document) -> str:
+    """Says that domains have nothing to be compared."""
+    return f"No finding concerns a quantity on which both {measured(document)} depend."
 
 
 def withdrawn_effects(document: Document) -> str:
@@ -563,22 +576,21 @@ def effect_of_both(entry: Entry, title: str, sides: Mapping[str, str]) -> str:
     return f"{title} differs (p = {significant(entry['p_value'], 2)}): {values}"
 
 
-def shared_quantity(entry: Entry, sides: Mapping[str, str]) -> str:
-    """Says whether poses and torques agree on a quantity on which both depend; what each says is in `sides`."""
+def shared_quantity(entry: Entry, sides: Mapping[DomainName, str]) -> str:
+    """Says whether two domains agree on a quantity on which both depend; what they say is in `sides`."""
     quantity = _TEXTS["quantities"][entry["quantity"]]
-    start = f"Of {quantity['name']},"
+    place = f" at {entry['site']}" if "site" in entry else ""
+    start = f"Of {quantity['name']}{place},"
+    words = {domain: DOMAINS[domain].measured for domain in sides}
+    seen = [domain for domain in sides if entry[domain] is not None]
     if entry["agree"] is None:
-        seen = "poses"
-        unseen = "torques"
-        if entry["poses"] is None:
-            seen = "torques"
-            unseen = "poses"
-        return (
-            f"{start} only the {seen} say something: {sides['poses'] or sides['torques']}; the {unseen} do not show it."
-        )
-    both = f"{start} poses say {sides['poses']}, torques say {sides['torques']}: they"
+        shows = seen[0]
+        unseen = next(domain for domain in sides if domain != shows)
+        return f"{start} only the {words[shows]} say something: {sides[shows]}; the {words[unseen]} do not show it."
+    statements = ", ".join(f"{words[domain]} say {stated}" for domain, stated in sides.items())
+    both = f"{start} {statements}: they"
     if entry["agree"]:
-        return f"{both} agree, and it is one finding that both sensors see."
+        return f"{both} agree{'' if place else ', and it is one finding that both sensors see'}."
     p_value = "p < 1e-16"
     if entry["p_value"] > 1e-16:
         p_value = f"p = {entry['p_value']:.2g}"

@@ -245,7 +245,7 @@ def test_what_is_not_of_commands_is_refused(capsys, diagnosed, tmp_path):
     said = refused(capsys, "diagnose", log, "--reference", log)
     assert said.startswith("reference: is not of commands")
     said = refused(capsys, "diagnose", log, "--poses", "--tracking")
-    assert said == "--poses and --tracking: give one of them, or none to diagnose both poses and torques"
+    assert said == "--poses and --tracking: give one of them, or none to diagnose all that was recorded"
     empty = tmp_path / "m.csv"
     empty.write_text("time_s,q1_rad\n0.0,0.1\n0.01,0.2\n")
     said = refused(capsys, "predict", diagnosed / "d.json", empty, "--out", tmp_path / "p.csv")
