@@ -161,7 +161,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     code, out, err = run(capsys, "view", both, path, "--torques", "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")
     assert "Joint 2 has friction" in out
-    assert "is no diagnosis of torques" in refused(capsys, "view", made[0], "--torques")
+    assert "is a diagnosis of poses; give one of torques" in refused(capsys, "view", made[0], "--torques")
     scene = joint_scene(document, read_model(file, domain="torques"), read_recording(path))
     with served(scene, HOST, 0) as shown:
         handle = shown.server.scene.get_handle_by_name

@@ -224,11 +224,12 @@ def refusals(document: Mapping[str, Any]) -> dict[DomainName, str]:
 
 def _read(document: Any, domain: DomainName, source: str) -> Document[Any]:
     """A document of a domain by its schema, or that in one of another domain."""
-    part = find_part(document, domain) or document
+    part = find_part(document, domain)
+    named = document.get("domain") if isinstance(document, dict) else None
+    if part is None and named in DOMAINS:
+        raise InputError(f"{source}: is a diagnosis of {named}; give one of {domain}")
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
         kind, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
         raise InputError(f"{source}: is no diagnosis {kind}; give what `lite6jax diagnose --out` wrote{wrote}")
-    if domain_of(part) != domain:
-        raise InputError(f"{source}: is a diagnosis of {domain_of(part)}; give one of {domain}")
     with _refuse_damage(source):
         return check(part, DOMAINS[domain].document)

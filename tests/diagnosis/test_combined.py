@@ -179,7 +179,7 @@ def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found
     document = with_statements(alone.to_dict())
     path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
-    with pytest.raises(InputError, match="is no diagnosis of torques"):
+    with pytest.raises(InputError, match="is a diagnosis of poses; give one of torques"):
         read_model(path, domain="torques")
     assert "are not diagnosed: " in alone.summary()
     assert any("has no masses" in str(part) for part in diagnosis_report(document, "run.csv"))

@@ -1,0 +1,95 @@
+"""Torques and commands of one log: both are diagnosed, and the friction that both show gives the servo's gain."""
+
+import json
+
+import numpy as np
+import pytest
+from typed import flat, run
+
+from lite6jax import cli
+from lite6jax.diagnosis.diagnose import domains_of
+from lite6jax.diagnosis.document import read_model
+from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.tracking.predict import DiagnosedServos
+from lite6jax.recordings import read_recording
+from tests.domains.tracking.test_servo_fit import PERIOD, TRUE
+from tests.domains.tracking.test_tracking_commands import columns_of, write_log
+from tests.oracles.servos import follow
+
+SAMPLES = 600
+GAIN = 150.0
+"""Nm/rad, of which 200 are declared."""
+FRICTION = 0.9
+"""Nm, of which 0.2 are declared."""
+NOISE = 2e-4
+"""rad."""
+TORQUE_NOISE = 0.05
+"""Nm."""
+
+
+def smooth_commands():
+    """Sines that begin slowly, and round steps, `(sample,)` rad."""
+    t = PERIOD * np.arange(SAMPLES)
+    begun = 1 - np.exp(-((t / 0.5) ** 2))
+    steps = sum(0.1 * np.tanh((t - instant) / 0.06) * sign for instant, sign in ((1.0, 1), (2.3, -1), (3.6, 1)))
+    return begun * (0.5 * np.sin(2 * np.pi * 0.4 * t) + 0.15 * np.sin(2 * np.pi * 0.9 * t)) + steps
+
+
+def torques_of(joint):
+    """What the motor must exert for this motion, `(sample,)` Nm: held commands move it in jerks between the samples."""
+    speed = np.gradient(joint, PERIOD)
+    load = TRUE["inertia"] * np.gradient(speed, PERIOD) + TRUE["weight"] * np.sin(joint)
+    return load + TRUE["viscous"] * speed + FRICTION * np.sign(speed) * (np.abs(speed) > 1e-3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Of a log of a servo that is softer than declared and has more friction, and of its diagnosis."""
+    place = tmp_path_factory.mktemp("both")
+    command = smooth_commands()
+    columns = columns_of(command, NOISE, kp=GAIN, coulomb=FRICTION)
+    joint = follow(command, PERIOD, **(TRUE | {"kp": GAIN, "coulomb": FRICTION}))
+    noise = np.random.default_rng(1).normal(0.0, TORQUE_NOISE, SAMPLES)
+    log = write_log(place, columns | {"tau1_Nm": torques_of(joint) + noise}, noise=NOISE)
+    assert cli.main(["diagnose", str(log), "--quick", "--out", str(place / "d.json")]) == 0
+    return place
+
+
+@pytest.fixture(scope="module")
+def document(folder):
+    return json.loads((folder / "d.json").read_text())
+
+
+def test_a_log_of_both_is_diagnosed_by_both(folder, document):
+    recording = read_recording(folder / "log.csv")
+    assert domains_of(recording) == ("torques", "tracking")
+    assert domains_of(recording, "tracking") == ("tracking",)
+    assert document["domain"] == "torques"
+    assert document["tracking"]["domain"] == "tracking"
+    assert isinstance(read_model(folder / "d.json"), DiagnosedMotors)
+    assert isinstance(read_model(folder / "d.json", domain="tracking"), DiagnosedServos)
+
+
+def test_both_find_the_friction(document):
+    for part in (document, document["tracking"]):
+        (friction,) = (finding for finding in part["findings"] if finding["effect"] == "coulomb_friction")
+        coulomb = friction["parameters"]["coulomb_Nm"]
+        assert coulomb["value"] == pytest.approx(FRICTION - 0.2, abs=max(4 * coulomb["std"], 0.01))
+
+
+def test_friction_gives_the_gain(document):
+    (gain,) = (entry for entry in document["shared"] if entry["quantity"] == "position_gain")
+    assert gain["site"] == "joint1"
+    for side in ("torques", "tracking"):
+        stiffness = gain[side]["parameters"]["stiffness_Nm_per_rad"]
+        assert stiffness["value"] == pytest.approx(GAIN, abs=4 * stiffness["std"])
+        assert stiffness["std"] < 0.05 * GAIN
+    assert gain["agree"]
+
+
+def test_the_report_shows_both(capsys, folder):
+    code, printed, _ = run(capsys, "report", folder / "d.json", width=100)
+    assert code == 0
+    said = flat(printed)
+    assert said.index("Torques") < said.index("Commands") < said.index("What torques and commands both depend on")
+    assert "Of the position gain at joint1, torques say stiffness" in said
