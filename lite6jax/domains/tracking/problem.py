@@ -556,15 +556,19 @@ def unknowns_of(data: TrackingRows) -> tuple[Unknown, ...]:
     return tuple(Unknown(name, joint) for name in names for joint in range(data.arm.dof))
 
 
-def tracking_problem(data: TrackingRows) -> TrackingProblem:
-    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
-    unknowns = unknowns_of(data)
-    candidates = tracking_catalogue(data.arm.dof)
+def candidates_beside(data: TrackingRows, unknowns: Sequence[Unknown]) -> tuple[Effect, ...]:
+    """The named effects that a recording may show, but for those that unknown servos or masses contain."""
     fitted = (ServoStiffness, ServoDamping, ViscousFriction) if unknowns else ()
     fitted += (CoulombFriction,) if any(one.field == "coulomb" for one in unknowns) else ()
     fitted += (RotorInertia,) if any(one.field == "inertia" for one in unknowns) else ()
     fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction)
-    candidates = tuple(effect for effect in candidates if not isinstance(effect, fitted))
+    return tuple(effect for effect in tracking_catalogue(data.arm.dof) if not isinstance(effect, fitted))
+
+
+def tracking_problem(data: TrackingRows) -> TrackingProblem:
+    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
+    unknowns = unknowns_of(data)
+    candidates = candidates_beside(data, unknowns)
     chosen = np.arange(data.commands.samples)
     valid = np.ones(len(chosen), bool)
     problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)
