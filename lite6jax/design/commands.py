@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.design.candidates import all_pass, candidates
+from lite6jax.design.candidates import all_pass, candidates, inside_limits
 from lite6jax.design.motions import MotionRoom
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.errors import InputError
@@ -208,8 +208,9 @@ def choose_postures(room: MotionRoom, bodies: Bodies, count: int, seed: int) -> 
         InputError: as `candidates`, or none passes the filters.
     """
     drawn = candidates(room.arm, _DRAWN, seed, room.filters, room.margin).joint_position
-    middle = room.position.mean(1)
-    postures = middle + _TOWARDS_MIDDLE * (drawn - middle)
+    lower, upper = inside_limits(room.arm, room.margin).T
+    share = (drawn - (lower + upper) / 2) / (upper - lower)
+    postures = room.position.mean(1) + _TOWARDS_MIDDLE * share * np.ptp(room.position, axis=1)
     postures = postures[all_pass(room.filters, postures)]
     if not len(postures):
         names = ", ".join(condition.name for condition in room.filters)

@@ -18,7 +18,13 @@ from lite6jax.report.sentences import command_designs as sentences
 from lite6jax.report.sentences import studies
 from lite6jax.report.words import NAMED_OF_TORQUES, listing, quantity, significant
 
-_NAMED = NAMED_OF_TORQUES | {"ratio": (1.0, ""), "rate": (1e6, "ppm")}
+_NAMED = NAMED_OF_TORQUES | {
+    "scale": (1e6, "ppm"),
+    "ratio": (1.0, ""),
+    "rate": (1e6, "ppm"),
+    "integral_Nm_per_rad_s": (1.0, "Nm/rad/s"),
+    "time_constant_s": (1e3, "ms"),
+}
 _FAR = 100.0
 """Standard deviations from which a distance is only said to be more."""
 
@@ -33,29 +39,24 @@ def shown_distance(distance: float) -> str:
     return f"over {_FAR:g}" if distance > _FAR else significant(distance, 2)
 
 
-def deviation_of(pair: DesignedPair, distance: float) -> str:
-    """One standard deviation of the number that stands for an effect, with its unit, at a distance; "–" at none."""
+def deviation_of(pair: DesignedPair, distance: float) -> tuple[str, str]:
+    """One standard deviation of the number that stands for an effect, and its unit, at a distance; "–" at none."""
     effect = pair.effect
     if not distance > 0:
-        return "–"
+        return "–", ""
     if pair.number is None and effect.size > 1:
-        return f"{significant(100 / distance, 2)} %"
-    values = pair.values
+        return significant(100 / distance, 2), "%"
     k = pair.number or 0
     variance = np.zeros((effect.size, effect.size))
-    variance[k, k] = (values[k] / distance) ** 2
+    variance[k, k] = (pair.values[k] / distance) ** 2
     if effect.size > 1:
-        coordinate = effect.coordinates[k]
-        estimate = {"value": float(values[k]), "std": float(np.sqrt(variance[k, k]))}
-        return _deviation(coordinate.name, estimate)
-    (name, estimate), *_ = effect.reported(values, variance).items()
-    return _deviation(name, estimate._asdict())
-
-
-def _deviation(name: str, estimate: dict[str, float]) -> str:
+        name = effect.coordinates[k].name
+        estimate = {"value": float(pair.values[k]), "std": float(np.sqrt(variance[k, k]))}
+    else:
+        name, reported = next(iter(effect.reported(pair.values, variance).items()))
+        estimate = reported._asdict()
     shown = quantity(name, estimate, _NAMED)
-    size = next((part for part in (shown.std, shown.value) if part), "0")
-    return f"{size} {shown.unit}".strip()
+    return shown.std or shown.value, shown.unit
 
 
 def command_plan_report(
@@ -91,14 +92,15 @@ def _of_findings(plan: CommandPlan) -> Iterator[RenderableType]:
         pairs = [pair for pair in plan.pairs if pair.effect == effect and not pair.alike]
         if pairs:
             worst = min(pairs, key=lambda pair: pair.designed)
-            now = deviation_of(worst, worst.recorded or 0.0) if log else ""
-            yield sentences.deviation(title(effect), now, deviation_of(worst, worst.designed))
+            now = " ".join(deviation_of(worst, worst.recorded or 0.0)).strip() if log else ""
+            designed = " ".join(deviation_of(worst, worst.designed)).strip()
+            yield sentences.deviation(title(effect), now, designed)
 
 
 def _of_names(plan: CommandPlan) -> Iterator[RenderableType]:
     """A row for each number of each effect, at the joint where it is known least."""
     log = plan.experiment.recorded is not None
-    table = listing("effect", "log" if log else "random", "designed", "or else", left=(3,), wrapped=(3,))
+    table = listing("effect, or what resembles it", "log" if log else "at random", "designed")
     worst: dict[tuple[str, int | None], DesignedPair] = {}
     for pair in plan.hardest:
         key = pair.effect.name, pair.number
@@ -106,12 +108,13 @@ def _of_names(plan: CommandPlan) -> Iterator[RenderableType]:
             worst[key] = pair
     for pair in worst.values():
         effect = pair.effect
-        name = f"{effect_name(effect.name)} at {effect.site}"
-        if effect.size > 1 and pair.number is not None:
-            name = f"{effect_name(effect.name)} {pair.number + 1} at {effect.site}"
-        before = (pair.recorded or 0.0) if log else pair.compared
+        number = f" {pair.number + 1}" if effect.size > 1 and pair.number is not None else ""
+        before, _ = deviation_of(pair, (pair.recorded or 0.0) if log else pair.compared)
+        designed, unit = deviation_of(pair, pair.designed)
+        in_unit = f" ({unit})" if unit else ""
         rival = title(pair.rival).removesuffix(f" at {effect.site}")
-        table.add_row(name, f"±{deviation_of(pair, before)}", f"±{deviation_of(pair, pair.designed)}", rival)
+        names = f"{effect_name(effect.name)}{number} at {effect.site}{in_unit}\n  or {rival}"
+        table.add_row(names, f"±{before}", f"±{designed}")
     yield sentences.of_all_names(log)
     yield ""
     yield table
