@@ -48,6 +48,8 @@ _REST = 0.3
 """s, of every other rest in reversals, and of those after steps and moves."""
 _CALM = 0.6
 """Of the limits of velocity and acceleration, for far moves and between motions."""
+_REACH = 0.3
+"""Share of a motion's time, in which the furthest move goes at full speed."""
 _SMALLER = 3
 """Times that a motion is halved until the whole of it passes the filters."""
 
@@ -137,7 +139,9 @@ class _Maker:
         if kind == "steps":
             return self._filled(self._step(posture))
         calm = _CALM * self.velocity, _CALM * self.acceleration
-        places = np.vstack([posture, far])
+        # as far as there is time for
+        reach = _REACH * self.duration * calm[0]
+        places = np.vstack([posture, posture + np.clip(far - posture, -reach, reach)])
         return self._filled(straight(places, [_REST] * len(far), *calm, self.period, self.duration))
 
     def _filled(self, position: Array) -> Array:
