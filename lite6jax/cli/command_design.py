@@ -135,8 +135,9 @@ def _of_arm(options: CommandSetup, source: str, recorded: Path | None, limits: "
         or (usual.stiffness_Nm_per_rad if usual else ()),
         damping_Nm_s_per_rad=_numbers("damping", options.damping, arm) or (usual.damping_Nm_s_per_rad if usual else ()),
     )
-    gravity = {} if limits.gravity is None else {"gravity_m_per_s2": limits.gravity}
-    settings = recordings.RecordingSettings(servo=servo, **gravity)
+    settings = recordings.RecordingSettings(servo=servo)
+    if limits.gravity is not None:
+        settings = replace(settings, gravity_m_per_s2=limits.gravity)
     model = servos.describe_servos(arm, settings, 0.0)
     log = None if recorded is None else _read_log(recorded, arm)
     noise = np.full(arm.dof, tracking.NOISE)
@@ -165,7 +166,7 @@ def _of_log(source: str) -> _Source:
         raise InputError(
             f"{source}: its sidecar does not declare `servo`; give its diagnosis, which has the servos, in its place"
         )
-    model = servos.describe_servos(arm, settings, float(np.median(log.payload)))
+    model = servos.describe_servos(arm, settings, rows.usual_payload(log))
     quanta = np.array([rows.quantum(column) for column in log.joint_position.T])
     declared = settings.joint_noise_rad
     noise = np.sqrt((declared or tracking.NOISE) ** 2 + quanta**2 / 12 + rows.FLOOR**2)

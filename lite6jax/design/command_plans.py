@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.design.commands import CommandSegment, connect, draw_segments
 from lite6jax.design.motions import MotionRoom
 from lite6jax.design.tracking import CommandExperiment, Information
-from lite6jax.domains.tracking.rows import even_rows
+from lite6jax.domains.tracking.rows import even_rows, usual_payload
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 
@@ -153,7 +153,7 @@ def _recorded_information(experiment: CommandExperiment) -> tuple[Any, float, fl
     command = even.commanded_position[:rows]
     run = np.unique(even.run[:rows], return_inverse=True)[1]
     shown = replace(experiment, period=period)
-    problem = shown.problem(command, run, float(np.median(even.payload)))
+    problem = shown.problem(command, run, usual_payload(even))
     return problem, period * even.samples, even.samples / rows
 
 

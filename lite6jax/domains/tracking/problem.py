@@ -15,7 +15,7 @@ from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
 from lite6jax.domains.tracking.rollout import roll
-from lite6jax.domains.tracking.rows import TrackingRows
+from lite6jax.domains.tracking.rows import TrackingRows, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import (
@@ -534,7 +534,7 @@ def diagnosed_servos(
         servo=Servo(*(np.asarray(part, float) for part in servo)),
         links=links,
         payload_center=data.bodies.payload_center,
-        payload=float(np.median(data.recording.payload)),
+        payload=usual_payload(data.recording),
         gravity=np.array(settings.gravity_m_per_s2),
         compensated=declared_servos is not None and declared_servos.gravity_compensation,
         terms=terms,
