@@ -238,7 +238,11 @@ class SimulateCommand:
         """What was simulated, with which numbers, and how far the effects move the joints."""
         recording = simulated.recording
         settings = recording.settings
-        yield sentences.simulated_log(recording.samples, arm.name, self.runs)
+        if self.commands is None:
+            yield sentences.simulated_log(recording.samples, arm.name, self.runs)
+        else:
+            runs = len(set(recording.run.tolist()))
+            yield sentences.simulated_log(recording.samples, arm.name, runs, f"those of {self.commands}")
         servo = None
         if self.servo == "known" and isinstance(settings.servo, sidecar_settings.ServoSettings):
             servo = settings.servo

@@ -367,6 +367,9 @@ class Information:
                 assert isinstance(effect, Effect)
                 at = others[1][part]
                 rest = others[0].part(others[1], [term != effect for term in others[0].terms])
+                if effect.nonparametric:  # a curve of many numbers: its size alone is refitted
+                    changes.append(self._added(rest, effect, (1 + _CHANGE) * at, at))
+                    continue
                 for number, coordinate in enumerate(effect.coordinates):
                     step = max(_CHANGE * abs(at[number]), _CHANGE * coordinate.typical)
                     moved = at + step * np.eye(effect.size)[number]
@@ -485,7 +488,9 @@ def undecided_of(document: Mapping[str, Any], model: DiagnosedServos) -> tuple[t
         InputError: the document has effects that the catalogue has not.
     """
     undecided = []
-    for k, finding in enumerate(document["findings"]):
+    labels = [effect.label for effect in model.terms.terms]  # type: ignore[attr-defined]
+    for finding in document["findings"]:
+        k = labels.index(f"{finding['effect']}:{finding['site']}")
         for rival in finding["confusable_with"]:
             if rival["status"] != "undecided" or rival["effect"] == "unnamed":
                 continue
