@@ -38,8 +38,10 @@ _LEAD = 0.4
 """s of rest before a candidate, whose samples do not count: what a run begins with is no motion."""
 _REST = 0.5
 """s of rest before the first motion."""
-_ALIKE = 1e-4
-"""Of the square of what an effect moves, what two explanations differ by if no motion tells them apart."""
+_ALIKE = 1e-6
+_ALIKE_NAMES = 1e-4
+"""Of the square of what an effect moves, what two explanations differ by if no motion tells them apart: an effect that
+was found from one whose size is adapted to it, and effects of usual sizes, whose columns are less exact."""
 _MOST_ROWS = 6000
 """Of a recorded log that are rolled out; those of a longer one count for the others."""
 
@@ -187,7 +189,8 @@ def plan_commands(experiment: CommandExperiment, room: MotionRoom, *, seed: int 
     if log is not None:
         recorded = factor * information.of_problem(log, np.ones(log.samples, bool)).sum(0)
     everything = matrices.sum(0) + recorded
-    alike = information.squares(everything) < _ALIKE * np.maximum(information.moved(everything), 1e-30)
+    alike_share = _ALIKE if experiment.of_findings else _ALIKE_NAMES
+    alike = information.squares(everything) < alike_share * np.maximum(information.moved(everything), 1e-30)
     if alike.all():
         first = information.alternatives[0]
         raise InputError(

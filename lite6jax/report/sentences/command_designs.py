@@ -78,8 +78,18 @@ def alike_names(pairs: Sequence[tuple[str, ...]]) -> str:
 
 
 def parts(plan: CommandPlan) -> str:
-    """Says which motions there are, and when."""
-    named = [f"{kind} ({begin:.1f} to {end:.1f} s)" for kind, begin, end in plan.parts]
+    """Says which motions there are, and when; those of one kind without a move between them together."""
+    together: list[tuple[str, int, float, float]] = []
+    for kind, begin, end in plan.parts:
+        if together and together[-1][0] == kind and begin - together[-1][3] < 1e-9:
+            _, count, first, _ = together.pop()
+            together.append((kind, count + 1, first, end))
+        else:
+            together.append((kind, 1, begin, end))
+    named = []
+    for kind, count, begin, end in together:
+        times = f", {count} times" if count > 1 else ""
+        named.append(f"{kind}{times} ({begin:.1f} to {end:.1f} s)")
     return f"Motions: {', '.join(named)}."
 
 
