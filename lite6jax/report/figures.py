@@ -470,7 +470,8 @@ _MOST_PAIRS = 24
 @rc_context(STYLE)
 def designed_commands(plan: "CommandPlan", title: str) -> Figure:
     """Commands over time with the kinds of their motions; below, how far apart explanations are."""
-    pairs = sorted(plan.hardest, key=lambda pair: pair.designed)[:_MOST_PAIRS]
+    shown = [pair for pair in plan.pairs if not pair.alike] if plan.experiment.of_findings else plan.hardest
+    pairs = sorted(shown, key=lambda pair: pair.designed)[:_MOST_PAIRS]
     figure = blank(11.0, 5.0 + 0.25 * len(pairs))
     upper, lower = figure.subplots(2, 1, height_ratios=(4.0, 1.0 + 0.25 * len(pairs)))
     for joint, command in enumerate(plan.command.T):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow.csv
@@ -30,6 +31,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import RecordingSettings, read_recording, write_recording
 from lite6jax.recordings.files import read_commands
 from lite6jax.recordings.settings import ServoSettings
+from lite6jax.report import tracking as tracking_report
 from lite6jax.simulation.motions import read_path
 from tests.domains.tracking.test_servo_fit import PENDULUM, PERIOD, SERVO, record
 
@@ -347,3 +349,18 @@ def test_options_of_commands_alone_are_refused(capsys, tmp_path):
     assert "--payloads: is for commands; add --tracking" in refused(
         capsys, "design", "lite6", "--payloads", 1, "--out", out
     )
+
+
+def test_a_report_names_the_command_where_something_is_undecided():
+    rival = {"effect": "servo_feedforward", "site": "joint1", "driver": "none", "log_likelihood_gap": 0.2}
+    finding = {"effect": "command_delay", "site": "joint1", "driver": "none", "moves_rms_rad": 1e-3, "parameters": {}}
+
+    def commands(status):
+        alternatives = [{**rival, "status": status}]
+        document = {"findings": [{**finding, "confusable_with": alternatives}]}
+        return [command for _, command in tracking_report.steps(document, Path("log.csv"), Path("to/d.json"))]
+
+    design = "lite6jax design to/d.json --tracking --out to/log_next.csv"
+    assert commands("undecided")[0] == design
+    assert design not in commands("rejected")
+    assert len(commands("rejected")) == 1
