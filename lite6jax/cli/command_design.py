@@ -1,9 +1,10 @@
 """What `design --tracking` takes: an arm, a log of commands or its diagnosis; and what it writes."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from tyro.conf import arg
 
@@ -25,6 +26,7 @@ with import_lazily():
     from lite6jax.domains.tracking import rows
     from lite6jax.recordings import files as recording_files
     from lite6jax.recordings import settings as sidecar_settings
+    from lite6jax.recordings.recording import join_recordings
 
 if TYPE_CHECKING:
     from lite6jax.cli.study import Setup, TorqueSetup
@@ -183,17 +185,25 @@ def _of_diagnosis(source: Path, recorded: Path | None) -> _Source:
         undecided = tracking.undecided_of(document, model)
         noise = tracking.noise_of(document)
         declared = document["servo"] == "declared"
-        beside = command.find_recording(document, source) if recorded is None else recorded
+        logs = _diagnosed_logs(document, source) if recorded is None else [recorded]
     notes = []
     log = None
-    if beside is not None:
-        log = _read_log(beside, model.arm)
+    if logs:
+        read = [_read_log(file, model.arm) for file in logs]
+        log = read[0] if len(read) == 1 else join_recordings(read)
     else:
         notes.append(f"The log that was diagnosed is not beside {source.name}: it does not count; --recorded names it.")
     if not undecided:
         notes.append("The diagnosis leaves no effect undecided: all named effects are told apart.")
     experiment = tracking.CommandExperiment(model, declared, noise, undecided, log)
     return _Source(experiment, tuple(notes), np.abs(model.ranges.velocity).max(1))
+
+
+def _diagnosed_logs(document: Mapping[str, Any], source: Path) -> list[Path]:
+    """The logs that were diagnosed, where all of them are beside the diagnosis or here; else none."""
+    names = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
+    places = [next((file for file in (source.with_name(name), Path(name)) if file.is_file()), None) for name in names]
+    return [file for file in places if file is not None] if None not in places else []
 
 
 def _read_log(path: Path, arm: "arms.Arm") -> "recordings.Recording":

@@ -38,6 +38,10 @@ _LEAD = 0.4
 """s of rest before a candidate, whose samples do not count: what a run begins with is no motion."""
 _REST = 0.5
 """s of rest before the first motion."""
+_UNSEEN = 0.1
+"""Standard deviations by which an effect moves read-outs of all candidates together, if they do not show it."""
+_DRAWS = 9
+"""Of as many candidates as were chosen, with whose median the designed commands are compared."""
 _ALIKE = 1e-6
 _ALIKE_NAMES = 1e-4
 """Of the square of what an effect moves, what two explanations differ by if no motion tells them apart: an effect that
@@ -54,8 +58,8 @@ class DesignedPair(NamedTuple):
         values: `(coordinate,)` numbers of the effect, of the size at which they are compared.
         number: which of them is of that size; None of an effect that was found.
         recorded: in the log that there is; None where there is none.
-        compared: with a log of the same motion that is as much longer; with motions of the candidates drawn at random
-            where there is no log.
+        compared: with a log of the same motion that is as much longer; with as many candidates drawn at random, their
+            median, where there is no log.
         designed: with the designed commands, beside the log.
         alike: whether no motion tells them apart.
         kind: of the motions that tell most.
@@ -104,6 +108,7 @@ class CommandPlan:
         parts: the kind of each motion, and when it begins and ends in s.
         candidates: motions among which these were chosen.
         pairs: what they tell apart.
+        unseen: labels of effects that no candidate shows.
     """
 
     experiment: CommandExperiment
@@ -113,6 +118,7 @@ class CommandPlan:
     parts: tuple[tuple[str, float, float], ...]
     candidates: int
     pairs: tuple[DesignedPair, ...]
+    unseen: tuple[str, ...] = ()
 
     @cached_property
     def hardest(self) -> tuple[DesignedPair, ...]:
@@ -190,14 +196,16 @@ def plan_commands(experiment: CommandExperiment, room: MotionRoom, *, seed: int 
         recorded = factor * information.of_problem(log, np.ones(log.samples, bool)).sum(0)
     everything = matrices.sum(0) + recorded
     alike_share = _ALIKE if experiment.of_findings else _ALIKE_NAMES
-    alike = information.squares(everything) < alike_share * np.maximum(information.moved(everything), 1e-30)
-    if alike.all():
+    moved = information.moved(everything)
+    unseen = moved < _UNSEEN**2
+    alike = ~unseen & (information.squares(everything) < alike_share * moved)
+    if np.all(alike | unseen):
         first = information.alternatives[0]
         raise InputError(
             f"{first.effect.label} and {first.rival.label}: are alike in every motion within these limits; record "
             "torques, or a payload that is known (--payloads), or widen the limits"
         )
-    chosen, command = _choose(information, room, segments, matrices, recorded, ~alike)
+    chosen, command = _choose(information, room, segments, matrices, recorded, ~(alike | unseen))
     final = np.zeros_like(recorded)
     for payload in experiment.carried:
         problem = experiment.problem(command, np.zeros(len(command), int), payload)
@@ -205,7 +213,7 @@ def plan_commands(experiment: CommandExperiment, room: MotionRoom, *, seed: int 
     designed = np.sqrt(information.squares(recorded + final))
     before = np.sqrt(information.squares(recorded))
     if log is None:
-        compared = np.sqrt(information.squares(len(chosen) * matrices.mean(0)))
+        compared = _distances_at_random(information, matrices, len(chosen), seed)
     else:
         more = room.duration * len(experiment.carried) / recorded_duration
         compared = np.sqrt(information.squares(recorded * (1 + more)))
@@ -223,12 +231,22 @@ def plan_commands(experiment: CommandExperiment, room: MotionRoom, *, seed: int 
             kind=kinds[p],
         )
         for p, pair in enumerate(information.alternatives)
+        if not unseen[p]
     )
+    hidden = {pair.effect.label for p, pair in enumerate(information.alternatives) if unseen[p]}
     parts = tuple(
         (segments[k].kind, first / room.rate, (first + len(segments[k].position)) / room.rate) for k, first in chosen
     )
     time = np.arange(len(command)) / room.rate
-    return CommandPlan(experiment, room, time, command, parts, len(segments), pairs)
+    hidden -= {pair.effect.label for pair in pairs}
+    return CommandPlan(experiment, room, time, command, parts, len(segments), pairs, tuple(sorted(hidden)))
+
+
+def _distances_at_random(information: Information, matrices: Array, count: int, seed: int) -> Array:
+    """`(pair,)`, the median of the distances of so many candidates, drawn several times."""
+    rng = np.random.default_rng(seed)
+    drawn = [matrices[rng.integers(len(matrices), size=count)].sum(0) for _ in range(_DRAWS)]
+    return np.sqrt(np.median(information.squares(np.stack(drawn)), axis=0))
 
 
 def _library(segments: Sequence[CommandSegment], lead: int) -> tuple[Array, NDArray[np.integer], NDArray[np.bool_]]:

@@ -122,6 +122,9 @@ def _of_names(plan: CommandPlan) -> Iterator[RenderableType]:
     if unclear:
         yield ""
         yield sentences.unclear_effects(list(dict.fromkeys(title(pair.effect) for pair in unclear)), CLEAR)
+    if plan.unseen:
+        yield ""
+        yield sentences.unseen_effects([label.replace("_", " ").replace(":", " at ") for label in plan.unseen])
     pairs = {tuple(sorted((effect_name(p.effect.name), effect_name(p.rival.name)))) for p in plan.alike}
     if pairs:
         yield ""

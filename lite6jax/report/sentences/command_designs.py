@@ -32,7 +32,7 @@ def compared(log: bool) -> str:
             f"From {CLEAR:g} on two explanations are told apart."
         )
     return (
-        "Beside motions of the same kinds drawn at random, these are the designed commands. From "
+        "Beside as many of these motions drawn at random, the median of several draws, are the designed commands. From "
         f"{CLEAR:g} on two explanations are told apart."
     )
 
@@ -56,7 +56,7 @@ def deviation(effect: str, now: str, designed: str) -> str:
 
 def of_all_names(log: bool) -> str:
     """Says what the table of all named effects shows."""
-    beside = "motions of the same kinds drawn at random"
+    beside = "as many of these motions drawn at random, the median of several draws"
     if log:
         beside = "the log"
     return (
@@ -69,6 +69,11 @@ def unclear_effects(names: Sequence[str], clear: float) -> str:
     """Says which effects of a usual size are not told from the one that resembles them most."""
     are = plural(len(names), "is", "are")
     return f"Less than {clear:g} standard deviations from another explanation, at a usual size, {are} {joined(names)}."
+
+
+def unseen_effects(names: Sequence[str]) -> str:
+    """Says which effects no motion shows."""
+    return f"No motion within these limits shows {joined(names, 'or')}."
 
 
 def alike_names(pairs: Sequence[tuple[str, ...]]) -> str:
