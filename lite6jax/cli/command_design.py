@@ -26,7 +26,6 @@ with import_lazily():
     from lite6jax.domains.tracking import rows
     from lite6jax.recordings import files as recording_files
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.recordings.recording import join_recordings
 
 if TYPE_CHECKING:
     from lite6jax.cli.study import Setup, TorqueSetup
@@ -190,7 +189,7 @@ def _of_diagnosis(source: Path, recorded: Path | None) -> _Source:
     log = None
     if logs:
         read = [_read_log(file, model.arm) for file in logs]
-        log = read[0] if len(read) == 1 else join_recordings(read)
+        log = read[0] if len(read) == 1 else recordings.join_recordings(read)
     else:
         notes.append(f"The log that was diagnosed is not beside {source.name}: it does not count; --recorded names it.")
     if not undecided:
