@@ -136,7 +136,9 @@ def _solution(solution: Solution) -> dict[str, Any]:
 @_more.register
 def _command_plan(plan: CommandPlan) -> dict[str, Any]:
     motions = [{"kind": kind, "begin_s": begin, "end_s": end} for kind, begin, end in plan.parts]
-    return {"motions": motions, "pairs": [pair.to_dict() for pair in plan.pairs]}
+    pairs = plan.pairs if plan.experiment.of_findings else plan.hardest
+    alike = sorted({tuple(sorted((pair.effect.label, pair.rival.label))) for pair in plan.alike})
+    return {"motions": motions, "pairs": [pair.to_dict() for pair in pairs], "alike": alike, "unseen": plan.unseen}
 
 
 @_more.register
