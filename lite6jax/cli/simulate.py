@@ -19,6 +19,7 @@ with import_lazily():
     from lite6jax.arms import factory as factories
     from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
+    from lite6jax.recordings import files as recording_files
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.report import fits, screen, words
     from lite6jax.report.sentences import commands as sentences
@@ -32,7 +33,7 @@ _OF_POSES = (
     *("tool", "tool_at", "position_noise", "orientation_noise"),
 )
 """Fields of `SimulateCommand` that a log of commands has no use for."""
-_OF_COMMANDS = ("stiffness", "damping", "servo", "joint_quantum")
+_OF_COMMANDS = ("stiffness", "damping", "servo", "joint_quantum", "commands")
 """Fields that are of such a log alone."""
 
 
@@ -65,6 +66,8 @@ class SimulateCommand:
     tracking: bool = False
     """Write a log of commands and measured joints, of an arm with position servos, in place of poses. Commands are
     sines, trapezoids and steps; effects are those on how servos follow, such as command_delay:joint=2,delay_s=0.01."""
+    commands: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With --tracking, the commands to follow, in place of drawn ones: a table with time_s and cmd1_rad …"""
     samples: int | None = None
     """400 of a static recording, 3000 of a trajectory, 2000 of commands where not given."""
     runs: int = 1
@@ -118,7 +121,7 @@ class SimulateCommand:
             raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
         calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
         written = [self.out, recordings.sidecar_path(self.out), *([calibration] if self.tolerance else [])]
-        command.check_outputs(written, [self.source, self.factory, self.effects], self.force)
+        command.check_outputs(written, [self.source, self.factory, self.effects, self.commands], self.force)
         self._check_options()
         if self.tracking:
             return self._write_log(written)
@@ -177,9 +180,17 @@ class SimulateCommand:
         arm = files.read_arm(self.source)
         if len(self.payload) != 1:
             raise InputError("--payload: a log of commands has one; give one")
+        motion = None if self.commands is None else recording_files.read_commands(self.commands, arm)
+        if motion is not None and (motion.time is None or self.samples is not None or self.step is not None):
+            if motion.time is None:
+                raise InputError(f"{self.commands}: commands need times; add time_s")
+            raise InputError(f"--commands {self.commands}: says samples and step; leave --samples and --step out")
         simulated = simulation.simulate_tracking(
             arm,
+            None if motion is None else motion.commanded_position,
             effects=self.effect,
+            time=None if motion is None else motion.time,
+            run=None if motion is None else motion.run,
             samples=simulation.TRACKING_SAMPLES if self.samples is None else self.samples,
             runs=self.runs,
             step=simulation.TRACKING_STEP_S if self.step is None else self.step,
@@ -227,7 +238,11 @@ class SimulateCommand:
         """What was simulated, with which numbers, and how far the effects move the joints."""
         recording = simulated.recording
         settings = recording.settings
-        yield sentences.simulated_log(recording.samples, arm.name, self.runs)
+        if self.commands is None:
+            yield sentences.simulated_log(recording.samples, arm.name, self.runs)
+        else:
+            runs = len(set(recording.run.tolist()))
+            yield sentences.simulated_log(recording.samples, arm.name, runs, f"those of {self.commands}")
         servo = None
         if self.servo == "known" and isinstance(settings.servo, sidecar_settings.ServoSettings):
             servo = settings.servo

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli import command
+from lite6jax.cli import command, command_design
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 
@@ -19,15 +19,20 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.calibration import source
-    from lite6jax.design import candidates, identify, information, motions, poses, torques
+    from lite6jax.design import candidates, command_plans, identify, information, motions, poses, torques
     from lite6jax.design import readings as touching
     from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
-    from lite6jax.report import figures, study, words
+    from lite6jax.report import command_designs, figures, study, words
 
 Designed = tuple[Any, "recordings.Recording", Iterable[Any]]
 """A design, what is written of it, and its report."""
 PoseSensor = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
+_LITE6_VELOCITY = (180.0,)
+_LITE6_ACCELERATION = (1146.0,)
+"""deg/s and deg/s², of every joint."""
+_MOTION_DURATION = 10.0
+"""s, of a motion for torques where none is given."""
 _TRIED_READINGS = 2000
 """Poses that read places, among which a design chooses."""
 
@@ -142,17 +147,19 @@ class TorqueSetup:
     """Whether the links' masses and inertias are known as declared, or unknown."""
     gravity: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
     """Gravity in the arm's base frame, m/s²; of a recording as its sidecar declares, else 0 0 -9.81."""
-    duration: Annotated[float, arg(metavar="S")] = 10.0
-    """Duration of the motion of an arm, from rest to rest."""
+    duration: Annotated[float | None, arg(metavar="S")] = None
+    """Duration of the motion of an arm, from rest to rest; 10 s for torques, 40 s of commands where not given."""
     harmonics: int = 5
     """Harmonics of each joint's Fourier series; the base frequency is that of the duration."""
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Samples a second."""
-    velocity: Annotated[tuple[float, ...], arg(metavar="DEG/S…")] = (180.0,)
-    """The greatest velocity, one number or one per joint (mm/s of a prismatic one); the default is that of a Lite 6.
-    Of one number, a prismatic joint has what that is at 0.1 m: 180 deg/s is 314 mm/s."""
-    acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
-    """The greatest acceleration, likewise."""
+    velocity: Annotated[tuple[float, ...], arg(metavar="DEG/S…")] = ()
+    """The greatest velocity, one number or one per joint (mm/s of a prismatic one); 180 deg/s, that of a Lite 6, where
+    not given. Of one number, a prismatic joint has what that is at 0.1 m: 180 deg/s is 314 mm/s. Commands for another
+    arm take it from the log, or it must be given."""
+    acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = ()
+    """The greatest acceleration, likewise; 1146 deg/s² where not given, of another arm than a Lite 6 what reaches the
+    velocity of a log in 0.2 s."""
 
     def model(
         self, arm: "arms.Arm", declared: "recordings.RecordingSettings | None" = None
@@ -169,11 +176,10 @@ class TorqueSetup:
         scales, _ = words.joint_units(arm.sliding, arm.dof)
         velocity, acceleration = (  # one number in degrees, or one per joint in degrees and mm
             np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
-            for numbers in (self.velocity, self.acceleration)
+            for numbers in (self.velocity or _LITE6_VELOCITY, self.acceleration or _LITE6_ACCELERATION)
         )
-        return motions.MotionRoom(
-            arm, velocity, acceleration, margin, filters, self.duration, self.harmonics, self.rate
-        )
+        duration = _MOTION_DURATION if self.duration is None else self.duration
+        return motions.MotionRoom(arm, velocity, acceleration, margin, filters, duration, self.harmonics, self.rate)
 
 
 def _given(options: Any, *names: str) -> list[str]:
@@ -354,7 +360,8 @@ class SensitivityCommand:
 @dataclass(frozen=True)
 class DesignCommand:
     """Which poses to record: those that determine an arm's parameters best, and how many are enough; or, with --torque,
-    which motion to make: one from rest to rest whose torques determine an arm's dynamics best.
+    which motion to make: one from rest to rest whose torques determine an arm's dynamics best; or, with --tracking,
+    which commands to send: those of which a log tells effects on how the arm follows apart.
 
     For example:
 
@@ -363,14 +370,17 @@ class DesignCommand:
         lite6jax design lite6 --discriminate joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
             joint_harmonic:joint=2,order=1 --out poses.csv
         lite6jax design lite6 --torque --out motion.csv
+        lite6jax design diagnosis.json --tracking --out commands.csv
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
-    """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it."""
+    """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it; commands
+    without a sidecar."""
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
-    """A bundled arm or an arm's file."""
+    """A bundled arm or an arm's file; with --tracking also a diagnosis of a log of commands, or such a log."""
     setup: Setup = field(default_factory=Setup)
     torque: TorqueSetup = field(default_factory=TorqueSetup)
+    tracking: command_design.CommandSetup = field(default_factory=command_design.CommandSetup)
     poses: int = 40
     """Number of poses to choose."""
     accuracy: Annotated[float | None, arg(metavar="MM")] = None
@@ -382,7 +392,7 @@ class DesignCommand:
     candidates: int = 100_000
     """Number of joint positions drawn, among which poses are chosen."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A recording whose poses count as already measured."""
+    """A recording whose poses count as already measured; with --tracking a log of commands."""
     limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
     """The least distance of each joint from its limits."""
     box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
@@ -401,9 +411,12 @@ class DesignCommand:
 
     def run(self) -> int:
         """Draws candidates or motions, chooses, writes, prints."""
+        if self.tracking.tracking:
+            return self._design_commands()
+        if command_options := _given(self.tracking):
+            raise InputError(f"{command_options[0]}: is for commands; add --tracking")
         sidecar = recordings.sidecar_path(self.out)
-        filters = (reference.rpartition(":")[0] for reference in self.filter)
-        inputs = [self.source, self.recorded, *filters]
+        inputs = [self.source, self.recorded, *self._filter_files()]
         command.check_outputs([self.out, sidecar], inputs, self.force)
         command.check_seed(self.seed)
         self._check_options()
@@ -419,6 +432,42 @@ class DesignCommand:
 
         written += command.save_figures(self.figures, [name], draw, self.force)
         return command.present(self.json, plan, report, written)
+
+    def _design_commands(self) -> int:
+        """As `run`, of commands."""
+        foreign = _given(self, "poses", "accuracy", "criterion", "discriminate", "candidates")
+        foreign += _given(self.torque, "torque", "torque_noise", "inertial", "harmonics")
+        if replace(self.setup, tool_at=(0.0, 0.0, 0.0), joint_noise=0.0) != Setup():
+            foreign.append("the options of a sensor")
+        if foreign:
+            raise InputError(f"--tracking: designs commands; leave {foreign[0]} out")
+        command.check_outputs([self.out], [self.source, self.recorded, *self._filter_files()], self.force)
+        command.check_seed(self.seed)
+        name = f"{self.out.stem}_commands"
+        command.check_figures(self.figures, [name], self.force)
+        studied = command_design.study_source(self.tracking, self.source, self.recorded, self.torque, self.setup)
+        arm = studied.experiment.model.arm
+        filters, disabled = self._filters(arm)
+        room = motions.MotionRoom(
+            arm,
+            studied.velocity,
+            studied.acceleration,
+            math.radians(self.limit_margin),
+            filters,
+            command_plans.DURATION if self.torque.duration is None else self.torque.duration,
+            rate=self.torque.rate,
+        )
+        plan = command_plans.plan_commands(studied.experiment, room, seed=self.seed)
+        written = [command_design.write_commands(plan, self.out, self.force)]
+        drawn = command.save_figures(
+            self.figures, [name], lambda: [figures.designed_commands(plan, self.source)], self.force
+        )
+        report = command_designs.command_plan_report(plan, disabled, self.source, studied.notes, self.out)
+        return command.present(self.json, plan, report, [*written, *drawn])
+
+    def _filter_files(self) -> list[str]:
+        """The files of functions of the user's own."""
+        return [reference.rpartition(":")[0] for reference in self.filter]
 
     def _check_options(self) -> None:
         if self.torque.torque:

@@ -19,6 +19,7 @@ from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.controller.station import CalibrationRead
+from lite6jax.design.command_plans import CommandPlan
 from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.torques import TorquePlan
@@ -61,6 +62,11 @@ _FIELDS: dict[type, tuple[str, str]] = {
         "motion",
         "duration_s=room.duration harmonics=room.harmonics identification"
         " log_determinant=identification.log_determinant random_log_determinant",
+    ),
+    CommandPlan: (
+        "command_design",
+        "arm=experiment.model.arm.name duration_s=room.duration rate_hz=room.rate payloads_kg=experiment.carried"
+        " noise_rad=experiment.noise velocity_rad_per_s=fastest acceleration_rad_per_s2=strongest candidates",
     ),
     Conversion: ("conversion", "arm=arm.name form left_out difference_m=difference"),
     RecordingCheck: ("check", "data_faults=faults ruled_out causes notes"),
@@ -125,6 +131,14 @@ def _solution(solution: Solution) -> dict[str, Any]:
         "determined": solution.determined, "prior_share": solution.prior_share,
     }  # fmt: skip
     return {"result": solution.result.name.lower(), "parameters": list(_rows(**columns))}
+
+
+@_more.register
+def _command_plan(plan: CommandPlan) -> dict[str, Any]:
+    motions = [{"kind": kind, "begin_s": begin, "end_s": end} for kind, begin, end in plan.parts]
+    pairs = plan.pairs if plan.experiment.of_findings else plan.hardest
+    alike = sorted({tuple(sorted((pair.effect.label, pair.rival.label))) for pair in plan.alike})
+    return {"motions": motions, "pairs": [pair.to_dict() for pair in pairs], "alike": alike, "unseen": plan.unseen}
 
 
 @_more.register

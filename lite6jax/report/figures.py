@@ -22,6 +22,7 @@ from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report.words import SCREEN, joint_units
 
 if TYPE_CHECKING:  # what studies take, and fits do not
+    from lite6jax.design.command_plans import CommandPlan
     from lite6jax.design.identify import Identification, Sensitivity
     from lite6jax.design.poses import DiscriminationPlan, Plan
     from lite6jax.design.torques import TorquePlan
@@ -460,3 +461,41 @@ def designed_motion(plan: "TorquePlan", title: str) -> Figure:
     lower.set_ylabel("std. deviation\n(of typical size)")
     lower.legend(frameon=False)
     return titled(figure, f"{title}: motion whose torques determine the arm")
+
+
+_MOST_PAIRS = 24
+"""Pairs of explanations that a figure shows, those that are least apart."""
+
+
+@rc_context(STYLE)
+def designed_commands(plan: "CommandPlan", title: str) -> Figure:
+    """Commands over time with the kinds of their motions; below, how far apart explanations are."""
+    shown = [pair for pair in plan.pairs if not pair.alike] if plan.experiment.of_findings else plan.hardest
+    pairs = sorted(shown, key=lambda pair: pair.designed)[:_MOST_PAIRS]
+    figure = blank(11.0, 5.0 + 0.25 * len(pairs))
+    upper, lower = figure.subplots(2, 1, height_ratios=(4.0, 1.0 + 0.25 * len(pairs)))
+    for joint, command in enumerate(plan.command.T):
+        colour = OKABE_ITO[joint % len(OKABE_ITO)]
+        upper.plot(plan.time, np.rad2deg(command), color=colour, linewidth=1.5, label=f"joint {joint + 1}")
+    for kind, begin, end in plan.parts:
+        upper.axvspan(begin, end, color="0.94", zorder=0)
+        upper.text(
+            (begin + end) / 2, 1.02, kind.replace(" ", "\n"), transform=upper.get_xaxis_transform(), ha="center",
+            va="bottom", fontsize=8, color="0.35",
+        )  # fmt: skip
+    upper.set(xlabel="time (s)", ylabel="command (deg)", xlim=(0.0, plan.time[-1]))
+    upper.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    at = np.arange(len(pairs))
+    log = plan.experiment.recorded is not None
+    before = [(pair.recorded or 0.0) if log else pair.compared for pair in pairs]
+    lower.plot(np.maximum(before, 0.1), at, "_", color=BEFORE, markersize=9, markeredgewidth=3,
+               label="log" if log else "drawn at random")  # fmt: skip
+    lower.plot(np.maximum([pair.designed for pair in pairs], 0.1), at, "o", color=AFTER, label="designed")
+    lower.axvline(5.0, color="0.6", linewidth=1, linestyle="--")
+    names = [(pair.effect.label, pair.rival.label) for pair in pairs]
+    lower.set_yticks(at, [" or ".join(label.replace("_", " ").replace(":", " ") for label in pair) for pair in names])
+    lower.tick_params(axis="y", labelsize=8)
+    lower.set(xscale="log", xlabel="standard deviations apart; told apart from 5 on")
+    lower.invert_yaxis()
+    lower.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return titled(figure, f"{title}: commands that tell effects apart")

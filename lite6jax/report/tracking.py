@@ -241,7 +241,12 @@ def steps(document: Document, recording: Path, diagnosis: Path | None) -> list[t
         return [("Keep this diagnosis", command_line("diagnose", recording, "--out", diagnosis_path))]
     predicted = diagnosis.with_name(f"{recording.stem}_predicted.csv")
     purpose = "Joints that follow these commands; give commands of your own in their place"
-    return [(purpose, command_line("predict", diagnosis, recording, "--out", predicted))]
+    commands = [(purpose, command_line("predict", diagnosis, recording, "--out", predicted))]
+    if what_to_record(document):
+        designed = diagnosis.with_name(f"{recording.stem}_next.csv")
+        purpose = "Commands to record next, which tell the findings from what they may be instead"
+        commands.insert(0, (purpose, command_line("design", diagnosis, "--tracking", "--out", designed)))
+    return commands
 
 
 def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[str, Any]) -> list[Part]:

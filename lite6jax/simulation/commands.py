@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.domains.tracking.coupling import Bodies
-from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
-from lite6jax.domains.tracking.rollout import LONGEST_STEP
-from lite6jax.domains.tracking.rows import declared_servo
+from lite6jax.domains.tracking.predict import DiagnosedServos, describe_servos
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.serialization import parse_effect
@@ -250,7 +247,7 @@ def simulate_tracking(
         servo=servo or usual,
     ).for_joints(arm.dof, "simulation")
     terms, values = _terms_of(effects, arm)
-    model = _model(arm, declared, payload, terms, values)
+    model = describe_servos(arm, declared, payload, terms, values)
     position = model.predict(times, commands, numbers).position
     position = position + joint_noise * make_generator(seed, "joints").standard_normal(position.shape)
     if joint_quantum:
@@ -281,28 +278,3 @@ def _terms_of(effects: Iterable[str | tuple[Effect, ArrayLike]], arm: Arm) -> tu
             raise InputError(f"{effect.label}: is given twice; keep one")
     numbers = [values for _, values in parsed]
     return Terms(tuple(kinds)), np.concatenate(numbers) if numbers else np.zeros(0)
-
-
-def _model(arm: Arm, settings: RecordingSettings, payload: float, terms: Terms, values: Array) -> DiagnosedServos:
-    """The arm with its servos and effects; what it is fitted to has no range."""
-    gravity = np.array(settings.gravity_m_per_s2)
-    bodies = Bodies.of_arm(arm, payload, np.array(settings.payload_com_m), gravity)
-    servo, _ = declared_servo(settings, arm, bodies)
-    none = np.zeros((arm.dof, 2))
-    servo_settings = settings.servo
-    assert isinstance(servo_settings, ServoSettings)
-    return DiagnosedServos(
-        arm=arm,
-        servo=servo,
-        links=np.asarray(link_parameters(arm)),
-        payload_center=bodies.payload_center,
-        payload=payload,
-        gravity=gravity,
-        compensated=servo_settings.gravity_compensation,
-        terms=terms,
-        values=values,
-        step=LONGEST_STEP,
-        interpolated=servo_settings.hold == "interpolated",
-        ranges=FittedRange(none, none),
-        reference_temperature=settings.reference_temperature_degC,
-    )

@@ -23,6 +23,7 @@ from lite6jax.recordings import (
     recording_file,
     require_radians,
 )
+from lite6jax.recordings.files import read_commands
 from lite6jax.recordings.units import real_array
 
 Array = NDArray[np.floating]
@@ -339,6 +340,21 @@ def interpolate(time: ArrayLike, position: ArrayLike) -> Polynomials:
 PROGRAMS = ("rest", "sines", "poses")
 
 
+def _read_motion(file: str, arm: Arm) -> Recording:
+    """The motion in a file: joints, or commands where there are no joints.
+
+    Raises:
+        InputError: as `read_recording`.
+    """
+    try:
+        return read_recording(file, arm=arm, joint_limits=arm.joint_limits)
+    except InputError as error:
+        try:
+            return read_commands(file, arm)
+        except InputError:
+            raise error from None
+
+
 def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
     """The motion of an arm: a program by name, or the motion in a recording.
 
@@ -362,7 +378,7 @@ def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
         return visit(draw_motion(arm, samples=200, seed=seed).joint_position)
     if recording_file(what) is None:
         raise InputError(f"--motion {what!r}: is neither {', '.join(PROGRAMS)} nor a recording's file")
-    recording = read_recording(what, arm=arm, joint_limits=arm.joint_limits)
+    recording = _read_motion(what, arm)
     for outside in outside_limits(recording, arm.joint_limits):
         raise InputError(
             f"{what}: joint {outside.joint} is {np.rad2deg(outside.largest_excess_rad):.3g}° beyond its limits in row "

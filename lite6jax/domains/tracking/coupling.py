@@ -49,12 +49,15 @@ class Bodies:
         links: `(joint, 10)` inertial numbers, with the payload's.
         payload_center: `(3,)` m, in the frame after the last joint.
         gravity: `(3,)` m/s² in the base frame.
+        added: `(sample,)` kg at the payload's centre beside `links`, in motions of so many samples, or of so many times
+            as many steps; None where the payload is one.
     """
 
     kinematics: Array
     links: Array
     payload_center: Array
     gravity: Array
+    added: Array | None = None
 
     @classmethod
     def of_arm(cls, arm: Arm, payload: float, center: Array, gravity: Array) -> "Bodies":
@@ -86,7 +89,16 @@ class Bodies:
 
     def torques(self, q: Array, dq: Array, ddq: Array) -> Array:
         """`(joint, sample)` Nm along a motion of that shape."""
-        return np.asarray(inverse_dynamics(self.kinematics, self.links, q, dq, ddq, self.gravity))
+        return self._inverse_dynamics(q, dq, ddq, self.gravity)
+
+    def _inverse_dynamics(self, q: Array, dq: Array, ddq: Array, gravity: Array) -> Array:
+        torque = np.asarray(inverse_dynamics(self.kinematics, self.links, q, dq, ddq, gravity))
+        if self.added is None:
+            return torque
+        links = np.zeros_like(self.links)
+        links[-1] = point_mass(1.0, self.payload_center)
+        unit = np.asarray(inverse_dynamics(self.kinematics, links, q, dq, ddq, gravity))
+        return torque + np.repeat(self.added, q.shape[1] // len(self.added)) * unit
 
     def mass_matrix(self, q: Array) -> Array:
         """`(joint, joint, sample)` kg·m², at positions `(joint, sample)`."""
@@ -95,7 +107,7 @@ class Bodies:
         for joint in range(self.joints):
             unit = still.copy()
             unit[joint] = 1.0
-            columns.append(np.asarray(inverse_dynamics(self.kinematics, self.links, q, still, unit, np.zeros(3))))
+            columns.append(self._inverse_dynamics(q, still, unit, np.zeros(3)))
         return np.stack(columns, 1)
 
     def masses(self, q: Array) -> Array:
@@ -107,7 +119,7 @@ class Bodies:
         """`(joint,)` kg·m², how firmly friction holds joints that stick; that of no masses is nearly rigid."""
         if not self.links.any():
             return np.full(self.joints, RIGID_GRIP)
-        M = self.mass_matrix(np.zeros((self.joints, 1)))[..., 0]
+        M = replace(self, added=None).mass_matrix(np.zeros((self.joints, 1)))[..., 0]
         return GRIP / np.diagonal(np.linalg.pinv(M))
 
 

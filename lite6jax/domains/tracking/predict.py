@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.rollout import Commands, hold_commands
+from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
+from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import motion_of
@@ -24,8 +26,9 @@ from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.files import read_commands
+from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
@@ -345,6 +348,45 @@ class DiagnosedServos(JointModel):
             margin = MARGIN * np.maximum(upper - lower, _LEAST_RANGE)
             beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
         return beyond
+
+
+def describe_servos(
+    arm: Arm, settings: RecordingSettings, payload: float, terms: Terms | None = None, values: Array | None = None
+) -> DiagnosedServos:
+    """An arm with the servos that a sidecar declares, as a model; what it is fitted to has no range.
+
+    Args:
+        arm: whose friction and rotors the servos have.
+        settings: with declared servos.
+        payload: kg at the flange.
+        terms: effects; none where not given.
+        values: `(terms.size,)`.
+
+    Raises:
+        InputError: the servos are not declared.
+    """
+    servo_settings = settings.servo
+    if not isinstance(servo_settings, ServoSettings):
+        raise InputError("servo: is not declared; give stiffness_Nm_per_rad and damping_Nm_s_per_rad of each joint")
+    gravity = np.array(settings.gravity_m_per_s2)
+    bodies = Bodies.of_arm(arm, payload, np.array(settings.payload_com_m), gravity)
+    servo, _ = declared_servo(settings, arm, bodies)
+    none = np.zeros((arm.dof, 2))
+    return DiagnosedServos(
+        arm=arm,
+        servo=servo,
+        links=np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm)),
+        payload_center=bodies.payload_center,
+        payload=payload,
+        gravity=gravity,
+        compensated=servo_settings.gravity_compensation,
+        terms=terms or Terms(),
+        values=np.zeros(0) if values is None else values,
+        step=LONGEST_STEP,
+        interpolated=servo_settings.hold == "interpolated",
+        ranges=FittedRange(none, none),
+        reference_temperature=settings.reference_temperature_degC,
+    )
 
 
 def slow_quantities(bodies: Bodies, readout: Array, period: float) -> tuple[Array, Array]:

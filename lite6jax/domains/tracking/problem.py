@@ -15,7 +15,7 @@ from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
 from lite6jax.domains.tracking.rollout import roll
-from lite6jax.domains.tracking.rows import TrackingRows
+from lite6jax.domains.tracking.rows import TrackingRows, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import (
@@ -534,7 +534,7 @@ def diagnosed_servos(
         servo=Servo(*(np.asarray(part, float) for part in servo)),
         links=links,
         payload_center=data.bodies.payload_center,
-        payload=float(np.median(data.recording.payload)),
+        payload=usual_payload(data.recording),
         gravity=np.array(settings.gravity_m_per_s2),
         compensated=declared_servos is not None and declared_servos.gravity_compensation,
         terms=terms,
@@ -556,15 +556,19 @@ def unknowns_of(data: TrackingRows) -> tuple[Unknown, ...]:
     return tuple(Unknown(name, joint) for name in names for joint in range(data.arm.dof))
 
 
-def tracking_problem(data: TrackingRows) -> TrackingProblem:
-    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
-    unknowns = unknowns_of(data)
-    candidates = tracking_catalogue(data.arm.dof)
+def candidates_beside(data: TrackingRows, unknowns: Sequence[Unknown]) -> tuple[Effect, ...]:
+    """The named effects that a recording may show, but for those that unknown servos or masses contain."""
     fitted = (ServoStiffness, ServoDamping, ViscousFriction) if unknowns else ()
     fitted += (CoulombFriction,) if any(one.field == "coulomb" for one in unknowns) else ()
     fitted += (RotorInertia,) if any(one.field == "inertia" for one in unknowns) else ()
     fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction)
-    candidates = tuple(effect for effect in candidates if not isinstance(effect, fitted))
+    return tuple(effect for effect in tracking_catalogue(data.arm.dof) if not isinstance(effect, fitted))
+
+
+def tracking_problem(data: TrackingRows) -> TrackingProblem:
+    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
+    unknowns = unknowns_of(data)
+    candidates = candidates_beside(data, unknowns)
     chosen = np.arange(data.commands.samples)
     valid = np.ones(len(chosen), bool)
     problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)

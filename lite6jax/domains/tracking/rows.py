@@ -298,6 +298,11 @@ def _held(even: Recording, noise: Array, longest: float) -> Commands:
     return hold_commands(command, even.run, period, _start(even, noise), None, interpolated, longest)
 
 
+def usual_payload(recording: Recording) -> float:
+    """kg, the payload of a recording, or the median of several; it is that of some row."""
+    return float(np.quantile(recording.payload, 0.5, method="lower"))
+
+
 def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     """The rows of a recording with commands.
 
@@ -326,7 +331,10 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     center = np.array(settings.payload_com_m)
     compensated = isinstance(settings.servo, ServoSettings) and settings.servo.gravity_compensation
     gravity = np.zeros(3) if compensated else np.array(settings.gravity_m_per_s2)
-    bodies = Bodies.of_arm(arm, float(np.median(even.payload)), center, gravity)
+    payload = usual_payload(even)
+    bodies = Bodies.of_arm(arm, payload, center, gravity)
+    if np.any(even.payload != payload):
+        bodies = replace(bodies, added=even.payload - payload)
     servo, known = declared_servo(settings, arm, bodies)
     fine = bool(np.max(noise) < COARSE)
     commands = _held(even, noise, LONGEST_STEP if fine else _LONG)

@@ -83,12 +83,9 @@ def _length_noise(recording: Recording) -> float:
     return settings.position_noise_m or 0.0
 
 
-def simulated_log(samples: int, arm: str, runs: int) -> str:
-    """Says that a log of commands was simulated."""
-    return (
-        f"Simulated {samples} samples of commands and measured joints of a {arm}{_runs(runs)}: sines, trapezoids and "
-        "steps."
-    )
+def simulated_log(samples: int, arm: str, runs: int, commands: str = "sines, trapezoids and steps") -> str:
+    """Says that a log was simulated, and of which commands."""
+    return f"Simulated {samples} samples of commands and measured joints of a {arm}{_runs(runs)}: {commands}."
 
 
 def simulated_servos(servo: ServoSettings | None) -> str:

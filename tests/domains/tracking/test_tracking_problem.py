@@ -1,5 +1,7 @@
 """The estimation problem of commands and measured joints: its columns against differences of its exact residuals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,8 @@ from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import contribution, linearised_at
 from lite6jax.estimation.terms import Terms
-from tests.domains.tracking.test_servo_fit import PENDULUM, PERIOD, SERVO, commands_of, record
+from lite6jax.recordings import Recording
+from tests.domains.tracking.test_servo_fit import PENDULUM, PERIOD, SERVO, TRUE, commands_of, record
 
 SAMPLES = 600
 
@@ -161,3 +164,28 @@ def test_a_rate_limit_beside_a_servo_of_which_nothing_is_known_is_found():
     assert document["servos"][0]["stiffness_Nm_per_rad"] == pytest.approx(200.0, rel=0.1)
     after = document["after"]["heldout_rollout_rms_rad"]
     assert after < 0.005 * document["before"]["heldout_rollout_rms_rad"]
+
+
+def test_each_run_is_rolled_out_with_its_own_payload():
+    """Against the oracle, whose pendulum carries nothing in one run and 1.5 kg in the other."""
+    mass = 1.5
+    reach = 0.1  # of the payload's centre below the axis, as `record` declares it
+    loaded = {"weight": TRUE["weight"] + 9.81 * mass * reach, "inertia": TRUE["inertia"] + mass * reach**2}
+    empty = record(commands_of(400), SERVO)
+    other = record(commands_of(400, seed=3), SERVO, **loaded)
+    command = np.r_[commands_of(400), commands_of(400, seed=3)]
+    both = Recording.assembled(
+        np.concatenate([empty.joint_position, other.joint_position]),
+        commanded_position=command[:, None],
+        time=np.r_[empty.time, other.time + 20.0],
+        payload=np.repeat([0.0, mass], 400),
+        run=np.repeat([0, 1], 400),
+        settings=empty.settings,
+    )
+    problem = tracking_problem(tracking_rows(both, PENDULUM))
+    errors = problem.residual(np.zeros(0), Terms(), np.zeros(0)) * problem.sigma
+    assert np.sqrt(np.mean(errors[:, :400] ** 2)) < 3e-5
+    assert np.sqrt(np.mean(errors[:, 400:] ** 2)) < 3e-5
+    without = tracking_problem(tracking_rows(replace(both, payload=np.zeros(800)), PENDULUM))
+    missed = without.residual(np.zeros(0), Terms(), np.zeros(0)) * without.sigma
+    assert np.sqrt(np.mean(missed[:, 400:] ** 2)) > 1e-3
