@@ -37,7 +37,8 @@ def _words(text: str) -> set[str]:
 
 _MEASURED = _words("actual measured feedback real act meas present ist gemessen mesure mesuree medido misurato")
 _WANTED = _words(
-    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll "
+    "target targets commanded command commands cmd cmds desired demanded goal setpoint setpoints sp reference ref action "
+    "des computed leader master soll sollwert "
     "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka
@@ -46,7 +47,7 @@ _DEVIATIONS = _ERRORS | _words("deviation deviations dev abweichung abw differen
 _UNUSED = _words(
     "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
-    "angular offset inertia cog com imu gyro mag gravity normal"
+    "angular offset inertia cog com imu gyro mag gravity normal dp ddp"
 )
 _QUANTITIES = {
     "temp": _words("temp temperature temperatures"),
@@ -69,7 +70,7 @@ _SENSOR = _words(
 _POSE = _words("pose cartesian cart point tracker marker") | (_CONTROLLER - {"robot", "controller", "rtde"})
 _SHARED = _PLACE | _MOVED | _TURNED | _words("pose cartesian cart point data header matrix transform")
 """Words that do not say whose a pose is."""
-_TIMES = _words("time timestamp datetime stamp elapsed clock")
+_TIMES = _words("time timestamp datetime stamp elapsed clock duration")
 _CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch rel")
 """Beside which `t` is a time still."""
 _AIR = _words("ambient amb room air env environment")
@@ -629,7 +630,7 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], stem, **options)
                 yield from _block("rotation", members[3:], stem, **options) if count > 3 else ()
-        elif present == {"action"}:  # of a LeRobot data set: positions, if they follow those of the joints
+        elif present in ({"action"}, {"ctrl"}):  # of LeRobot and MuJoCo: positions, if the joints follow them
             yield from _block("cmd", members, stem, weak=2)
         elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)

@@ -167,8 +167,8 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
         slides: whether these joints are prismatic.
         unit: that the names state.
     """
-    finite = np.isfinite(position).all(1)
-    if not finite.any() or not np.isfinite(command[finite]).all():
+    finite = np.isfinite(position).all(1) & np.isfinite(command).all(1)
+    if not finite.any():
         return None
     far = np.maximum(0.5 * np.std(position[finite], axis=0), 0.05)  # joints are nearer to it at most of the time
     units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}

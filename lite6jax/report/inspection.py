@@ -30,6 +30,8 @@ from lite6jax.report.words import fill, read_texts, say
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3
 """Columns that are named one by one; of more, the first and the last."""
+_LONGEST_NAME = 40
+"""Characters of a column's name that are shown in a list."""
 _SHOWN = 8
 """Columns that are left out and named."""
 
@@ -242,9 +244,14 @@ def _columns(names: Sequence[str]) -> str:
 
 
 def _listed(names: Sequence[str], limit: int = 8) -> str:
-    return ", ".join(repr(name[:40]) for name in names[:limit]) + (
+    return ", ".join(repr(_ending(name)) for name in names[:limit]) + (
         f" and {len(names) - limit} more" if len(names) > limit else ""
     )
+
+
+def _ending(name: str) -> str:
+    """A name, of a long one its end, by which columns of one topic differ."""
+    return name if len(name) <= _LONGEST_NAME else f"…{name[1 - _LONGEST_NAME :]}"
 
 
 def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
