@@ -47,7 +47,7 @@ _DEVIATIONS = _ERRORS | _words("deviation deviations dev abweichung abw differen
 _UNUSED = _words(
     "force wrench ft error err residual std sigma var cov covariance status mode bits voltage digital analog power "
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
-    "angular offset inertia cog com imu gyro mag gravity normal dp ddp"
+    "angular offset inertia cog com imu gyro mag gravity normal"
 )
 _QUANTITIES = {
     "temp": _words("temp temperature temperatures"),
@@ -140,6 +140,8 @@ _LETTERS = {
 _GREEK = str.maketrans(
     {"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "Δ": " delta ", "ω": " dq ", "α": " alpha ", "β": " beta "}
 )
+_FRANKA_TWIST = re.compile(r"(?<![A-Za-z])d{1,2}P(?=_)")
+"""Of libfranka's `O_dP_EE_d`, the velocity of the end effector, and `O_ddP_EE_c`, its acceleration."""
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -381,6 +383,12 @@ def is_of_gripper(name: str) -> bool:
     return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).all_words})
 
 
+def says_commanded(name: str) -> bool:
+    """Whether a name is of what was commanded, and not of what was measured."""
+    words = {*_taken_apart(name).all_words}
+    return bool(words & _WANTED) and not words & _MEASURED
+
+
 def says_torque(name: str) -> bool:
     """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
     return not {"effort", "efforts"} & {*_taken_apart(name).all_words} and not is_standard(name)
@@ -403,6 +411,7 @@ def _taken_apart(name: str) -> _Word:
         text = name[: match.start()]
         unit = _UNITS[match[1].lower()]
     plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
+    plain = _FRANKA_TWIST.sub("twist", plain)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     all_words = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts = [*all_words]

@@ -158,7 +158,9 @@ def _in_ticks(columns: Sequence[Array]) -> bool:
     return any(float(np.quantile(np.abs(count - np.round(count)), 0.99)) < 0.15 for count in ticks)
 
 
-def unit_of_command(command: Array, position: Array, slides: bool = False, unit: str | None = None) -> Decision | None:
+def unit_of_command(
+    command: Array, position: Array, slides: bool = False, unit: str | None = None, named: bool = False
+) -> Decision | None:
     """The unit in which numbers are the commands that joints follow, each of them; None where they follow in none.
 
     Args:
@@ -166,6 +168,8 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
         position: `(sample, joint)` in SI units.
         slides: whether these joints are prismatic.
         unit: that the names state.
+        named: whether they are commands by their names. It is then enough that most joints follow: that two are
+            exchanged or one is reversed is a fault of the data, and not another meaning of the columns.
     """
     finite = np.isfinite(position).all(1) & np.isfinite(command).all(1)
     if not finite.any():
@@ -175,7 +179,12 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
     away = {name: np.median(np.abs(command / size - position)[finite], axis=0) / far for name, size in units.items()}
     closest = min(away, key=lambda name: float(away[name].max()))
     if (away[closest] > 1).any():
-        return None
+        following = {name: int(np.sum(distance <= 1)) for name, distance in away.items()}
+        closest = max(following, key=lambda name: following[name])
+        if not named or 2 * following[closest] <= position.shape[1]:
+            return None
+        others = [int(joint) + 1 for joint in np.flatnonzero(away[closest] > 1)]
+        return Decision(closest, "certain" if unit else "likely", "mostly_follows", {"others": others})
     return by_name(closest) if unit else Decision(closest, "certain", "follows", {})
 
 
