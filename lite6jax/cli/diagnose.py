@@ -167,7 +167,10 @@ class DiagnoseCommand:
         if "tracking" in diagnosed:
             return []
         ask = command_line("diagnose", self.source, *self.more, "--tracking")
-        return [f"the {' and '.join(diagnosed)} are diagnosed; why the joints do not follow their commands asks `{ask}`"]
+        read = " and ".join(diagnosed)
+        return [
+            f"the {read} are diagnosed, and not the commands beside them; `{ask}` asks why the joints do not follow"
+        ]
 
     def search(self) -> "tuple[recordings.Recording, Found]":
         """The recording and its diagnosis."""

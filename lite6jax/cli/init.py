@@ -340,7 +340,9 @@ def _read_table(
 ) -> _Table:
     """The table of a file; or one that is made of two files, of points on one body, or of names that change places."""
     if not 1 <= len(sources) <= 2:
-        raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses or commands")
+        raise InputError(
+            f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses or commands"
+        )
     opened = _name_columns([_open(source, arm) for source in sources], names)
     for table in opened:
         table.content.renamed(str(table.path), table.in_file or meanings)  # without names it says what to do

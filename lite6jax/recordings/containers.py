@@ -320,8 +320,7 @@ def _message_columns(message: Any) -> Iterator[tuple[str, float]]:
         return
     for transform in message.get("transforms") or ():
         frame = str(transform.get("child_frame_id", "")).strip("/") if isinstance(transform, Mapping) else ""
-        for name, value in _numbers_in({"transform": transform.get("transform")} if frame else {}, frame):
-            yield name, value
+        yield from _numbers_in({"transform": transform.get("transform")} if frame else {}, frame)
         yield from _stamp(transform, "header")
     yield from _stamp(message, "header")
     fields = {key: value for key, value in message.items() if key not in ("header", "transforms", "name")}

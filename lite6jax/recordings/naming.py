@@ -37,8 +37,8 @@ def _words(text: str) -> set[str]:
 
 _MEASURED = _words("actual measured feedback real act meas present ist gemessen mesure mesuree medido misurato")
 _WANTED = _words(
-    "target targets commanded command commands cmd cmds desired demanded goal setpoint setpoints sp reference ref action "
-    "des computed leader master soll sollwert "
+    "target targets commanded command commands cmd cmds desired demanded goal setpoint setpoints sp reference ref "
+    "action des computed leader master soll sollwert "
     "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka

@@ -218,25 +218,32 @@ class Held(NamedTuple):
     Attributes:
         usable: `(state,)` bool, where a command is in force.
         sent: `(usable,)` the number of that command.
+        early: joint states before the first command.
+        late: those over `LONGEST_GAP` median steps after the last, when none was logged any more.
     """
 
     usable: Flags
     sent: NDArray[np.integer]
+    early: int
+    late: int
 
 
 def hold(time: Array, at: Array, run: Array | None = None, run_at: Array | None = None) -> Held:
     """The commands that are in force at the times of joint states: each until the next, of the same run.
 
     Args:
-        time: `(command,)` s, increasing.
+        time: `(command,)` s, increasing; of runs one after the other.
         at: `(state,)` s, of the same clock.
         run, run_at: of the commands and of the joint states; None where there is one.
     """
     before = np.searchsorted(time, at, side="right") - 1
-    usable = before >= 0
+    sent = before >= 0
     if run is not None and run_at is not None:
-        usable &= run[before] == run_at
-    return Held(usable, before[usable])
+        sent &= run[before] == run_at
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    last = np.append(np.diff(run) != 0, True) if run is not None else np.arange(len(time)) == len(time) - 1
+    late = sent & last[before] & (at > time[before] + LONGEST_GAP * step * (1 + 1e-9))
+    return Held(sent & ~late, before[sent & ~late], int(np.sum(~sent)), int(np.sum(late)))
 
 
 def hold_commands(
@@ -271,10 +278,15 @@ def hold_commands(
         f"{len(sent)} commands and {len(states)} joint states stand in different rows: each command is held until the "
         "next"
     )
-    if early := len(states) - len(rows):
-        notes.append(f"dropped {early} joint states before the first command")
+    notes += said_of_commands(held)
     at_states = {name: column[rows] for name, column in columns.items()}
     return at_states | {name: columns[name][sent[held.sent]] for name in commands}, rows
+
+
+def said_of_commands(held: Held) -> list[str]:
+    """Which joint states have no command in force, in sentences."""
+    dropped = ((held.early, "before the first command"), (held.late, "after the last command"))
+    return [f"dropped {count} joint states {reason}" for count, reason in dropped if count]
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:

@@ -362,7 +362,7 @@ def describe_joined_files(joined_files: JoinedFiles, joints: str, poses: str) ->
 
 def describe_joined_commands(joined: JoinedCommands, states: int, names: tuple[str, str]) -> list[str]:
     """How the commands of one file and the measured joints of another were joined, in `states` rows."""
-    return sentences.joined_commands(joined.commands, states, joined.early, joined.late, names)
+    return [sentences.joined_commands(joined.commands, states, names), *joined.dropped]
 
 
 def _named(names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from lite6jax.domains.pose.joining import File
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming
 from lite6jax.recordings.naming import Block
-from lite6jax.recordings.streams import LONGEST_GAP, hold, in_order
+from lite6jax.recordings.streams import Held, hold, in_order, said_of_commands
 
 Array = NDArray[np.floating]
 
@@ -27,14 +27,12 @@ class JoinedCommands(NamedTuple):
     Attributes:
         columns: of the measured joints, `time_s`, and the commands by their names or after `commanded`.
         commands: how many were sent.
-        early: joint states before the first command, which are left out.
-        late: those long after the last, likewise.
+        dropped: sentences on joint states without a command.
     """
 
     columns: dict[str, Array]
     commands: int
-    early: int
-    late: int
+    dropped: list[str]
 
 
 def find_commands(files: Sequence[File]) -> int | None:
@@ -66,23 +64,20 @@ def join_commands(states: File, commands: File) -> JoinedCommands:
     values = np.stack([commands.columns[name] for name in sent], 1)
     complete = np.isfinite(values).all(1)
     joined = np.full((len(clocks[1]), len(sent)), np.nan)
+    used = np.zeros(len(clocks[1]), bool)
     early = 0
     late = 0
-    used = np.zeros(len(clocks[1]), bool)
     for run in np.unique(runs[1][np.isfinite(runs[1])]):
         of_run = in_order(clocks[0], complete & (runs[0] == run))
         rows = np.flatnonzero((runs[1] == run) & np.isfinite(clocks[1]))
         if not len(of_run):
             early += len(rows)
             continue
-        time = clocks[0][of_run]
-        step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        held = hold(time, clocks[1][rows])
-        after = clocks[1][rows] > time[-1] + LONGEST_GAP * step * (1 + 1e-9)
-        early += int(np.sum(~held.usable))
-        late += int(np.sum(after))
+        held = hold(clocks[0][of_run], clocks[1][rows])
+        early += held.early
+        late += held.late
         joined[rows[held.usable]] = values[of_run[held.sent]]
-        used[rows[held.usable & ~after]] = True
+        used[rows[held.usable]] = True
     if not used.any():
         shown = [f"{np.nanmin(clock):.3f} to {np.nanmax(clock):.3f} s" for clock in clocks]
         raise InputError(
@@ -94,7 +89,8 @@ def join_commands(states: File, commands: File) -> JoinedCommands:
     columns = {name: column[used] for name, column in states.columns.items() if name not in time_column.columns}
     names = [_command_name(name, columns) for name in sent]
     columns = {"time_s": clocks[1][used], **columns, **dict(zip(names, joined[used].T, strict=True))}
-    return JoinedCommands(columns, int(np.sum(complete)), early, late)
+    dropped = said_of_commands(Held(used, np.empty(0, int), early, late))
+    return JoinedCommands(columns, int(np.sum(complete)), dropped)
 
 
 def _joints(file: File) -> list[str]:
@@ -113,8 +109,8 @@ def _times(file: File) -> Array:
     block: Block | None = file.found.of("time")
     if block is None:
         raise InputError(
-            f"{file.source}: has no times, by which commands and joints are joined; say which column they are, --column "
-            "NAME=time_s"
+            f"{file.source}: has no times, by which commands and joints are joined; say which column they are, "
+            "--column NAME=time_s"
         )
     return block.in_si(file.columns)[:, 0]
 

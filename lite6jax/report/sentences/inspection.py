@@ -267,16 +267,12 @@ def _short_time(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def joined_commands(commands: int, states: int, early: int, late: int, names: tuple[str, str]) -> list[str]:
+def joined_commands(commands: int, states: int, names: tuple[str, str]) -> str:
     """Says how the commands of one file stand beside the joints of another; `names` are of the two files."""
-    lines = [
+    return (
         f"{commands} commands of {names[0]} are held, each until the next, at {states} joint states of {names[1]}: "
         "their times are taken for those of one clock"
-    ]
-    for count, reason in ((early, "before the first command"), (late, "after the last command")):
-        if count:
-            lines.append(f"dropped {count} joint states {reason}")
-    return lines
+    )
 
 
 def joined_by_clocks(clocks: Clocks, start: float, joints: str, poses: str) -> list[str]:
