@@ -25,7 +25,7 @@ from lite6jax.storage import check, check_writable, write_atomically
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import files, urdf
+    from lite6jax.arms import files
     from lite6jax.calibration import source as sources
     from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
@@ -257,9 +257,9 @@ def _on_a_terminal() -> bool:
 def _leave_out_jaw(arm: str, inspected: "pose_inspection.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
     q = inspected.of("q")
-    if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.columns[-1]):
+    if q is None or not naming.is_of_gripper(q.columns[-1]):
         return None
-    tip = urdf.tip_before_jaw(arm)
+    tip = files.tip_before_jaw(arm)
     return f"{arm}#{tip}" if tip else None
 
 
