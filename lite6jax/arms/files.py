@@ -99,7 +99,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
 
 
 def tip_before_jaw(path: str | Path) -> str:
-    """The link, body or site before the jaw in which the only chain of a URDF or MJCF file ends; empty where in none."""
+    """The link, body or site before the jaw in which the only chain of a URDF or MJCF file ends; else empty."""
     name = str(path)
     if "#" in name or Path(name).suffix.lower() not in suffixes.ARM_XML:
         return ""

@@ -136,8 +136,8 @@ def test_topics_of_commands_that_cannot_be_read(tmp_path):
         "/b/controller_state": controller_state(),
     }
     assert unread(write(path, both)) == (
-        "has 2 topics of control_msgs/JointTrajectoryControllerState: /a/controller_state, /b/controller_state; choose, "
-        "as in run.mcap#/joint_states,/a/controller_state"
+        "has 2 topics of control_msgs/JointTrajectoryControllerState: /a/controller_state, /b/controller_state; "
+        "choose, as in run.mcap#/joint_states,/a/controller_state"
     )
     goals = {"/joint_states": states(), "/joint_trajectory": trajectory(points=5)}
     needs = (
@@ -149,8 +149,8 @@ def test_topics_of_commands_that_cannot_be_read(tmp_path):
     assert unread(write(path, few)) == f"no message of /position_controller/commands {needs}"
     apart = {"/joint_states": states(times=STATES + 100), "/controller_state": controller_state()}
     assert unread(write(path, apart)) == (
-        "no joint state lies between commands (joints 99.989 to 100.579 s, commands 0.000 to 0.567 s); stamp both by one "
-        "clock"
+        "no joint state lies between commands (joints 99.989 to 100.579 s, commands 0.000 to 0.567 s); stamp both by "
+        "one clock"
     )
 
 
@@ -173,6 +173,6 @@ def test_messages_that_the_log_does_not_define(tmp_path, monkeypatch):
 
     monkeypatch.setattr(AnyReader, "open", forget)
     assert unread(path) == (
-        "does not say what messages of control_msgs/JointTrajectoryControllerState on /controller_state hold; record as "
-        "MCAP, which does, or convert it with `ros2 bag convert`"
+        "does not say what messages of control_msgs/JointTrajectoryControllerState on /controller_state hold; record "
+        "as MCAP, which does, or convert it with `ros2 bag convert`"
     )
