@@ -11,6 +11,7 @@ from typed import flat, refused, run
 
 from lite6jax import cli
 from lite6jax.arms.description import write_arm
+from lite6jax.cli.diagnose import DiagnoseCommand
 from lite6jax.diagnosis.diagnose import domains_of
 from lite6jax.recordings import read_recording
 from lite6jax.recordings.ros import UR_JOINTS
@@ -418,6 +419,14 @@ def test_commands_with_empty_cells_are_commands(tmp_path, capsys):
     assert "dropped 4 rows with NaN, infinite or empty fields, the first is row 61" in recording.notes
 
 
+def test_microseconds_since_the_start_of_a_controller_are_no_clock(tmp_path, capsys):
+    """As large as seconds since 1970, but joints would creep."""
+    t, u, y = motion(6)
+    path = text(tmp_path / "log.csv", {"timestamp": 1e6 * (t + 1200)} | numbered("q_cmd", u) | numbered("q", y))
+    assert "Time: timestamp, in microseconds (likely: rows would be 0.02 s apart)." in initiated(capsys, path)
+    is_tracked(path, u, y, t)
+
+
 def test_two_exchanged_joints_are_left_to_the_diagnosis_and_said(tmp_path, capsys):
     t, u, y = motion(6)
     u[:, [1, 2]] = u[:, [2, 1]]
@@ -462,6 +471,7 @@ def test_commanded_velocities_and_torques_are_said(tmp_path, capsys, stem, kind,
 # ------------------------------------------------------------------ to the end
 
 
+@pytest.mark.long
 def test_a_log_of_a_controller_is_diagnosed_by_its_commands(tmp_path, capsys):
     """From the file of a controller to the finding, by the commands that `init` prints."""
     write_arm(PENDULUM, tmp_path / "arm.yaml")
@@ -479,10 +489,8 @@ def test_a_log_of_a_controller_is_diagnosed_by_its_commands(tmp_path, capsys):
     assert "All joints are late" in flat(capsys.readouterr().out)
 
 
-def test_a_diagnosis_of_torques_names_the_one_of_commands(tmp_path, capsys, monkeypatch):
+def test_a_diagnosis_of_torques_names_the_one_of_commands(tmp_path):
     """The line beside what is diagnosed, without the diagnosis."""
-    from lite6jax.cli.diagnose import DiagnoseCommand
-
     t, u, y = motion(6)
     columns = (
         {"time_s": t} | {f"q{k + 1}_rad": y[:, k] for k in range(6)} | {f"cmd{k + 1}_rad": u[:, k] for k in range(6)}
@@ -491,7 +499,7 @@ def test_a_diagnosis_of_torques_names_the_one_of_commands(tmp_path, capsys, monk
     recording = read_recording(path)
     (said,) = DiagnoseCommand(path)._of_other_domains(recording)
     assert said == (
-        f"the torques are diagnosed, and not the commands beside them: `lite6jax diagnose {path} --tracking` diagnoses "
-        "these"
+        f"the torques are diagnosed, and not the commands beside them; `lite6jax diagnose {path} --tracking` asks why "
+        "the joints do not follow"
     )
     assert DiagnoseCommand(path, tracking=True)._of_other_domains(recording) == []

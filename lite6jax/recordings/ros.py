@@ -263,7 +263,7 @@ def _commands_among(
         of_kind[ARRAY] = [
             choice for choice in of_kind[ARRAY] if _SENT.search(choice.topic) and not _NO_POSITIONS.search(choice.topic)
         ]
-    return next(filter(None, (states, joint_states, of_kind[ARRAY], of_kind[TRAJECTORY])), [])
+    return next(filter(None, (states, [*joint_states], of_kind[ARRAY], of_kind[TRAJECTORY])), [])
 
 
 def _topics_of(types: Mapping[str, str]) -> str:

@@ -254,15 +254,16 @@ def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision
 def time_unit(time: Array, position: Array | None) -> Decision:
     """`s`, `ms`, `us` or `ns`: of a clock by its size, else by the speed that joints would have.
 
+    Microseconds since a controller was started may be as large as seconds since 1970. They are such where rows of that
+    clock would be far apart, and joints move at a usual speed in another unit.
+
     Args:
         time: `(sample,)`.
         position: joint positions `(sample, joint)` in rad, or m; None where unknown.
     """
     finite = time[np.isfinite(time)]
     start = float(np.min(finite, initial=np.inf))
-    for earliest, unit in _CLOCKS:
-        if earliest <= start < np.inf:
-            return Decision(unit, "certain", "clock", {"start": start})
+    clock = next((unit for earliest, unit in _CLOCKS if earliest <= start < np.inf), "")
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     speed = 0.0
@@ -271,11 +272,16 @@ def time_unit(time: Array, position: Array | None) -> Decision:
             moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
         usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
         speed = float(np.median(moved[usable] / steps[usable])) if usable.any() else 0.0
-    for unit, divisor in units_of("time").items():
+    units = units_of("time")
+    if clock and (not speed or step / units[clock] <= _STEPS_S[1]):
+        return Decision(clock, "certain", "clock", {"start": start})
+    for unit, divisor in units.items():
         possible = _STEPS_S[0] <= step / divisor <= _STEPS_S[1]
         if possible and (not speed or _SLOW <= speed * divisor <= _FAST):
             sure: Sureness = "likely" if speed else "assumed"
             return Decision(unit, sure, "step", {"step_s": step / divisor, "speed": speed * divisor})
+    if clock:
+        return Decision(clock, "certain", "clock", {"start": start})
     return Decision("s", "assumed", "step", {"step_s": step, "speed": speed})
 
 
