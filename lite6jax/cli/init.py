@@ -512,9 +512,9 @@ def _join_commands(
     count = len(both.columns["time_s"])
     names = (Path(commands.source).name, Path(states.source).name)
     notes = [*notes, *inspection.describe_joined_commands(both, count, names)]
-    given = {name: meaning for name, meaning in tables[1 - place].given.items() if name in both.columns}
+    column_meanings = {name: meaning for name, meaning in tables[1 - place].given.items() if name in both.columns}
     table = tables[0].remade(both.columns, {}, "")
-    return table._replace(made=Path(tables[1].path).stem, given=given), notes
+    return table._replace(made=tables[1].path.stem, given=column_meanings), notes
 
 
 def _write(table: _Table, overwrite: bool) -> Path:

@@ -134,7 +134,8 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
             types = {
                 connection.topic: str(connection.msgtype).replace("/msg/", "/") for connection in reader.connections
             }
-            joints, poses, commands = choice = _choose(path, dict(sorted(types.items())), topics)
+            choice = _choose(path, dict(sorted(types.items())), topics)
+            joints, poses, commands = choice
             messages: dict[str, list[tuple[Any, int, int]]] = {topic: [] for topic in sorted(choice.topics)}
             connections = [connection for connection in reader.connections if connection.topic in messages]
             for connection in connections:

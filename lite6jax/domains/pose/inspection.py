@@ -333,16 +333,16 @@ def inspect(
         announced=announced,
         likely_readings=tuple(likely),
         unclear_deviations=tuple(unclear),
-        unread_commands=_unread_commands(chosen, possible, decided, given),
+        unread_commands=_unread_commands(chosen, possible, decided, given.values()),
     )
 
 
 def _unread_commands(
-    chosen: Sequence[Block], possible: Sequence[Block], decided: Sequence[Block], given: Mapping[str, str]
+    chosen: Sequence[Block], possible: Sequence[Block], decided: Sequence[Block], declared_names: Collection[str]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Columns that are commands by name and are not read, with why, where no other commands are read."""
     joints = next((block.columns for block in decided if block.kind == "q"), ())
-    declared = (known_column(name) for name in given.values())
+    declared = [known_column(name) for name in declared_names]
     if not joints or any(block.kind == "cmd" for block in decided):
         return ()
     if any(column is not None and column.quantity == "cmd" for column in declared):
@@ -442,11 +442,15 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
 
 def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with joints, where commands stand in other rows: each is held until the next."""
-    joints, commands = ([name for b in blocks if b.kind == kind for name in b.columns] for kind in ("q", "cmd"))
-    time, run = (next((block.columns[0] for block in blocks if block.kind == kind), "") for kind in ("time", "run"))
-    of_run = {"run": numbers[run]} if run else {}
+    columns: dict[str, list[str]] = {}
+    for block in blocks:
+        columns.setdefault(block.kind, []).extend(block.columns)
+    if "time" not in columns:
+        return numbers
+    of_run = {"run": numbers[columns["run"][0]]} if "run" in columns else {}
     try:
-        held = streams.hold_commands(numbers | of_run, joints, commands, time, [])
+        joints = columns.get("q", [])
+        held = streams.hold_commands(numbers | of_run, joints, columns.get("cmd", []), columns["time"][0], [])
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     return numbers if held is None else {name: held[0][name] for name in numbers}

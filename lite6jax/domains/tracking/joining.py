@@ -123,9 +123,9 @@ def _runs(file: File) -> Array:
     return file.columns[block.columns[0]]
 
 
-def _command_name(name: str, taken: dict[str, Array]) -> str:
-    """A name that says that a column is commanded, and that no other column has."""
-    if naming.says_commanded(name) and name not in taken:
+def _command_name(name: str, columns: dict[str, Array]) -> str:
+    """A name that says that a column is commanded, and that none of the columns has."""
+    if naming.says_commanded(name) and name not in columns:
         return name
     return f"commanded.{name}"
 
