@@ -639,10 +639,8 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], stem, **options)
                 yield from _block("rotation", members[3:], stem, **options) if count > 3 else ()
-        elif present - {"data"} in (
-            {"action"},
-            {"ctrl"},
-        ):  # of LeRobot and MuJoCo: positions, if the joints follow them
+        elif present - {"data"} in ({"action"}, {"ctrl"}):
+            # of LeRobot and MuJoCo: positions, if the joints follow them
             yield from _block("cmd", members, stem, weak=2)
         elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)
