@@ -38,6 +38,24 @@ def poses(times, positions, quaternions=None, kind="PoseStamped", frames=("",), 
     return Topic(kind, [round(t * SECOND) for t in times], [{"pose": row, "frames": frames} for row in rows], **rest)
 
 
+CONTROLLER_STATE = """std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint {commanded}
+trajectory_msgs/JointTrajectoryPoint {measured}
+trajectory_msgs/JointTrajectoryPoint error
+"""
+"""The parts of the state of a trajectory controller that are written here; their names differ by version."""
+
+
+def _point(types, positions):
+    empty = np.zeros(0)
+    name = "builtin_interfaces/msg/Duration"
+    span = types[name](sec=0, nanosec=0)
+    return types["trajectory_msgs/msg/JointTrajectoryPoint"](
+        positions=np.array(positions, float), velocities=empty, accelerations=empty, effort=empty, time_from_start=span
+    )
+
+
 def _message(types, kind, stamp, said):
     """A message of a typestore."""
     header = types["std_msgs/msg/Header"]
@@ -47,6 +65,16 @@ def _message(types, kind, stamp, said):
     if kind.endswith("JointState"):
         numbers = {field: np.array(said[field], float) for field in ("position", "velocity", "effort")}
         return types[kind](header=headed, name=said["name"], **numbers)
+
+    if kind.endswith("Float64MultiArray"):
+        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        return types[kind](layout=layout, data=np.array(said["data"], float))
+    if kind.endswith("JointTrajectory"):
+        points = [_point(types, positions) for positions in said["points"]]
+        return types[kind](header=headed, joint_names=said["joint_names"], points=points)
+    if kind.endswith("ControllerState"):
+        points = {name: _point(types, positions) for name, positions in said.items() if name != "joint_names"}
+        return types[kind](header=headed, joint_names=said["joint_names"], error=_point(types, []), **points)
 
     def vector(part, p):
         return types[f"geometry_msgs/msg/{part}"](x=float(p[0]), y=float(p[1]), z=float(p[2]))
@@ -73,10 +101,15 @@ def write(path, topics, stamped=True, sidecar=SIDECAR, plugin=None):
     Without `stamped` the headers are zero and only the log knows the time. `plugin` is that of a folder.
     """
     from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     first = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    for one in topics.values():
+        if one.kind.endswith("ControllerState"):
+            commanded, measured = (name for name in one.messages[0] if name != "joint_names")
+            text = CONTROLLER_STATE.format(commanded=commanded, measured=measured)
+            store.register(get_types_from_msg(text, one.kind))
     rows = [
         (log, topic, kind, _message(store.types, kind, START + stamp if stamped else 0, said))
         for topic, (kind, stamps, messages, logged) in topics.items()

@@ -158,7 +158,7 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
         ),
         ((robot, still), "lite6", "hardly moves, so that nothing shows the offset of the clocks"),
         ((robot, timeless), "lite6", f"name the column of the times of {timeless}, such as --column NAME=time_s"),
-        ((robot, robot), "lite6", "both have joint positions"),
+        ((robot, robot), "lite6", "both have joint positions; if one has the commands, call it commands.csv"),
         ((tracker, foreign), "lite6", "has neither joint positions nor positions with orientations"),
         ((robot, tracker), "ur5e", "agree at no offset of the clocks"),
     ):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage, suffixes
-from lite6jax.arms import entries, frames
+from lite6jax.arms import entries, frames, mjcf, urdf
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.description import (
     arm_from_description,
@@ -78,8 +78,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
         return load_bundled(name)
     file, base, tip = base_and_tip(name)
     if Path(file).suffix.lower() in suffixes.ARM_XML:
-        root = _ROOT.search(_COMMENT.sub("", storage.read_text(file, SIZE_LIMIT)))
-        read = read_mjcf if root is not None and root[1] == "mujoco" else read_urdf
+        read = read_mjcf if _is_mjcf(file) else read_urdf
         return read(file, base, tip)
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
@@ -97,6 +96,20 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if is_franka(content):
         return arm_from_franka(content, str(path))
     return arm_from_description(content, str(path))
+
+
+def tip_before_jaw(path: str | Path) -> str:
+    """The link, body or site before the jaw in which the only chain of a URDF or MJCF file ends; else empty."""
+    name = str(path)
+    if "#" in name or Path(name).suffix.lower() not in suffixes.ARM_XML:
+        return ""
+    return mjcf.tip_before_jaw(name) if _is_mjcf(name) else urdf.tip_before_jaw(name)
+
+
+def _is_mjcf(path: str) -> bool:
+    """Whether the root of an arm's XML is MuJoCo's."""
+    root = _ROOT.search(_COMMENT.sub("", storage.read_text(path, SIZE_LIMIT)))
+    return root is not None and root[1] == "mujoco"
 
 
 def base_and_tip(name: str) -> tuple[str, str | None, str | None]:

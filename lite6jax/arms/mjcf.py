@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.trees import SIZE_LIMIT, Joint, arm_of_chain, axis_frame, find_chain, format_numbers
+from lite6jax.arms.trees import SIZE_LIMIT, Joint, Tree, arm_of_chain, axis_frame, find_chain, format_numbers, jaw
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
@@ -69,6 +69,31 @@ def read_chain(
         warn_of_gravity: whether to warn of compensated gravity, for which an arm has no place.
     """
     model = _compiled(path)
+    tree, links, numbers = _tree(path, model, base, tip)
+    moving = np.array([numbers[joint.child] for joint in tree.moving], int)
+    bodies = [*links]
+    in_chain = [bodies.index(joint.child) for joint in tree.chain if joint.child in bodies[: model.nbody]]
+    _warn_of_forces(path, model, moving, in_chain if warn_of_gravity else [])
+    dofs = model.jnt_dofadr[moving]
+    drives = {"viscous_friction": model.dof_damping, "coulomb_friction": model.dof_frictionloss}
+    drives["rotor_inertia"] = model.dof_armature
+    fields = {field: values[dofs] for field, values in drives.items() if values[dofs].any()}
+    if np.any(stiffness := np.array([np.ravel(model.jnt_stiffness[j])[0] for j in moving])):
+        fields |= {"spring_stiffness": stiffness, "spring_rest": model.qpos_spring[model.jnt_qposadr[moving]]}
+    name = bytes(model.names).split(b"\0")[0].decode()
+    name = "" if name == "MuJoCo Model" or not name.isprintable() else name  # the former is that of a file without one
+    return arm_of_chain(path, tree, name, "MJCF", links.get, fields), model, moving
+
+
+def tip_before_jaw(path: str | Path) -> str:
+    """The body or site before the jaw in which the only chain of a file ends; empty where it ends in none."""
+    return jaw(path, _tree(path, _compiled(path), None, None)[0])[0]
+
+
+def _tree(
+    path: str | Path, model: Any, base: str | None, tip: str | None
+) -> tuple[Tree, dict[str, frames.Body | None], dict[str, int]]:
+    """The chain, the bodies by name (those of the model first), and the numbers of the joints that move links."""
     bodies = [model.body(b).name or f"(body {b})" for b in range(model.nbody)]
     links: dict[str, frames.Body | None] = {name: _body(model, b) for b, name in enumerate(bodies)}
     joints: list[Joint] = []
@@ -93,18 +118,7 @@ def read_chain(
         joints.append(_fixed(bodies[model.site_bodyid[s]], tip, _pose(model.site_pos[s], model.site_quat[s])))
         links[tip] = None
     tree = find_chain(path, joints, links, base or bodies[0], tip, ("body", "bodies"), tuple(filter(None, sites)))
-    moving = np.array([numbers[joint.child] for joint in tree.moving], int)
-    in_chain = [bodies.index(joint.child) for joint in tree.chain if joint.child in bodies]
-    _warn_of_forces(path, model, moving, in_chain if warn_of_gravity else [])
-    dofs = model.jnt_dofadr[moving]
-    drives = {"viscous_friction": model.dof_damping, "coulomb_friction": model.dof_frictionloss}
-    drives["rotor_inertia"] = model.dof_armature
-    fields = {field: values[dofs] for field, values in drives.items() if values[dofs].any()}
-    if np.any(stiffness := np.array([np.ravel(model.jnt_stiffness[j])[0] for j in moving])):
-        fields |= {"spring_stiffness": stiffness, "spring_rest": model.qpos_spring[model.jnt_qposadr[moving]]}
-    name = bytes(model.names).split(b"\0")[0].decode()
-    name = "" if name == "MuJoCo Model" or not name.isprintable() else name  # the former is that of a file without one
-    return arm_of_chain(path, tree, name, "MJCF", links.get, fields), model, moving
+    return tree, links, numbers
 
 
 def _body(model: Any, b: int) -> frames.Body | None:

@@ -19,7 +19,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
-from lite6jax.errors import InputError, InputWarning, name_options
+from lite6jax.errors import InputError, InputWarning, command_line, name_options
 from lite6jax.fleet.place import StorageFolder, attempt, list_recordings, restore_url
 from lite6jax.storage import exists, file_sha256, write_atomically
 
@@ -155,7 +155,22 @@ class DiagnoseCommand:
         report = sections.diagnosis_report(document, str(self.source), files, self.details)
         bad = isinstance(result, diagnose.Diagnosis) and result.quality.verdict == "bad"
         code = command.BAD_FIT if bad else command.DONE
-        return _present(self.json, document, chain(report, screen.notes(recording.notes)), written, code)
+        notes = [*recording.notes, *self._of_other_domains(recording)]
+        return _present(self.json, document, chain(report, screen.notes(notes)), written, code)
+
+    def _of_other_domains(self, recording: "recordings.Recording") -> list[str]:
+        """That commands stand beside what was diagnosed, and the command that diagnoses them."""
+        asked = self._domain(recording)
+        if recording.commanded_position is None or asked == "tracking" or self.fleet:
+            return []
+        diagnosed = diagnose.domains_of(recording, asked)
+        if "tracking" in diagnosed:
+            return []
+        ask = command_line("diagnose", self.source, *self.more, "--tracking")
+        read = " and ".join(diagnosed)
+        return [
+            f"the {read} are diagnosed, and not the commands beside them; `{ask}` asks why the joints do not follow"
+        ]
 
     def search(self) -> "tuple[recordings.Recording, Found]":
         """The recording and its diagnosis."""

@@ -1,6 +1,7 @@
 """Commands that make recordings of what people have: tables with column names of their own, and images of a board.
 
-Two files with clocks of their own, and points on one body, are joined to one table before.
+Two files with clocks of their own, commands beside measured joints, and points on one body, are joined to one table
+before.
 """
 
 import json
@@ -24,7 +25,7 @@ from lite6jax.storage import check, check_writable, write_atomically
 with import_lazily():
     from lite6jax import recordings
     from lite6jax.arms import arm as arms
-    from lite6jax.arms import files, urdf
+    from lite6jax.arms import files
     from lite6jax.calibration import source as sources
     from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
@@ -32,6 +33,7 @@ with import_lazily():
     from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
+    from lite6jax.domains.tracking import joining as tracking_joining
     from lite6jax.recordings import boards, fault, formats, naming
     from lite6jax.recordings import columns as table_columns
     from lite6jax.recordings import files as tables
@@ -111,6 +113,7 @@ class InitCommand:
 
         lite6jax init run7.csv --arm ur10
         lite6jax init robot.csv tracker.csv --arm ur10
+        lite6jax init control.csv state_motor.csv --arm arm.urdf
         lite6jax init run7.csv --arm my_arm.urdf --set pose_source=laser_tracker --set pose_frame=base
         lite6jax init run7.csv --column tracker_x=x_mm --column spindle=ignore
     """
@@ -118,7 +121,8 @@ class InitCommand:
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
     """A table (.csv, .parquet, .xlsx), arrays (.h5, .npz, .mat), samples of a hand-eye calibration (.yaml, .json), a
     program (.src, .ls, .mod), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or two
-    files, one with the joints and one with the poses, which are joined to one table."""
+    files, one with the joints and one with the poses, or one with the commands and one with the measured joints, which
+    are joined to one table."""
     arm: command.ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
@@ -253,9 +257,9 @@ def _on_a_terminal() -> bool:
 def _leave_out_jaw(arm: str, inspected: "pose_inspection.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
     q = inspected.of("q")
-    if not arm.endswith(".urdf") or q is None or not naming.is_of_gripper(q.columns[-1]):
+    if q is None or not naming.is_of_gripper(q.columns[-1]):
         return None
-    tip = urdf.tip_before_jaw(arm)
+    tip = files.tip_before_jaw(arm)
     return f"{arm}#{tip}" if tip else None
 
 
@@ -336,10 +340,9 @@ def _read_table(
 ) -> _Table:
     """The table of a file; or one that is made of two files, of points on one body, or of names that change places."""
     if not 1 <= len(sources) <= 2:
-        raise InputError(f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses")
-    if len(sources) == 2 and arm is None:
-        example = command_line("init", *sources, "--arm", "NAME")
-        raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
+        raise InputError(
+            f"{len(sources)} recordings: name one, or two, of which one has the joints and one the poses or commands"
+        )
     opened = _name_columns([_open(source, arm) for source in sources], names)
     for table in opened:
         table.content.renamed(str(table.path), table.in_file or meanings)  # without names it says what to do
@@ -352,8 +355,7 @@ def _read_table(
     table = read[0]
     notes = read[0].notes
     if len(read) == 2:
-        assert arm is not None
-        table, notes = _join(read[0], read[1], arm, pose_source)
+        table, notes = _join(read[0], read[1], arm, pose_source, sources)
     else:
         table, notes = _solve_pairs(table, arm, sources[0])
     first = opened[0].path
@@ -470,15 +472,24 @@ def _solve_pairs(table: _Table, arm: "arms.Arm | None", source: str) -> tuple[_T
     return table.remade(pairs.columns, {}, "poses"), [*table.notes, *inspection.describe_pairs(pairs, arm.name)]
 
 
-def _join(first: _Table, second: _Table, arm: "arms.Arm", pose_source: str | None) -> tuple[_Table, list[str]]:
+def _join(
+    first: _Table, second: _Table, arm: "arms.Arm | None", pose_source: str | None, sources: tuple[str, ...]
+) -> tuple[_Table, list[str]]:
     """The table of two files, called after the second, and how they were joined."""
-    notes = [*first.notes, *second.notes]
+    notes = [*dict.fromkeys([*first.notes, *second.notes])]
     joined = []
     for table in (first, second):
         column_meanings = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
         meanings = pose_inspection.inspect([*table.numbers.items()], arm, column_meanings, str(table.path), pose_source)
         joined.append(pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words))
+    with_joints = [file for file in joined if file.found.of("q") is not None]
+    if len(with_joints) == 2 and (place := tracking_joining.find_commands(joined)) is not None:
+        return _join_commands((first, second), joined, place, notes)
+    if arm is None and len(with_joints) < 2:
+        example = command_line("init", *sources, "--arm", "NAME")
+        raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
     joints, poses = _assign_roles(*joined)
+    assert arm is not None  # of two files with joints `_assign_roles` takes none
     if joints.found.of("q") is None:
         moved = pose_joining.with_joints(joints, arm)
         joints = moved.file
@@ -489,6 +500,21 @@ def _join(first: _Table, second: _Table, arm: "arms.Arm", pose_source: str | Non
         name: meaning for name, meaning in {**first.given, **second.given}.items() if name in joined_files.columns
     }
     return first.remade(joined_files.columns, {}, "")._replace(made=second.path.stem, given=column_meanings), notes
+
+
+def _join_commands(
+    tables: "Sequence[_Table]", joined: "Sequence[pose_joining.File]", place: int, notes: list[str]
+) -> tuple[_Table, list[str]]:
+    """The table of the measured joints of one file with the commands of the other, and how they were joined."""
+    commands = joined[place]
+    states = joined[1 - place]
+    both = tracking_joining.join_commands(states, commands)
+    count = len(both.columns["time_s"])
+    names = (Path(commands.source).name, Path(states.source).name)
+    notes = [*notes, *inspection.describe_joined_commands(both, count, names)]
+    column_meanings = {name: meaning for name, meaning in tables[1 - place].given.items() if name in both.columns}
+    table = tables[0].remade(both.columns, {}, "")
+    return table._replace(made=tables[1].path.stem, given=column_meanings), notes
 
 
 def _write(table: _Table, overwrite: bool) -> Path:
@@ -508,8 +534,8 @@ def _assign_roles(
     with_joints = [file for file in (first_file, second_file) if file.found.of("q") is not None]
     if len(with_joints) == 2:
         raise InputError(
-            f"{first_file.source} and {second_file.source}: both have joint positions; say which are none by "
-            "--column NAME=ignore"
+            f"{first_file.source} and {second_file.source}: both have joint positions; if one has the commands, call "
+            "it commands.csv, else say which are none by --column NAME=ignore"
         )
     roles = [any(source.role == "controller" for source in file.found.sources) for file in (first_file, second_file)]
     joints = with_joints[0] if with_joints else second_file if roles == [False, True] else first_file

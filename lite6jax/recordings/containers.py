@@ -320,26 +320,21 @@ def _message_columns(message: Any) -> Iterator[tuple[str, float]]:
         return
     for transform in message.get("transforms") or ():
         frame = str(transform.get("child_frame_id", "")).strip("/") if isinstance(transform, Mapping) else ""
-        for name, value in _numbers_in({"transform": transform.get("transform")} if frame else {}, frame):
-            yield name, value
+        yield from _numbers_in({"transform": transform.get("transform")} if frame else {}, frame)
         yield from _stamp(transform, "header")
     yield from _stamp(message, "header")
     fields = {key: value for key, value in message.items() if key not in ("header", "transforms", "name")}
-    names = message.get("name")
-    for key, value in fields.items():
-        if isinstance(names, list) and isinstance(value, list) and len(value) == len(names):
-            yield from _numbers_in(
-                {str(name): joint_value for name, joint_value in zip(names, value, strict=True)}, str(key)
-            )
-        else:
-            yield from _numbers_in({key: value}, "")
+    names = message.get("name", message.get("joint_names"))
+    yield from _numbers_in(fields, "", [str(name) for name in names] if isinstance(names, list) else ())
 
 
-def _numbers_in(value: Any, name: str) -> Iterator[tuple[str, float]]:
-    """The numbers of nested mappings and lists of at most `WIDEST`."""
+def _numbers_in(value: Any, name: str, joints: Sequence[str] = ()) -> Iterator[tuple[str, float]]:
+    """The numbers of nested mappings and lists of at most `WIDEST`; those of as many joints by their names."""
+    if isinstance(value, list) and joints and len(value) == len(joints):
+        value = dict(zip(joints, value, strict=True))
     if isinstance(value, Mapping):
         for key, member in value.items():
-            yield from _numbers_in(member, f"{name}.{key}" if name else str(key))
+            yield from _numbers_in(member, f"{name}.{key}" if name else str(key), joints)
     elif isinstance(value, list) and len(value) <= WIDEST:
         for k, member in enumerate(value):
             yield from _numbers_in(member, f"{name}[{k}]")

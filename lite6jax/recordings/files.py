@@ -48,6 +48,11 @@ _STRANGERS = {
         "`{init}`",
     ),
     **dict.fromkeys(
+        (".pt", ".pth"),
+        "holds tensors of PyTorch, which is not needed here; write it as {stem}.npz, `d = torch.load('{name}'); "
+        "numpy.savez('{stem}.npz', **{{k: v.numpy() for k, v in d.items() if torch.is_tensor(v)}})`",
+    ),
+    **dict.fromkeys(
         (".pkl", ".pickle", ".feather"),
         "is no recording; write it as {stem}.csv or .parquet with a name for each column",
     ),

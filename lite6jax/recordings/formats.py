@@ -22,7 +22,7 @@ from lite6jax.recordings.containers import (
     read_numpy,
     read_workbook,
 )
-from lite6jax.recordings.parquet import INFO, open_lerobot, open_parquet
+from lite6jax.recordings.parquet import INFO, open_lerobot, open_part
 from lite6jax.recordings.programs import holds_program, read_program
 from lite6jax.recordings.ros import METADATA, ArmJoints, read_bag
 from lite6jax.recordings.table import RawTable
@@ -136,7 +136,7 @@ FORMATS = (
     Format(
         "a table of text", suffixes.TEXT_TABLES, lambda path, request: open_text(path, request.notes, request.growing)
     ),
-    Format("Parquet", (suffixes.PARQUET,), lambda path, request: open_parquet(path)),
+    Format("Parquet", (suffixes.PARQUET,), lambda path, request: open_part(path)),
     Format("HDF5", suffixes.HDF5, lambda path, request: read_hdf5(path, request.notes)),
     Format("arrays of NumPy", suffixes.NUMPY, lambda path, request: read_numpy(path, request.notes)),
     Format("arrays of MATLAB", suffixes.MATLAB, lambda path, request: read_matlab(path, request.notes)),

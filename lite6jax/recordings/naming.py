@@ -37,7 +37,8 @@ def _words(text: str) -> set[str]:
 
 _MEASURED = _words("actual measured feedback real act meas present ist gemessen mesure mesuree medido misurato")
 _WANTED = _words(
-    "target commanded command cmd desired goal setpoint reference ref action des computed leader master soll "
+    "target targets commanded command commands cmd cmds desired demanded goal setpoint setpoints sp reference ref "
+    "action des computed leader master soll sollwert "
     "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka
@@ -69,7 +70,7 @@ _SENSOR = _words(
 _POSE = _words("pose cartesian cart point tracker marker") | (_CONTROLLER - {"robot", "controller", "rtde"})
 _SHARED = _PLACE | _MOVED | _TURNED | _words("pose cartesian cart point data header matrix transform")
 """Words that do not say whose a pose is."""
-_TIMES = _words("time timestamp datetime stamp elapsed clock")
+_TIMES = _words("time timestamp datetime stamp elapsed clock duration")
 _CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch rel")
 """Beside which `t` is a time still."""
 _AIR = _words("ambient amb room air env environment")
@@ -139,6 +140,8 @@ _LETTERS = {
 _GREEK = str.maketrans(
     {"θ": " theta ", "ϑ": " theta ", "τ": " tau ", "Δ": " delta ", "ω": " dq ", "α": " alpha ", "β": " beta "}
 )
+_FRANKA_TWIST = re.compile(r"(?<![A-Za-z])d{1,2}P(?=_)")
+"""Of libfranka's `O_dP_EE_d`, the velocity of the end effector, and `O_ddP_EE_c`, its acceleration."""
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -380,6 +383,12 @@ def is_of_gripper(name: str) -> bool:
     return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).all_words})
 
 
+def says_commanded(name: str) -> bool:
+    """Whether a name is of what was commanded, and not of what was measured."""
+    words = {*_taken_apart(name).all_words}
+    return bool(words & _WANTED) and not words & _MEASURED
+
+
 def says_torque(name: str) -> bool:
     """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
     return not {"effort", "efforts"} & {*_taken_apart(name).all_words} and not is_standard(name)
@@ -402,6 +411,7 @@ def _taken_apart(name: str) -> _Word:
         text = name[: match.start()]
         unit = _UNITS[match[1].lower()]
     plain = "".join(letter for letter in normalize("NFKD", text.translate(_GREEK)) if not combining(letter))
+    plain = _FRANKA_TWIST.sub("twist", plain)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     all_words = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts = [*all_words]
@@ -629,7 +639,8 @@ def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], stem, **options)
                 yield from _block("rotation", members[3:], stem, **options) if count > 3 else ()
-        elif present == {"action"}:  # of a LeRobot data set: positions, if they follow those of the joints
+        elif present - {"data"} in ({"action"}, {"ctrl"}):
+            # of LeRobot and MuJoCo: positions, if the joints follow them
             yield from _block("cmd", members, stem, weak=2)
         elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)

@@ -15,7 +15,7 @@ from pyarrow import types
 from lite6jax.errors import InputError
 from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.table import RawTable, Values
-from lite6jax.storage import read_text
+from lite6jax.storage import exists, read_text
 
 LONGEST_LIST = 64
 """Numbers in a list that are a column each; longer ones, such as pictures, are none."""
@@ -129,6 +129,8 @@ def one_line(error: object) -> str:
 
 INFO = Path("meta") / "info.json"
 _INFO_LIMIT = 1 << 22
+_DEPTH = 2
+"""Folders between a data set and its Parquet files: `data/chunk-000`."""
 
 
 class _Info(msgspec.Struct):
@@ -148,19 +150,37 @@ def open_lerobot(folder: Path) -> RawTable:
     Raises:
         InputError: `info.json` is none of a data set, there are no Parquet files, or they lack its features.
     """
+    features = _features(folder)
+    files = sorted((folder / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
+    return open_parquet(*files, name_leaf=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
+
+
+def open_part(path: Path) -> RawTable:
+    """The table of a Parquet file; of a part of a LeRobot data set, with the names that the data set gives.
+
+    Raises:
+        InputError: as `open_parquet`, or as `open_lerobot` of `info.json`.
+    """
+    folder = next((parent for parent in path.absolute().parents[: _DEPTH + 1] if exists(parent / INFO)), None)
+    if folder is None:
+        return open_parquet(path)
+    features = _features(folder)
+    return open_parquet(path, name_leaf=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
+
+
+def _features(folder: Path) -> dict[str, dict[str, Any]]:
+    """The features that `info.json` names."""
     path = folder / INFO
     try:
-        features = msgspec.convert(json.loads(read_text(path, _INFO_LIMIT)), _Info).features
+        return msgspec.convert(json.loads(read_text(path, _INFO_LIMIT)), _Info).features
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: names no features, so it is of no LeRobot data set of version 2 or 3") from error
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: is not JSON; restore the file") from error
-    files = sorted((folder / "data").rglob("*.parquet"))
-    if not files:
-        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
-    return open_parquet(*files, name_leaf=lambda name, place, size: _feature(features.get(name, {}), name, place, size))
 
 
 def _feature(feature: Mapping[str, Any], name: str, place: int, size: int) -> str:

@@ -1,4 +1,4 @@
-"""Logs of ROS, which the package rosbags reads: joint states and stamped poses or transforms as one table."""
+"""Logs of ROS, which the package rosbags reads: joint states and stamped poses, transforms or commands as one table."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import PLACE, QUATERNION, spelled
-from lite6jax.recordings.streams import join, said_of
+from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
 
 Array = NDArray[np.floating]
 
@@ -20,6 +20,17 @@ POSE_STAMPED = "geometry_msgs/PoseStamped"
 TRANSFORM = "geometry_msgs/TransformStamped"
 TF = "tf2_msgs/TFMessage"
 """Of whose transforms poses are taken only where no topic has the others, or by name."""
+CONTROLLER_STATE = "control_msgs/JointTrajectoryControllerState"
+"""Of a joint trajectory controller of ros2_control: commands (`reference`) and measured joints (`feedback`)."""
+TRAJECTORY = "trajectory_msgs/JointTrajectory"
+"""A stream of commands where each message has one point."""
+ARRAY = "std_msgs/Float64MultiArray"
+"""Commands of a forward command controller, without names and stamps."""
+_SENT = re.compile(r"command|cmd|desired|target|setpoint|reference", re.IGNORECASE)
+"""In names of topics of commands."""
+_NO_POSITIONS = re.compile(r"veloc|effort|torque|current", re.IGNORECASE)
+_SAME_CLOCK = 100_000_000
+"""ns, within which stamps of headers and of the log may be of one clock."""
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
 METADATA = "metadata.yaml"
@@ -67,8 +78,32 @@ class _Series(NamedTuple):
     clock: str
 
 
+class _Joints(NamedTuple):
+    """What a message says of joints; names and numbers are empty where it does not say them."""
+
+    name: Sequence[str]
+    position: Sequence[float]
+    velocity: Sequence[float] = ()
+    effort: Sequence[float] = ()
+
+
+class _Choice(NamedTuple):
+    """The topics that are read; None where there is none. That of joints and of commands may be the same."""
+
+    joints: _Topic
+    poses: _Topic | None
+    commands: _Topic | None
+
+    @property
+    def topics(self) -> set[str]:
+        return {choice.topic for choice in (self.joints, self.poses, self.commands) if choice is not None}
+
+
 def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
-    """The table of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`: a row per pose.
+    """The table of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`: a row per pose, or per joint state.
+
+    Where there are no poses and one topic has commands, these stand beside the joints as cmd1 … cmdN, each held until
+    the next.
 
     The joints are interpolated to its stamp (`streams.join`). They are named q1 … qN by the names of the arm's joints,
     along Universal Robots' arm, by the numbers in their names, or in order of appearance. Positions of prismatic joints
@@ -77,8 +112,8 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 
     Args:
         path: of the log.
-        topics: of the joint states and of the poses, where there are several of a type; `/tf:tool0` for the poses of a
-            frame; of the joint states alone for a motion without poses; none where the types decide.
+        topics: of the joint states and of the poses or the commands, where there are several of a type; `/tf:tool0`
+            for the poses of a frame; of the joint states alone for a motion without poses; none where the types decide.
         of_arm: what is known of the arm's joints, to put them in order and to leave a gripper's out.
         notes: what was chosen, assumed and dropped is added here.
 
@@ -99,16 +134,21 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
             types = {
                 connection.topic: str(connection.msgtype).replace("/msg/", "/") for connection in reader.connections
             }
-            joints, poses = _choose(path, dict(sorted(types.items())), topics)
-            messages: dict[str, list[tuple[Any, int, int]]] = {
-                choice.topic: [] for choice in (joints, poses) if choice is not None
-            }
+            choice = _choose(path, dict(sorted(types.items())), topics)
+            joints, poses, commands = choice
+            messages: dict[str, list[tuple[Any, int, int]]] = {topic: [] for topic in sorted(choice.topics)}
             connections = [connection for connection in reader.connections if connection.topic in messages]
+            for connection in connections:
+                if connection.msgtype not in reader.typestore.types:
+                    raise InputError(
+                        f"{path}: does not say what messages of {types[connection.topic]} on {connection.topic} hold; "
+                        "record as MCAP, which does, or convert it with `ros2 bag convert`"
+                    )
             for connection, logged, content in reader.messages(connections=connections):
                 message: Any = reader.deserialize(content, connection.msgtype)
                 for part in getattr(message, "transforms", [message]):
-                    stamp = part.header.stamp
-                    header = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                    stamp = part.header.stamp if hasattr(part, "header") else None
+                    header = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) if stamp else 0
                     messages[connection.topic].append((part, header, logged))
     except InputError:
         raise
@@ -118,17 +158,31 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         remedy = tool.get(path.suffix.lower(), "recover what is left with `ros2 bag reindex`")
         raise InputError(f"{path}: is no bag, truncated or damaged ({problem}); {remedy}, or record again") from error
     moved = _series(path, joints, messages[joints.topic])
+    sent = None
+    if commands is not None:
+        sent = _series(path, commands, messages[commands.topic])
+        if "log" in sent.clock and _clock_ahead(messages[joints.topic]) > _SAME_CLOCK:
+            moved = _series(path, joints, [(part, 0, logged) for part, _, logged in messages[joints.topic]])
+        sent = sent._replace(messages=[_commanded(message) for message in sent.messages])
+    moved = moved._replace(messages=[_measured(message) for message in moved.messages])
     measured = None if poses is None else _series(path, poses, messages[poses.topic])
-    stamp, columns = _joint_states(path, joints.topic, moved, of_arm, notes)
+    among = {name for message in sent.messages for name in message.name} if sent else set()
+    names, stamp, columns = _joint_states(path, joints.topic, moved, of_arm, notes, among)
     clock_note = f"times are {moved.clock} of {joints.topic}"
-    notes.append(clock_note + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
+    if poses is not None and measured is not None:
+        clock_note += f", {measured.clock} of {poses.name}"
+    if commands is not None and sent is not None and commands.topic != joints.topic:
+        clock_note += f", {sent.clock} of {commands.topic}"
+    notes.append(clock_note)
+    if commands is not None and sent is not None:
+        stamp, columns = _with_commands(path, commands.topic, sent, names, stamp, columns, of_arm, notes)
     if poses is None or measured is None:
-        if not topics and not any(name.startswith("tau") for name in columns):
+        if not topics and not any(name.startswith(("tau", "cmd")) for name in columns):
             raise InputError(
                 f"{path}: has no topic of {POSE_STAMPED}; {_topics_of(types)}; record one with these types, or name "
                 f"{path.name}#{joints.name} for a motion or torques without poses"
             )
-        if not topics:
+        if not topics and commands is None:
             notes.append(f"there are no poses: {joints.topic} is read for its efforts, as {path.name}#{joints.name}")
         return {"time_s": _seconds(stamp, stamp[0]), **columns}
     if types[poses.topic] == TF:
@@ -150,33 +204,67 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 # ------------------------------------------------------------------ topics
 
 
-def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> tuple[_Topic, _Topic | None]:
-    """The topics of the joint states and of the poses; None for poses where only joint states are there, or named."""
+def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> _Choice:
+    """The topics of the joint states, and of the poses or the commands where these are there, or named."""
     available = _topics_of(types)
     chosen = []
     for name in topics:
         topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
         chosen.append(_Topic(topic, child) if mark and types.get(topic) == TF else _Topic(name))
-        if types.get(chosen[-1].topic) not in (JOINT_STATE, POSE_STAMPED, TRANSFORM, TF):
+        if types.get(chosen[-1].topic) not in (
+            *(JOINT_STATE, POSE_STAMPED, TRANSFORM, TF),
+            *(CONTROLLER_STATE, TRAJECTORY, ARRAY),
+        ):
             raise InputError(
                 f"{path}: no topic {name} of {JOINT_STATE} or {POSE_STAMPED}; {available}; name those to be read"
             )
     candidates = chosen or [_Topic(topic) for topic in types]
     joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
+    commands = [choice for choice in joints if _SENT.search(choice.topic)]
+    commands = commands if len(commands) < len(joints) else []
+    joints = [choice for choice in joints if choice not in commands]
+    commands = _commands_among(candidates, types, commands, bool(topics))
     poses = [choice for choice in candidates if types[choice.topic] in (POSE_STAMPED, TRANSFORM)]
     poses = poses or [
         choice for choice in candidates if types[choice.topic] == TF and (topics or choice.topic != "/tf_static")
     ]
+    joints = joints or [choice for choice in commands if types[choice.topic] == CONTROLLER_STATE]
+    if poses and commands and topics:
+        raise InputError(
+            f"{path}: poses and commands are diagnosed apart, and {poses[0].name} and {commands[0].name} are named; "
+            "name the joint states and one of them"
+        )
+    commands = [] if poses else commands
     if not joints:
         raise InputError(f"{path}: has no topic of {JOINT_STATE}; {available}; record one with these types")
-    pair = ",".join(choice.name for choice in (*joints[:1], *poses[:1]))
-    for listed in (joints, poses):
+    pair = ",".join(dict.fromkeys(choice.name for choice in (*joints[:1], *poses[:1], *commands[:1])))
+    for listed in (joints, poses, commands):
         if len(listed) > 1:
             raise InputError(
                 f"{path}: has {len(listed)} topics of {types[listed[0].topic]}: "
                 f"{', '.join(choice.name for choice in listed)}; choose, as in {path.name}#{pair}"
             )
-    return joints[0], poses[0] if poses else None
+    return _Choice(joints[0], poses[0] if poses else None, commands[0] if commands else None)
+
+
+def _commands_among(
+    candidates: Sequence[_Topic], types: Mapping[str, str], joint_states: Sequence[_Topic], named: bool
+) -> list[_Topic]:
+    """The topics of commanded positions: of the kind that says most of them.
+
+    Args:
+        candidates: the topics.
+        types: of all topics.
+        joint_states: those of joint states that are commands by their names.
+        named: whether the candidates are named; else a topic of numbers is one of commands only where its name says so.
+    """
+    of_kind = {kind: [choice for choice in candidates if types[choice.topic] == kind] for kind in (ARRAY, TRAJECTORY)}
+    states = [choice for choice in candidates if types[choice.topic] == CONTROLLER_STATE]
+    if not named:
+        of_kind[ARRAY] = [
+            choice for choice in of_kind[ARRAY] if _SENT.search(choice.topic) and not _NO_POSITIONS.search(choice.topic)
+        ]
+    return next(filter(None, (states, [*joint_states], of_kind[ARRAY], of_kind[TRAJECTORY])), [])
 
 
 def _topics_of(types: Mapping[str, str]) -> str:
@@ -196,7 +284,8 @@ def _series(path: Path, chosen: _Topic, messages: list[tuple[Any, int, int]]) ->
     """
     if not messages:
         raise InputError(f"{path}: topic {chosen.topic} has no messages; record again")
-    pairs = list(dict.fromkeys(_frames(part) for part, _, _ in messages if not hasattr(part, "name")))
+    posed = [part for part, _, _ in messages if hasattr(part, "pose") or hasattr(part, "transform")]
+    pairs = list(dict.fromkeys(map(_frames, posed)))
     listed = _listed([f"{child} in {parent}" for parent, child in pairs])
     if chosen.child is not None:
         messages = [entry for entry in messages if _frames(entry[0])[1] == chosen.child]
@@ -234,15 +323,101 @@ def _poses(messages: Sequence[Any]) -> tuple[Array, Array]:
 # ------------------------------------------------------------------ joints
 
 
-def _joint_states(
-    path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str]
+def _measured(message: Any) -> _Joints:
+    """The measured joints of a message."""
+    if hasattr(message, "name"):
+        return _Joints(message.name, message.position, message.velocity, message.effort)
+    point = _point(message, "feedback", "actual")
+    return _Joints(message.joint_names, point.positions, point.velocities, point.effort)
+
+
+def _commanded(message: Any) -> _Joints:
+    """The commanded joints of a message; those of a trajectory of several points are none."""
+    if hasattr(message, "name"):
+        return _Joints(message.name, message.position)
+    if hasattr(message, "data"):
+        return _Joints((), message.data)
+    if hasattr(message, "points"):
+        return _Joints(message.joint_names, message.points[0].positions if len(message.points) == 1 else ())
+    return _Joints(message.joint_names, _point(message, "reference", "desired").positions)
+
+
+def _point(message: Any, *names: str) -> Any:
+    """The point of a controller's state under the first of some names that has positions; names differ by version."""
+    points = [getattr(message, name) for name in names if hasattr(message, name)]
+    return next((point for point in points if len(point.positions)), points[0])
+
+
+def _clock_ahead(messages: Sequence[tuple[Any, int, int]]) -> float:
+    """ns, the median magnitude between stamps of headers and of the log."""
+    return float(np.median([abs(header - logged) for _, header, logged in messages]))
+
+
+def _with_commands(
+    path: Path,
+    topic: str,
+    series: _Series,
+    names: Sequence[str],
+    stamp: NDArray[np.int64],
+    columns: Mapping[str, Array],
+    of_arm: ArmJoints,
+    notes: list[str],
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:
-    """What the joints did, in order of time: the stamps, and the columns to be interpolated."""
-    joint_names = list(dict.fromkeys(str(name) for message in series.messages for name in message.name))
+    """The joint states with a command in force: their stamps and columns, the commands beside them.
+
+    Raises:
+        InputError: no message has the positions of all joints, or none was sent before a joint state.
+    """
+    unnamed = not any(len(message.name) for message in series.messages)
+    complete = []
+    for k, message in enumerate(series.messages):
+        listed = list(names) if unnamed else list(message.name)
+        if len(message.position) == len(listed) and {*names} <= {*listed}:
+            complete.append(k)
+    if not complete:
+        raise InputError(
+            f"{path}: no message of {topic} has the positions of all of {', '.join(names)}, one for each; name a topic "
+            "that streams the commanded positions of these joints, as a controller's state does"
+        )
+    if skipped := len(series.messages) - len(complete):
+        notes.append(f"passed over {skipped} messages of {topic} without one position of each of these joints")
+    complete = [complete[k] for k in np.unique(series.stamp[complete], return_index=True)[1]]
+    messages = [series.messages[k] for k in complete]
+    places = [[list(message.name).index(name) for name in names] for message in messages if not unnamed]
+    places = places or [[*range(len(names))]] * len(messages)
+    sent = np.array([np.asarray(m.position, float)[at] for m, at in zip(messages, places, strict=True)])
+    start = min(stamp[0], series.stamp[complete[0]])
+    times = _seconds(series.stamp[complete], start)
+    held = hold(times, _seconds(stamp, start))
+    if not held.usable.any():
+        moved, commanded = (f"{time.min():.3f} to {time.max():.3f} s" for time in (_seconds(stamp, start), times))
+        raise InputError(
+            f"{path}: no joint state lies between commands (joints {moved}, commands {commanded}); stamp both by one "
+            "clock"
+        )
+    notes.append(f"the commands are those of {topic}, each held until the next")
+    if unnamed:
+        notes.append(f"the numbers of {topic} are taken in the order of the joints: assumed, as they state no names")
+    notes += said_of_commands(held)
+    at_states = {name: column[held.usable] for name, column in columns.items()}
+    for joint, column in enumerate(sent[held.sent].T):
+        at_states[joint_unit(f"cmd{joint + 1}_rad", joint in of_arm.sliding)] = column
+    return stamp[held.usable], at_states
+
+
+def _joint_states(
+    path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str], among: set[str]
+) -> tuple[list[str], NDArray[np.int64], dict[str, Array]]:
+    """What the joints did, in order of time: their names, the stamps, and the columns to be interpolated.
+
+    Of joints that are commanded (`among`) all others, such as a gripper's, are left out.
+    """
+    all_names = list(dict.fromkeys(str(name) for message in series.messages for name in message.name))
+    joint_names = list(dict.fromkeys(name for name in all_names if name in among)) or all_names
     if not joint_names:
         raise InputError(f"{path}: the messages of {topic} name no joints; record them with names")
     names, order = _ordered(joint_names, of_arm)
-    left_out = [name for name in joint_names if name not in names]
+    left_out = [name for name in all_names if name not in names]
     notes.append(
         f"joints of {topic} {order}: "
         + ", ".join(f"q{number} is {name}" for number, name in enumerate(names, 1))
@@ -277,7 +452,7 @@ def _joint_states(
         if field == "effort":
             forces = f", those of {_listed(slides)} as forces in N" if slides else ""
             notes.append(f"the efforts of {topic} are taken as torques in N m{forces}: assumed, as they state no unit")
-    return series.stamp[complete], columns
+    return names, series.stamp[complete], columns
 
 
 def _ordered(joint_names: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], str]:

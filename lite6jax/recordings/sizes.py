@@ -158,7 +158,9 @@ def _in_ticks(columns: Sequence[Array]) -> bool:
     return any(float(np.quantile(np.abs(count - np.round(count)), 0.99)) < 0.15 for count in ticks)
 
 
-def unit_of_command(command: Array, position: Array, slides: bool = False, unit: str | None = None) -> Decision | None:
+def unit_of_command(
+    command: Array, position: Array, slides: bool = False, unit: str | None = None, named: bool = False
+) -> Decision | None:
     """The unit in which numbers are the commands that joints follow, each of them; None where they follow in none.
 
     Args:
@@ -166,16 +168,23 @@ def unit_of_command(command: Array, position: Array, slides: bool = False, unit:
         position: `(sample, joint)` in SI units.
         slides: whether these joints are prismatic.
         unit: that the names state.
+        named: whether they are commands by their names. It is then enough that most joints follow: that two are
+            exchanged or one is reversed is a fault of the data, and not another meaning of the columns.
     """
-    finite = np.isfinite(position).all(1)
-    if not finite.any() or not np.isfinite(command[finite]).all():
+    finite = np.isfinite(position).all(1) & np.isfinite(command).all(1)
+    if not finite.any():
         return None
     far = np.maximum(0.5 * np.std(position[finite], axis=0), 0.05)  # joints are nearer to it at most of the time
     units = {name: size for name, size in units_of("q", slides).items() if unit in (None, name)}
     away = {name: np.median(np.abs(command / size - position)[finite], axis=0) / far for name, size in units.items()}
     closest = min(away, key=lambda name: float(away[name].max()))
     if (away[closest] > 1).any():
-        return None
+        following = {name: int(np.sum(distance <= 1)) for name, distance in away.items()}
+        closest = max(following, key=lambda name: following[name])
+        if not named or 2 * following[closest] <= position.shape[1]:
+            return None
+        others = [int(joint) + 1 for joint in np.flatnonzero(away[closest] > 1)]
+        return Decision(closest, "certain" if unit else "likely", "mostly_follows", {"others": others})
     return by_name(closest) if unit else Decision(closest, "certain", "follows", {})
 
 
@@ -245,15 +254,16 @@ def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision
 def time_unit(time: Array, position: Array | None) -> Decision:
     """`s`, `ms`, `us` or `ns`: of a clock by its size, else by the speed that joints would have.
 
+    Microseconds since a controller was started may be as large as seconds since 1970. They are such where rows of that
+    clock would be far apart, and joints move at a usual speed in another unit.
+
     Args:
         time: `(sample,)`.
         position: joint positions `(sample, joint)` in rad, or m; None where unknown.
     """
     finite = time[np.isfinite(time)]
     start = float(np.min(finite, initial=np.inf))
-    for earliest, unit in _CLOCKS:
-        if earliest <= start < np.inf:
-            return Decision(unit, "certain", "clock", {"start": start})
+    clock = next((unit for earliest, unit in _CLOCKS if earliest <= start < np.inf), "")
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     speed = 0.0
@@ -262,11 +272,16 @@ def time_unit(time: Array, position: Array | None) -> Decision:
             moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
         usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
         speed = float(np.median(moved[usable] / steps[usable])) if usable.any() else 0.0
-    for unit, divisor in units_of("time").items():
+    units = units_of("time")
+    if clock and (not speed or step / units[clock] <= _STEPS_S[1]):
+        return Decision(clock, "certain", "clock", {"start": start})
+    for unit, divisor in units.items():
         possible = _STEPS_S[0] <= step / divisor <= _STEPS_S[1]
         if possible and (not speed or _SLOW <= speed * divisor <= _FAST):
             sure: Sureness = "likely" if speed else "assumed"
             return Decision(unit, sure, "step", {"step_s": step / divisor, "speed": speed * divisor})
+    if clock:
+        return Decision(clock, "certain", "clock", {"start": start})
     return Decision("s", "assumed", "step", {"step_s": step, "speed": speed})
 
 

@@ -1,7 +1,8 @@
 """Streams of one recording, each at times of its own, joined at the times of the poses: joints are interpolated there.
 
 A log has a stream for each topic; a table that was merged from topics has one in every few rows; a robot and a sensor
-that were recorded apart have one in each file, once their clocks are known (`domains.pose.clocks`).
+that were recorded apart have one in each file, once their clocks are known (`domains.pose.clocks`). Commands are a
+stream too: each is in force until the next.
 """
 
 from collections.abc import Mapping, Sequence
@@ -209,6 +210,83 @@ def merge(
     first, *dropped = said_of(joined)
     notes += [f"{len(poses)} poses and {len(states)} joint states stand in different rows: {first}", *dropped]
     return at_poses | joined.columns, rows
+
+
+class Held(NamedTuple):
+    """Commands at the times of joint states.
+
+    Attributes:
+        usable: `(state,)` bool, where a command is in force.
+        sent: `(usable,)` the number of that command.
+        early: joint states before the first command.
+        late: those over `LONGEST_GAP` median steps after the last, when none was logged any more.
+    """
+
+    usable: Flags
+    sent: NDArray[np.integer]
+    early: int
+    late: int
+
+
+def hold(time: Array, at: Array, run: Array | None = None, run_at: Array | None = None) -> Held:
+    """The commands that are in force at the times of joint states: each until the next, of the same run.
+
+    Args:
+        time: `(command,)` s, increasing; of runs one after the other.
+        at: `(state,)` s, of the same clock.
+        run, run_at: of the commands and of the joint states; None where there is one.
+    """
+    before = np.searchsorted(time, at, side="right") - 1
+    sent = before >= 0
+    if run is not None and run_at is not None:
+        sent &= run[before] == run_at
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    last = np.append(np.diff(run) != 0, True) if run is not None else np.arange(len(time)) == len(time) - 1
+    late = sent & last[before] & (at > time[before] + LONGEST_GAP * step * (1 + 1e-9))
+    return Held(sent & ~late, before[sent & ~late], int(np.sum(~sent)), int(np.sum(late)))
+
+
+def hold_commands(
+    columns: Mapping[str, Array], joints: Sequence[str], commands: Sequence[str], time: str, notes: list[str]
+) -> tuple[dict[str, Array], NDArray[np.integer]] | None:
+    """A table at the rows of its joint states, and these from 0, where they have no commands; None where most have.
+
+    Args:
+        columns: `(row,)` each, NaN where a row does not give one.
+        joints: the columns of joint positions; `commands` those that are commanded, and `time` that of times.
+        notes: what was done is added here.
+
+    Raises:
+        InputError: times begin anew, and no column says where a run begins.
+    """
+    if not joints or not commands or not {time, *joints, *commands} <= columns.keys():
+        return None
+    clock = columns[time]
+    moved, commanded = (
+        np.isfinite([clock, *(columns[name] for name in names)]).all(axis=0) for names in (joints, commands)
+    )
+    states = np.flatnonzero(moved)
+    if not states.size or not commanded.any() or np.sum(moved & commanded) >= _SHARED_ROWS * states.size:
+        return None
+    clock = _clock_of_runs(columns, time)
+    sent = in_order(clock, commanded)
+    run = columns.get("run")
+    runs = (None, None) if run is None else (run[sent], run[states])
+    held = hold(clock[sent], clock[states], *runs)
+    rows = states[held.usable]
+    notes.append(
+        f"{len(sent)} commands and {len(states)} joint states stand in different rows: each command is held until the "
+        "next"
+    )
+    notes += said_of_commands(held)
+    at_states = {name: column[rows] for name, column in columns.items()}
+    return at_states | {name: columns[name][sent[held.sent]] for name in commands}, rows
+
+
+def said_of_commands(held: Held) -> list[str]:
+    """Which joint states have no command in force, in sentences."""
+    dropped = ((held.early, "before the first command"), (held.late, "after the last command"))
+    return [f"dropped {count} joint states {reason}" for count, reason in dropped if count]
 
 
 def said_of(joined: Joined, unit: str = "rad") -> list[str]:

@@ -25,7 +25,7 @@ from lite6jax.recordings.columns import (
     with_quaternions,
 )
 from lite6jax.recordings.readings import with_readings
-from lite6jax.recordings.streams import merge
+from lite6jax.recordings.streams import hold_commands, merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
 
@@ -294,6 +294,10 @@ def tabulate(
             moved, places = name_columns("joint_position", joints), name_columns("position")
             if (merged := merge(values, moved, places, "time_s", notes)) is not None:
                 values, row = merged[0], merged[1] + 1
+            sent = [name for name in name_columns("commanded_position", joints) if name in values]
+            if (held := hold_commands(values, moved, sent, "time_s", notes)) is not None:
+                values = held[0]
+                row = held[1] + 1 if row is None else row[held[1]]
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
         empty = []

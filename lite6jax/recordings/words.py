@@ -121,7 +121,11 @@ def _find_members(
     members = {}
     for (number_stem, behind), columns in numbers.items():
         structs = number_stem == stem and {*columns} <= {*group}
-        siblings = re.split(r"[^./]*$", number_stem)[0] == re.split(r"[^./]*$", stem)[0]
+        numbers_parent = re.split(r"[^./]*$", number_stem)[0]
+        names_parent = re.split(r"[^./]*$", stem)[0]
+        siblings = numbers_parent == names_parent
+        # joint_names stand above the points of a trajectory's state, whose positions they name
+        siblings |= "joint" in spoken_words(stem) and numbers_parent.startswith(names_parent)
         lists = siblings and not suffix.strip("])") and not behind.strip("])") and {*columns} == {*group}
         if structs or (lists and len(group) > 1):
             members |= {(number_stem, behind, number): name for number, name in columns.items()}

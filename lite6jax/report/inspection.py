@@ -17,6 +17,7 @@ from lite6jax.domains.pose.inspection import READINGS_OF, Inspection, Pose, pose
 from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
@@ -30,6 +31,8 @@ from lite6jax.report.words import fill, read_texts, say
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3
 """Columns that are named one by one; of more, the first and the last."""
+_LONGEST_NAME = 40
+"""Characters of a column's name that are shown in a list."""
 _SHOWN = 8
 """Columns that are left out and named."""
 
@@ -70,6 +73,7 @@ def inspection_report(inspection: Inspection, path: str) -> Iterator[RenderableT
             yield indented(f"{column}: {name}, {'by name' if column == name else 'as given'}.")
     for column, why in inspection.denied.items():
         yield indented(f"{column}: {_TEXTS['denied'][why]}, so it is not used.")
+    yield from map(indented, unread_commands(inspection))
     unread = [name for name in (*inspection.unused, *inspection.texts) if name not in inspection.denied]
     if unread:
         yield indented(f"Not used: {_listed(unread)}.")
@@ -79,6 +83,17 @@ def inspection_report(inspection: Inspection, path: str) -> Iterator[RenderableT
     yield arm_statement(inspection)
     yield from [_TEXTS["computed"]] if inspection.computed else []
     yield f"Motion: {inspection.motion[0]}; {inspection.motion[1]}."
+
+
+def unread_commands(inspection: Inspection) -> list[str]:
+    """Which columns are commands by name and are not read, and what to do."""
+    q = inspection.of("q")
+    unit = "rad" if q is None or q.unit is None else q.unit.choice
+    lines = []
+    for why, columns in inspection.unread_commands:
+        ways = " ".join(_column_option(name, spelled("cmd", k, unit)) for k, name in enumerate(columns[:2], 1))
+        lines.append(sentences.unread_commands(_columns(columns), why, ways))
+    return lines
 
 
 def no_angles(joints: Block) -> str:
@@ -242,9 +257,14 @@ def _columns(names: Sequence[str]) -> str:
 
 
 def _listed(names: Sequence[str], limit: int = 8) -> str:
-    return ", ".join(repr(name[:40]) for name in names[:limit]) + (
+    return ", ".join(repr(_ending(name)) for name in names[:limit]) + (
         f" and {len(names) - limit} more" if len(names) > limit else ""
     )
+
+
+def _ending(name: str) -> str:
+    """A name, of a long one its end, by which columns of one topic differ."""
+    return name if len(name) <= _LONGEST_NAME else f"…{name[1 - _LONGEST_NAME :]}"
 
 
 def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
@@ -305,6 +325,9 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     if not nothing:
         yield "Next:" if "arm" in settings else "Name the arm in the sidecar, then:"
         yield unbroken(command_line("diagnose", source, "--out", "diagnosis.json"))
+        if inspection.of("cmd") is not None and not tracked:
+            yield sentences.commands_beside("joint_noise_rad" not in settings)
+            yield unbroken(command_line("diagnose", source, "--tracking", "--out", "tracking.json"))
 
 
 def _named_time(unused: Sequence[str]) -> str:
@@ -335,6 +358,11 @@ def describe_joined_files(joined_files: JoinedFiles, joints: str, poses: str) ->
         shown = ", ".join(joined_files.left_out[:_SHOWN]) + (", …" if len(joined_files.left_out) > _SHOWN else "")
         lines.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
     return lines
+
+
+def describe_joined_commands(joined: JoinedCommands, states: int, names: tuple[str, str]) -> list[str]:
+    """How the commands of one file and the measured joints of another were joined, in `states` rows."""
+    return [sentences.joined_commands(joined.commands, states, names), *joined.dropped]
 
 
 def _named(names: Sequence[str]) -> str:

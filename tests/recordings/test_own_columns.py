@@ -185,7 +185,13 @@ NAMINGS = {
     ),
     "mujoco": (
         "qpos[{0-5}]|qvel[{0-5}]|qacc[{0-5}]|ctrl[{0-5}]|qfrc_bias[{0-5}]|qfrc_actuator[{0-5}]",
-        {"q": "qpos[{0-5}]", "dq": "qvel[{0-5}]", "ddq": "qacc[{0-5}]", "tau": "qfrc_actuator[{0-5}]"},
+        {
+            "q": "qpos[{0-5}]",
+            "dq": "qvel[{0-5}]",
+            "ddq": "qacc[{0-5}]",
+            "tau": "qfrc_actuator[{0-5}]",
+            "cmd": "ctrl[{0-5}]",
+        },
     ),
     "kuka": ("A{1-6}|X|Y|Z|A|B|C", {"q": "A{1-6}", "position": "X|Y|Z", "rotation": "C|B|A"}),
     "plotjuggler": (

@@ -133,6 +133,8 @@ class Inspection:
         likely_readings: where `pose_source` does not say of readings, what it would say, of which column, and what that
             would be.
         unclear_deviations: columns of deviations from positions of which nothing says that they are nominal.
+        unread_commands: groups of columns that are commands by name and are not read, each with why: `not_followed`
+            of positions, `velocities`, `torques`.
     """
 
     blocks: tuple[Block, ...]
@@ -151,6 +153,7 @@ class Inspection:
     announced: Mapping[str, tuple[str, sizes.Decision | None]] = field(default_factory=dict)
     likely_readings: tuple[tuple[str, str, str], ...] = ()
     unclear_deviations: tuple[str, ...] = ()
+    unread_commands: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     @property
     def columns(self) -> dict[str, str]:
@@ -272,7 +275,7 @@ def inspect(
         block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"
     } - possible_sources
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
-    numbers = _at_poses(numbers, [*blocks, *poses], source)
+    numbers = _with_held_commands(_at_poses(numbers, [*blocks, *poses], source), blocks, source)
     poses = _without_differences(poses, numbers)
     declared_deviations = {name for name, column in declared.items() if column.quantity in DEVIATION}
     at_times = any(block.kind == "time" for block in blocks)
@@ -330,7 +333,25 @@ def inspect(
         announced=announced,
         likely_readings=tuple(likely),
         unclear_deviations=tuple(unclear),
+        unread_commands=_unread_commands(chosen, possible, decided, given.values()),
     )
+
+
+def _unread_commands(
+    chosen: Sequence[Block], possible: Sequence[Block], decided: Sequence[Block], declared_names: Collection[str]
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Columns that are commands by name and are not read, with why, where no other commands are read."""
+    joints = next((block.columns for block in decided if block.kind == "q"), ())
+    declared = [known_column(name) for name in declared_names]
+    if not joints or any(block.kind == "cmd" for block in decided):
+        return ()
+    if any(column is not None and column.quantity == "cmd" for column in declared):
+        return ()
+    unread = [("not_followed", block.columns) for block in chosen if block.kind == "cmd"]
+    for kind, why in (("dq", "velocities"), ("tau", "torques")):
+        groups = [block.columns for block in possible if block.kind == kind and block.rank == 2]
+        unread += [(why, columns) for columns in groups if len(columns) >= len(joints)]
+    return tuple(unread)
 
 
 READINGS_OF: Mapping[str, tuple[str, ...]] = {
@@ -417,6 +438,22 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     return numbers
+
+
+def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
+    """The rows with joints, where commands stand in other rows: each is held until the next."""
+    columns: dict[str, list[str]] = {}
+    for block in blocks:
+        columns.setdefault(block.kind, []).extend(block.columns)
+    if "time" not in columns:
+        return numbers
+    of_run = {"run": numbers[columns["run"][0]]} if "run" in columns else {}
+    try:
+        joints = columns.get("q", [])
+        held = streams.hold_commands(numbers | of_run, joints, columns.get("cmd", []), columns["time"][0], [])
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    return numbers if held is None else {name: held[0][name] for name in numbers}
 
 
 def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:

@@ -259,7 +259,8 @@ def decide(
         if block.kind == "rotation":
             unit, form = _of_rotation(block, values, agreed)
         elif q is not None and block.kind == "cmd":
-            unit = sizes.unit_of_command(values, q.in_si(numbers), block.slides, unit and unit.choice)
+            named = block.rank == 2
+            unit = sizes.unit_of_command(values, q.in_si(numbers), block.slides, unit and unit.choice, named)
             if unit is None:
                 continue
         elif unit is None and block.kind == "deviation" and ("position", False) in decided:

@@ -98,6 +98,25 @@ def block_statement(meaning: Sequence[str], commanded: bool, assumed: bool, othe
     return paragraph(f"{', '.join(filter(None, meaning))}.", remark, choice)
 
 
+def unread_commands(columns: str, why: str, ways: str) -> str:
+    """Says that commands are not read, and why.
+
+    Args:
+        columns: of the commands.
+        why: `not_followed` of positions, `velocities`, `torques`.
+        ways: how the first columns are said to be commands.
+    """
+    if why == "not_followed":
+        return (
+            f"Commanded by name: {columns}. The joints follow them in no unit, so they are not used; if they are the "
+            f"positions that were commanded, say so for each: {ways}"
+        )
+    remedy = "log the positions that the controller makes of them"
+    if why == "torques":
+        remedy = f"{remedy}, or diagnose measured torques"
+    return f"Commanded {why}: {columns}. Only commanded positions are diagnosed: {remedy}."
+
+
 def joints_without_angles(columns: str, wrong: str, unit: str, ways: Sequence[str], finer: Sequence[str]) -> str:
     """Says why joint positions may be no angles, and how to say that they are."""
     sentence = f"joints {columns} {wrong}. If they are {unit}, say so: {' '.join(ways)}"
@@ -213,6 +232,14 @@ def only_a_motion(readings: Sequence[tuple[str, str, str]], announced: str) -> s
     return f"{_NO_SENSOR}: this is a motion, to predict or to compute with."
 
 
+def commands_beside(noise_undeclared: bool) -> str:
+    """Says which command diagnoses commands that stand beside poses or torques, and the noise that it needs."""
+    noise = ""
+    if noise_undeclared:
+        noise = ", with joint_noise_rad in the sidecar"
+    return f"That leaves the commands out. To ask why the arm does not follow them{noise}:"
+
+
 def without_times(tracked: bool, remedy: str) -> str:
     """Says that commands or torques need times."""
     what = "Torques"
@@ -238,6 +265,14 @@ def _short_time(seconds: float) -> str:
     if seconds < 1:
         return f"{1e3 * seconds:.2g} ms"
     return f"{seconds:.2g} s"
+
+
+def joined_commands(commands: int, states: int, names: tuple[str, str]) -> str:
+    """Says how the commands of one file stand beside the joints of another; `names` are of the two files."""
+    return (
+        f"{commands} commands of {names[0]} are held, each until the next, at {states} joint states of {names[1]}: "
+        "their times are taken for those of one clock"
+    )
 
 
 def joined_by_clocks(clocks: Clocks, start: float, joints: str, poses: str) -> list[str]:
