@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from lite6jax.diagnosis.options import Options
 from lite6jax.estimation.jackknife import stds_over_blocks
-from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection
@@ -28,7 +28,9 @@ def block_stds(selection: Selection, options: Options) -> list[Array]:
     nothing = [np.zeros(0) for _ in state.tested]
     if problem.curved or all(test.term.nonparametric for test in state.tested):
         return nothing
-    blocks = interval_blocks(state.fit.training, state.fit.noise, options)
+    training = state.fit.training
+    longest = longest_time(problem, state.fit, options.engine)
+    blocks = interval_blocks(training, longest, options)
     if len(blocks) < _FEWEST:
         return nothing
     terms = []
@@ -44,11 +46,17 @@ def block_stds(selection: Selection, options: Options) -> list[Array]:
     ]
 
 
-def interval_blocks(training: Mask, noise: NoiseModel, options: Options) -> list[Mask]:
-    """Contiguous blocks `(sample,)` of the training samples, each at least `block_times` autocorrelation times long."""
+def interval_blocks(training: Mask, longest: float, options: Options) -> list[Mask]:
+    """Contiguous blocks `(sample,)` of the training samples.
+
+    Args:
+        training: `(sample,)`.
+        longest: autocorrelation time in samples of what the noise model leaves, of which a block is `block_times` long.
+        options: thresholds.
+    """
     samples = np.flatnonzero(training)
-    longest = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
-    count = int(np.clip(len(samples) / longest, 1, options.interval_blocks))
+    shortest = options.block_times * longest if longest > 1 else 1.0
+    count = int(np.clip(len(samples) / shortest, 1, options.interval_blocks))
     blocks = np.zeros((count, training.size), bool)
     blocks[:, samples] = contiguous_blocks(len(samples), count)
     return list(blocks)

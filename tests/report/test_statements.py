@@ -353,6 +353,23 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
     assert statements.with_statements(again) == json.loads(json.dumps(stated))
 
 
+@pytest.mark.parametrize(("times", "is_said"), [(None, False), (1.2, False), (2.4, True)])
+def test_blocks_that_scatter_much_more_than_the_fit_says_are_said(compliant, drawn, times, is_said):
+    finding = compliant.findings[0]
+    if times is not None:
+        finding = replace(finding, block_std=times * np.sqrt(np.diagonal(finding.covariance)))
+    entry = replace(compliant, findings=(finding,)).to_dict()["findings"][0]
+    assert ("fit_std" in entry) == (times is not None)
+    plain = compliant.to_dict()["findings"][0]
+    for name, estimate in entry["parameters"].items():
+        std = plain["parameters"][name]["std"]
+        assert estimate == {"value": plain["parameters"][name]["value"], "std": pytest.approx((times or 1.0) * std)}
+        assert entry.get("fit_std", {}).get(name, std) == std
+    said = "Between blocks of the recording its numbers scatter 2.4 times as much as the noise lets expect"
+    for text in (page(replace(compliant, findings=(finding,)), drawn), statements.finding_statement(entry)):
+        assert (said in text) == is_said
+
+
 def test_a_number_that_is_not_finite_is_unknown():
     for shown in (words.number, words.significant, words.milli, words.multiple, words.fixed, words.plus_minus):
         assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
