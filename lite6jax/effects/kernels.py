@@ -109,7 +109,8 @@ def features(
         bounds: lower and upper of each driver, in its unit.
         run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
         rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of what
-            repeats, the order n and the slope s; 1 and 2 where not given. Of a step, the value from which on it is; the middle of its range where not given.
+            repeats, the order n and the slope s; 1 and 2 where not given. Of a step, the value from which on it is; the
+            middle of its range where not given.
     """
     xp = library_of(values)
     names = factors_of(kernel)
@@ -180,6 +181,15 @@ def orders_of(bounds: Sequence[float]) -> NDArray:
     """The orders of a spectrum: whole ones; so fine that the range of an angle that turns far is within one period."""
     lowest = float(np.clip(2 * np.pi / (_PERIOD * max(bounds[1] - bounds[0], 1e-3)), 0.25, 1.0))
     return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+
+
+def highest_order(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> float:
+    """The highest order of a spectrum, or of what repeats; 0 of other kernels."""
+    if kernel == "spectrum":
+        return float(orders_of(bounds)[-1])
+    if kernel == "repeat":
+        return float((rolloff or (1.0,))[0] * _MULTIPLES[-1])
+    return 0.0
 
 
 def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:

@@ -5,7 +5,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, wave, what repeats, process of one quantity, process of two, and besides a read-out that wanders or jumps | −ln p |
+| a kind: name, wave, process of one quantity, of two; besides: repeats, a read-out that wanders or jumps | −ln p |
 | a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a wave beside one of its angle of which it is a multiple, or which is one of it | ln of the multiples alone |
@@ -48,14 +48,16 @@ _ROLLOFFS = {
 }
 """Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
 13th, a 31st and a 75th of it."""
+_VARIES_FAST = ("spectrum", "wander", "repeat")
+"""Kernels that are weighed exactly at once in autocorrelated noise."""
 _SLOPES = (2.0, 4.0)
 """Of the variances of multiples that are tried of what repeats: of a sawtooth, and of a triangle."""
 _FRACTIONS = (1, 2, 3)
 """Parts of the order of the likeliest wave that are tried as the order of what repeats: its multiple may be larger."""
 _OFF_ORDER = (0.3, 0.08, 0.02)
 """How far that order may be off in each round, in orders that the angles resolve."""
-_MORE_THAN_A_WAVE = 3.0
-"""Times the gain of its likeliest wave, that what repeats may gain: of 1/k², the first has six tenths."""
+_REFINED_GAIN = 0.4
+"""Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -421,10 +423,12 @@ class ModelScan:
             processes = (
                 process for process in scan.processes if process[0] in self.components and process[2] != "wander"
             )
-            weighed = (self.of_kernel(*process, exact=process[2] in ("spectrum", "repeat")) for process in processes)
+            weighed = (self.of_kernel(*process, exact=process[2] in _VARIES_FAST) for process in processes)
             candidates += (candidate for candidate in weighed if candidate.gain > 0)
         candidates.sort(key=lambda candidate: -candidate.net)
-        likely = [candidate for candidate in candidates if candidate.process][:_CONSIDERED]
+        # what repeats is weighed in any search
+        processes_alone = (candidate for candidate in candidates if candidate.process)
+        likely = [candidate for candidate in processes_alone if candidate.process[2] != "repeat"][:_CONSIDERED]
         scan.considered |= {(*candidate.key, *candidate.process[2:]) for candidate in likely}
         if white:
             return _in_order(candidates)
@@ -714,17 +718,20 @@ class ModelScan:
         line = next((line for line in self._lines if line.family is family), None)
         if family is None or line is None:
             return []
-        cost = self._scan.cost_of_repeating(family, line.order)
-        if _MORE_THAN_A_WAVE * line.gain < cost or not np.any(component.column[self._rows]):
+        if not np.any(component.column[self._rows]):
             return []
         resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
         orders = [line.order / part for part in _FRACTIONS if line.order / part >= self._options.lowest_order]
         likeliest = max((self._repeats(component, k, order) for order in orders), key=_by_net)
+        if likeliest.gain < _REFINED_GAIN * likeliest.cost:
+            return []
         for width in _OFF_ORDER:
             order = likeliest.process[3][0]
             near = order + width * resolved * np.linspace(-1, 1, 9)
             candidates = [self._repeats(component, k, float(other)) for other in near if other > 0]
             likeliest = max(likeliest, *candidates, key=_by_net)
+        whole = self._repeats(component, k, max(round(likeliest.process[3][0]), 1))
+        likeliest = max(likeliest, whole, key=_by_net)
         return [likeliest] if likeliest.gain > 0 else []
 
     def _repeats(self, component: Component, k: int, order: float) -> Ranked:
@@ -892,7 +899,7 @@ class ModelScan:
 
     def exact(self, ranked: Ranked) -> Ranked:
         """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
-        if not ranked.process or ranked.process[2] in ("spectrum", "wander", "repeat") or self._is_exact(ranked.process[0]):
+        if not ranked.process or ranked.process[2] in _VARIES_FAST or self._is_exact(ranked.process[0]):
             return ranked
         component, quantity_indices, kernel, rolloff = ranked.process
         return self.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)

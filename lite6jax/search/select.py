@@ -42,6 +42,8 @@ _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
+_OF_ONE_DRIVER = ("wander", "spectrum", "repeat")
+"""Kernels that take no second driver."""
 _PRODUCTS = 1 << 25
 """Of products of candidates that are kept from one model to the next: 256 MB."""
 
@@ -520,7 +522,7 @@ class Selector:
         own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
-            if process.site != term.site or not process.nonparametric or _kernel_of(process) in ("wander", "spectrum", "repeat"):
+            if process.site != term.site or not process.nonparametric or _kernel_of(process) in _OF_ONE_DRIVER:
                 continue
             component, quantity_indices = self._process_of(process)
             together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})

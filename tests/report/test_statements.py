@@ -157,6 +157,8 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
          "joint2 as a function of its gravity torque", "a hysteresis loop"),
 
         (gear(1), "joint1 as a function of its position", "waves of many orders, as of a gear"),
+        (Unnamed("joint1", "position of joint 1", -3.0, 3.0, "repeat", rolloff=(2 * np.pi / 0.8, 2.0)),
+         "joint1 as a function of its position", "a curve that repeats every 0.8 rad and is no sine"),
 
         (Unnamed("joint3", "position of joint 3 and direction of motion of joint 3", 0.0, 1.0, "rough*line",
                  further=(-1.0, 1.0)),
