@@ -25,7 +25,7 @@ def block_stds(selection: Selection, options: Options) -> list[Array]:
     """
     state = selection.state
     problem = selection.problem
-    nothing = [np.zeros(0) for _ in state.tested]
+    nothing: list[Array] = [np.zeros(0) for _ in state.tested]
     if problem.curved or all(test.term.nonparametric for test in state.tested):
         return nothing
     training = state.fit.training
