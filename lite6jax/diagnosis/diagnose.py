@@ -257,7 +257,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         assert uncertainty is not None
         start = len(uncertainty.covariance) - more.size
         C = uncertainty.covariance[start:, start:]
-        return [*(finding.covariance for finding in self.findings), *(C[part, part] for part in more.slices)]
+        return [*(finding.larger_covariance for finding in self.findings), *(C[part, part] for part in more.slices)]
 
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         """The range of a nonparametric finding where it was measured, m or rad, and its standard deviation.

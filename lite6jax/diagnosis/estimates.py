@@ -35,7 +35,7 @@ def estimate_effect(result: DomainDiagnosis[Any], effect: Effect) -> EffectEstim
     """
     for finding in result.findings:
         if finding.effect == effect or (effect.searched and finding.effect.label == effect.label):
-            return _of(True, finding.effect, finding.values, finding.covariance)
+            return _of(True, finding.effect, finding.values, finding.larger_covariance)
     candidates: tuple[Effect, ...] = result.problem.candidates
     if (effect not in candidates and not effect.searched) or effect in result.confounded:
         return None

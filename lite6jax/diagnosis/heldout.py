@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.diagnosis.block_intervals import block_stds
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
@@ -166,7 +167,8 @@ def verify(
     """
     state = selection.state
     findings = []
-    for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
+    by_blocks = block_stds(selection, options)
+    for tested, numbers, block_std in zip(state.tested, state.fit.terms.slices, by_blocks, strict=True):
         assert isinstance(tested.term, Effect)
         alternatives = tuple(alternative for alternative in tested.alternatives if isinstance(alternative.term, Effect))
         values = state.fit.values[numbers]
@@ -174,7 +176,9 @@ def verify(
         gain = tested.gain
         std = tested.chosen_std
         share = tested.input_share
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, alternatives, std, share))
+        findings.append(
+            Finding(tested.term, values, covariance, tested.p_value, gain, alternatives, std, share, block_std)
+        )
     selected_findings = tuple(findings)
     searched = judge(errors, selection, kept, folds, options) if selected_findings else Judgement(False, 1.0)
     if not searched.rejects:

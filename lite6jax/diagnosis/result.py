@@ -55,6 +55,8 @@ class Finding:
         chosen_std: standard deviation of the number that the search chose for it, an order; zero where it is exact.
         input_share: the share of the variance of its numbers, the greatest of them, that comes from a payload which may
             be wrong without being found so.
+        block_std: `(coordinate,)`, standard deviations of its numbers from their scatter between blocks of the
+            recording, and after them that of the chosen one where it has a standard deviation; empty where not known.
     """
 
     effect: Effect
@@ -65,6 +67,7 @@ class Finding:
     alternatives: tuple[Alternative, ...]
     chosen_std: float = 0.0
     input_share: float = 0.0
+    block_std: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def name(self) -> str:
@@ -94,10 +97,41 @@ class Finding:
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """Value and standard deviation of each parameter, by name with its unit."""
+        """Value and standard deviation of each parameter, by name with its unit.
+
+        The standard deviation of each number is the larger one, of the fit or of blocks of the recording.
+        """
+        return self._reported(self._whole_covariance(larger=True))
+
+    @property
+    def fit_std(self) -> dict[str, float]:
+        """Standard deviations by the fit alone, of parameters whose blocks scatter by more; by name with its unit."""
+        by_fit = self._reported(self._whole_covariance(larger=False))
+        larger = self.parameters
+        return {name: estimate.std for name, estimate in by_fit.items() if larger[name].std > estimate.std}
+
+    @property
+    def larger_covariance(self) -> Array:
+        """`(coordinate, coordinate)`, with the larger standard deviation of each, and the correlations of the fit."""
+        count = len(self.values)
+        return self._whole_covariance(larger=True)[:count, :count]
+
+    def _whole_covariance(self, larger: bool) -> Array:
+        """Of its numbers, and of the chosen one where that has a standard deviation."""
+        covariance = self.covariance
+        if self.chosen_std:
+            covariance = np.asarray(block_diag(covariance, self.chosen_std**2))
+        if not larger or not self.block_std.size:
+            return covariance
+        std = np.sqrt(np.diagonal(covariance))
+        ratio = np.divide(self.block_std, std, out=np.ones_like(std), where=std > 0)
+        factor = np.maximum(ratio, 1.0)
+        return covariance * np.outer(factor, factor)
+
+    def _reported(self, covariance: Array) -> dict[str, Estimate]:
+        """The parameters with a covariance as of `_whole_covariance`."""
         if not self.chosen_std:
-            return self.effect.reported(self.values, self.covariance)
-        covariance = np.asarray(block_diag(self.covariance, self.chosen_std**2))
+            return self.effect.reported(self.values, covariance)
         return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
 
@@ -432,6 +466,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             size = {"peak_to_peak": ranges, "effective_parameters": finding.effective_parameters}
         if finding.nearest is not None:
             size["nearest"] = effect_entry(finding.nearest[0]) | {"share": finding.nearest[1]}
+        if finding.fit_std:
+            size["fit_std"] = finding.fit_std
         if finding.input_share:
             size["payload_share"] = finding.input_share
         alternatives = sorted(finding.alternatives, key=lambda alternative: alternative.gap)

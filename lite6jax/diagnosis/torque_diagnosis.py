@@ -166,7 +166,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
         return {
             "filter": None if data.recording.motion == "static" else {**passed, "every": chosen.every},
             "nuisance": {"numbers": len(problem.precision), "relative_std": problem.relative_std},
-            "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": model_entry(self.model, [finding.larger_covariance for finding in self.findings]),
         }
 
 

@@ -183,7 +183,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
             "peers": {name: self._statistics(errors, kept) for name, errors in self.peers.items()},
             **({} if self.simulator is None else {"simulator": self.simulator.to_dict()}),
             "nuisance": {"numbers": len(problem.unknowns)},
-            "model": model_entry(self.model, [finding.covariance for finding in self.findings]),
+            "model": model_entry(self.model, [finding.larger_covariance for finding in self.findings]),
         }
 
     def to_dict(self) -> dict[str, Any]:

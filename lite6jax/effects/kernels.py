@@ -16,6 +16,8 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | rough | exp(-d) | steps and kinks |
 | wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
+| repeat | Σ cos(k n (x - y)) / kˢ, k = 1 to 8, of an angle x, n any order | what repeats with any period and is no
+sine: a sawtooth, a ratchet |
 | wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
 wanders by itself, a first-order autoregression |
 | step | 1 from a value of u on, else 0 | a jump |
@@ -43,6 +45,8 @@ _REACH = 8.0
 _OUTER = round(_REACH * PIECES / 2)
 """Intervals to each side of that range."""
 _WAVES = np.array([1.0, 2.0, 3.0])
+_MULTIPLES = np.arange(1.0, 9.0)
+"""Of the order of what repeats: of a sawtooth's variance 7 % are above them."""
 _PLAYS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Half-widths of play operators over half the range of their driver."""
 
@@ -73,7 +77,7 @@ SCALED: dict[str, Kernel] = {
     "fine": Kernel(_squared_exponential(0.13), 26, 16),
     "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
 }
-OF_ANGLES = ("wave", "spectrum")
+OF_ANGLES = ("wave", "spectrum", "repeat")
 KERNELS = (*SCALED, *OF_ANGLES, "play", "wander", "step")
 _FASTEST = 96
 """Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
@@ -104,8 +108,9 @@ def features(
         values: `(driver, sample)`.
         bounds: lower and upper of each driver, in its unit.
         run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
-        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of a
-            step, the value from which on it is; the middle of its range where not given.
+        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of what
+            repeats, the order n and the slope s; 1 and 2 where not given. Of a step, the value from which on it is; the
+            middle of its range where not given.
     """
     xp = library_of(values)
     names = factors_of(kernel)
@@ -115,6 +120,11 @@ def features(
         turned = orders_of(bounds)[:, None] * values[0]
         waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
         return waves * spectrum_deviations(bounds, rolloff)[:, None]
+    if kernel == "repeat":
+        order, slope = rolloff or (1.0, 2.0)
+        turned = order * _MULTIPLES[:, None] * values[0]
+        waves = xp.concatenate([xp.sin(turned), xp.cos(turned)])
+        return waves * np.tile(_MULTIPLES ** (-0.5 * slope), 2)[:, None]
     if kernel == "wander":
         size = wander_deviations(rolloff)
         place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
@@ -156,6 +166,8 @@ def size_of(kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...] =
         return len(wander_deviations(rolloff))
     if kernel == "step":
         return 2
+    if kernel == "repeat":
+        return 2 * len(_MULTIPLES)
     if kernel == "play":
         return len(_PLAYS) + 2
     if kernel == "spectrum":
@@ -169,6 +181,15 @@ def orders_of(bounds: Sequence[float]) -> NDArray:
     """The orders of a spectrum: whole ones; so fine that the range of an angle that turns far is within one period."""
     lowest = float(np.clip(2 * np.pi / (_PERIOD * max(bounds[1] - bounds[0], 1e-3)), 0.25, 1.0))
     return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+
+
+def highest_order(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> float:
+    """The highest order of a spectrum, or of what repeats; 0 of other kernels."""
+    if kernel == "spectrum":
+        return float(orders_of(bounds)[-1])
+    if kernel == "repeat":
+        return float((rolloff or (1.0,))[0] * _MULTIPLES[-1])
+    return 0.0
 
 
 def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:

@@ -25,6 +25,8 @@ SCALE = "scale"
 
 _MOST = 0.5
 """rad, m, or a share of the readings: the largest coefficient that is possible."""
+_ROLLED_OFF = ("spectrum", "wander", "repeat")
+"""Kernels whose functions are of less variance the higher their order is."""
 _MEASURES = {**dict.fromkeys("xyz", ("m", "_m")), SCALE: ("1", "")}
 """Unit of a component that is no rotation, and how the names of its coefficients end."""
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
@@ -52,7 +54,8 @@ class Process(Effect, ABC):
         further: lower and upper of the second driver.
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
-            spread² / (1 + (k / c)ˢ); likewise of what wanders. Of a step, the value from which on it is.
+            spread² / (1 + (k / c)ˢ); likewise of what wanders. Of what repeats, its order n and the slope s: its
+            multiples k n have the variance spread² / kˢ. Of a step, the value from which on it is.
 
     Raises:
         InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
@@ -88,7 +91,7 @@ class Process(Effect, ABC):
         if self.kernel == "step":
             if len(rolloff) != 1 or not self.lower < rolloff[0] <= self.upper:
                 raise InputError(f"{self.label}: a step is not possible at {rolloff}; give one value within its range")
-        elif rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in ("spectrum", "wander")):
+        elif rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in _ROLLED_OFF):
             raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 
     @property

@@ -25,10 +25,13 @@ class Prior:
     """
 
     # physics, of a term that a model lacks
-    named: float = option(0.25, "a term is an effect with a name, any of them", "four kinds, equally probable")
+    named: float = option(0.25, "a term is an effect with a name, any of them", "the kinds are equally probable")
     wave: float = option(0.25, "it is a wave of a turn, of any order", "as above")
     process: float = option(0.25, "it is a function of one driver, at any component", "as above")
     product: float = option(0.25, "it is a function of two drivers, at any component", "as above")
+    repeating: float = option(
+        0.05, "it repeats with a turn, at any order, and is no sine", "most such parts are eccentric"
+    )
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
     own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")

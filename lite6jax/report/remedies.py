@@ -3,11 +3,12 @@
 Texts of causes and remedies are in `templates/remedies.yaml`; an effect of a user's own has a general remedy.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.report.words import joined, ranges, read_texts
+from lite6jax.report.words import fill, joined, ranges, read_texts
 
 Entry = Mapping[str, Any]
 
@@ -174,7 +175,10 @@ def component(where: Entry) -> str:
 def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
     two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
-    return _SHAPES.get(where.get("kernel", "smooth"), two)
+    text = _SHAPES.get(where.get("kernel", "smooth"), two)
+    if where.get("kernel") == "repeat" and where.get("rolloff"):
+        return fill(text, {"period": f"{2 * math.pi / where['rolloff'][0]:.3g}"})
+    return text
 
 
 def drivers_of(entry: Entry) -> Sequence[str]:

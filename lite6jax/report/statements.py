@@ -53,6 +53,8 @@ _MOST = 0.5
 """The share of a variance from which it is most of it."""
 _NEAREST = 2
 """Effects that a finding may be instead, for whose distinction the recording is said; more would vary everything."""
+_SCATTERS = 1.5
+"""Standard deviation from blocks over that of the fit, from which it is said: chance makes it so in one of 700."""
 _MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
 
 
@@ -186,7 +188,16 @@ def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
             sentence = sentences.unnamed_displacement(finding, numbers, moves)
         else:
             sentence = sentences.named_displacement(finding, label, numbers, moves)
-    return " ".join([sentence, *_as_a_gear(finding, beside)])
+    return " ".join([sentence, *_by_blocks(finding), *_as_a_gear(finding, beside)])
+
+
+def _by_blocks(finding: Entry) -> Iterator[str]:
+    """That standard deviations are from blocks of the recording, where these scatter much more than the fit says."""
+    parameters = finding["parameters"]
+    by_fit = finding.get("fit_std", {})
+    times = max((parameters[name]["std"] / std for name, std in by_fit.items() if std), default=1.0)
+    if times > _SCATTERS:
+        yield fill(_TEXTS["by_blocks"], {"times": significant(times, 2)})
 
 
 def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:

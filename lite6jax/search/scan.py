@@ -5,12 +5,13 @@ them, at every component of every site. The cost is −ln of the prior probabili
 
 | | cost |
 |---|---|
-| a kind: name, wave, process of one quantity, process of two, and besides a read-out that wanders or jumps | −ln p |
+| a kind: name, wave, process of one quantity, of two; besides: repeats, a read-out that wanders or jumps | −ln p |
 | a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a wave beside one of its angle of which it is a multiple, or which is one of it | ln of the multiples alone |
 | a read-out that wanders | ln of these, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
+| what repeats with a turn | as a wave of its order, ln of the slopes |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
 The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
@@ -28,10 +29,10 @@ from numpy.typing import NDArray
 from lite6jax.effects import kernels
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, log_orders_of, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, DriverValues, Mask, Problem, wave_of
+from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
-from lite6jax.search.spectrum import lines
+from lite6jax.search.spectrum import Line, lines
 
 Array = NDArray[np.floating]
 
@@ -47,6 +48,16 @@ _ROLLOFFS = {
 }
 """Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
 13th, a 31st and a 75th of it."""
+_VARIES_FAST = ("spectrum", "wander", "repeat")
+"""Kernels that are weighed exactly at once in autocorrelated noise."""
+_SLOPES = (2.0, 4.0)
+"""Of the variances of multiples that are tried of what repeats: of a sawtooth, and of a triangle."""
+_FRACTIONS = (1, 2, 3)
+"""Parts of the order of the likeliest wave that are tried as the order of what repeats: its multiple may be larger."""
+_OFF_ORDER = (0.3, 0.08, 0.02)
+"""How far that order may be off in each round, in orders that the angles resolve."""
+_REFINED_GAIN = 0.4
+"""Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -234,6 +245,16 @@ class Scan:
                 cost = min(cost, float(log_orders_of(family, multiple, self.options)))
         return cost
 
+    def cost_of_repeating(self, family: PeriodicFamily, order: float) -> float:
+        """Of what repeats with the turns of an angle, any of them, at any order, and is no sine."""
+        families = max(len(self.problem.periodic), 1)
+        cost = self.prior.cost("repeating") + np.log(families) + np.log(len(_SLOPES))
+        return float(cost + log_orders_of(family, order, self.options))
+
+    def family_of(self, site: str) -> PeriodicFamily | None:
+        """The waves of a site's own turns; None where it has none, or of a slide, whose turns are its strokes."""
+        return next((family for family in self.problem.periodic if family.site == site and family.whole), None)
+
     @cached_property
     def cost_of_step(self) -> float:
         """Of a read-out that jumps, any of them, at any sample."""
@@ -274,6 +295,8 @@ class Scan:
                 return bool(driver.is_order) and kernel == "wander"
             if name == "step":
                 return bool(driver.is_time)
+            if name == "repeat":
+                return bool(driver.turns)
             if self.discrete[k] and name != "line":
                 return False
             if (name == "wave" and not driver.is_angle) or (name == "play" and not driver.is_remembered):
@@ -390,7 +413,7 @@ class ModelScan:
         scan = self._scan
         white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        candidates = [*self.named(), *self.waves()]
+        candidates = [*self.named(), *self.waves(), *self.repeating()]
         candidates += self.of_read_outs()
         if scan.among is None:
             candidates += self.spectra()
@@ -400,10 +423,12 @@ class ModelScan:
             processes = (
                 process for process in scan.processes if process[0] in self.components and process[2] != "wander"
             )
-            weighed = (self.of_kernel(*process, exact=process[2] == "spectrum") for process in processes)
+            weighed = (self.of_kernel(*process, exact=process[2] in _VARIES_FAST) for process in processes)
             candidates += (candidate for candidate in weighed if candidate.gain > 0)
         candidates.sort(key=lambda candidate: -candidate.net)
-        likely = [candidate for candidate in candidates if candidate.process][:_CONSIDERED]
+        # what repeats is weighed in any search
+        processes_alone = (candidate for candidate in candidates if candidate.process)
+        likely = [candidate for candidate in processes_alone if candidate.process[2] != "repeat"][:_CONSIDERED]
         scan.considered |= {(*candidate.key, *candidate.process[2:]) for candidate in likely}
         if white:
             return _in_order(candidates)
@@ -553,7 +578,7 @@ class ModelScan:
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
         candidates = []
-        for line in lines(self._test):
+        for line in self._lines:
             column = line.family.column
             if not np.any(column[self._rows]):
                 continue
@@ -670,6 +695,63 @@ class ModelScan:
         at = float(begins[np.argmax(gains)])
         return [self.of_kernel(component, (self._scan.time,), "step", (at,), exact=True)]
 
+    @cached_property
+    def _lines(self) -> list[Line]:
+        """The likeliest order of each angle."""
+        return lines(self._test)
+
+    def repeating(self) -> list[Ranked]:
+        """What repeats with the turns of each joint, at the likeliest order, and is no sine."""
+        candidates = []
+        for component in self.components:
+            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
+                if quantity.driver.turns == component.site:
+                    candidates += self._repeating_at(component, k)
+        return candidates
+
+    def _repeating_at(self, component: Component, k: int) -> list[Ranked]:
+        """What repeats with the turns of a site, its likeliest order and slope; none where no wave says so.
+
+        The order is that of the likeliest wave or a part of it, refined until the highest multiple is in phase.
+        """
+        family = self._scan.family_of(component.site)
+        line = next((line for line in self._lines if line.family is family), None)
+        if family is None or line is None:
+            return []
+        if not np.any(component.column[self._rows]):
+            return []
+        resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
+        orders = [line.order / part for part in _FRACTIONS if line.order / part >= self._options.lowest_order]
+        likeliest = max((self._repeats(component, k, order) for order in orders), key=_by_net)
+        if likeliest.gain < _REFINED_GAIN * likeliest.cost:
+            return []
+        for width in _OFF_ORDER:
+            order = likeliest.process[3][0]
+            near = order + width * resolved * np.linspace(-1, 1, 9)
+            candidates = [self._repeats(component, k, float(other)) for other in near if other > 0]
+            likeliest = max(likeliest, *candidates, key=_by_net)
+        whole = self._repeats(component, k, max(round(likeliest.process[3][0]), 1))
+        likeliest = max(likeliest, whole, key=_by_net)
+        return [likeliest] if likeliest.gain > 0 else []
+
+    def _repeats(self, component: Component, k: int, order: float) -> Ranked:
+        """What repeats at an order, of the likelier slope."""
+        order = float(f"{order:.6g}")
+        values: Any = self._scan.quantities[k].values[None]
+        bounds = self._scan.quantities[k].bounds
+        candidates = []
+        for slope in _SLOPES:
+            rolloff = (order, slope)
+            functions = np.asarray(kernels.features("repeat", values, bounds, rolloff=rolloff))
+            equations = self._equations(
+                component, self._problem.seen(functions)[None], [((k,), "repeat", rolloff)], exact=True
+            )
+            evidence = of_process(*equations, self._options.confounded)
+            candidates.append(
+                self._process(Evidence(*(part[0] for part in evidence)), component, (k,), "repeat", rolloff)
+            )
+        return max(candidates, key=_by_net)
+
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         candidates = []
@@ -780,6 +862,7 @@ class ModelScan:
             candidates += self._steps(component)
         if self._scan.quantities[k].driver.turns == component.site:
             candidates += self._of_rolloffs(component, k, "spectrum", exact)
+            candidates += self._repeating_at(component, k)
         return candidates
 
     def alike(self, component: Component, which: tuple[int, ...]) -> Ranked | None:
@@ -816,7 +899,7 @@ class ModelScan:
 
     def exact(self, ranked: Ranked) -> Ranked:
         """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
-        if not ranked.process or ranked.process[2] in ("spectrum", "wander") or self._is_exact(ranked.process[0]):
+        if not ranked.process or ranked.process[2] in _VARIES_FAST or self._is_exact(ranked.process[0]):
             return ranked
         component, quantity_indices, kernel, rolloff = ranked.process
         return self.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)
@@ -874,7 +957,11 @@ class ModelScan:
             return self._problem.process(component, quantities, kernel, spread, rolloff)
 
         site = component.site
-        cost = self._scan.cost_of_step if kernel == "step" else self._scan.cost_of_process(site, quantity_indices)
+        cost = self._scan.cost_of_process(site, quantity_indices)
+        if kernel == "step":
+            cost = self._scan.cost_of_step
+        elif kernel == "repeat" and (family := self._scan.family_of(site)) is not None:
+            cost = self._scan.cost_of_repeating(family, rolloff[0])
         cause = tuple(self._scan.phrases[k] for k in quantity_indices)
         process = (component, quantity_indices, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
@@ -907,6 +994,10 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
         if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
             likeliest[candidate.key] = candidate
     return list(likeliest.values())
+
+
+def _by_net(candidate: Ranked) -> float:
+    return candidate.net
 
 
 def _is_own(quantity: DriverValues, site: str) -> bool:

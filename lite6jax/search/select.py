@@ -42,6 +42,8 @@ _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
+_OF_ONE_DRIVER = ("wander", "spectrum", "repeat")
+"""Kernels that take no second driver."""
 _PRODUCTS = 1 << 25
 """Of products of candidates that are kept from one model to the next: 256 MB."""
 
@@ -234,6 +236,9 @@ class Selector:
             place = one.site, one.place
             return not any(is_wander(term) and (term.site, getattr(term, "component", "")) == place for term in model)
         there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
+        if one.process and one.process[2] == "repeat":
+            return not any(_kernel_of(term) in ("repeat", "spectrum") for term in there)
+        there = [term for term in there if _kernel_of(term) != "repeat"]  # it leaves what is no function of the turn
         if not there or self._continues(one, model):
             return True
         other = one.cause not in map(_phrases, there)
@@ -336,7 +341,9 @@ class Selector:
             best = ModelScan(self.scan, test).like(term)
         if best is None:
             return replace(one, gain=0.0)
-        cost = min(one.cost, best.cost) if term.nonparametric else best.cost
+        cost = best.cost
+        if term.nonparametric and "repeat" not in (_kernel_of(term), best.process[2]):
+            cost = min(cost, one.cost)
         return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
 
     def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
@@ -515,7 +522,7 @@ class Selector:
         own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
-            if process.site != term.site or not process.nonparametric or _kernel_of(process) in ("wander", "spectrum"):
+            if process.site != term.site or not process.nonparametric or _kernel_of(process) in _OF_ONE_DRIVER:
                 continue
             component, quantity_indices = self._process_of(process)
             together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})

@@ -67,7 +67,18 @@ def test_waves_and_spectra_are_covariances_of_the_difference_of_two_angles():
     np.testing.assert_allclose(phi.T @ phi, spectra, atol=1e-10)
 
 
-@pytest.mark.parametrize("kernel", sorted(set(KERNELS) - {"spectrum"}))
+def test_what_repeats_is_a_covariance_of_the_difference_of_two_angles_with_any_period():
+    order = 2 * np.pi / 0.8
+    values = np.append(INSIDE, INSIDE + 0.8)
+    phi = features("repeat", values[None], BOUNDS, rolloff=(order, 2.0))
+    assert len(phi) == size_of("repeat", BOUNDS, (order, 2.0))
+    d = INSIDE[:, None] - INSIDE
+    wanted = sum(np.cos(k * order * d) / k**2 for k in range(1, 9))
+    np.testing.assert_allclose(phi[:, :60].T @ phi[:, :60], wanted, atol=1e-10)
+    np.testing.assert_allclose(phi[:, 60:], phi[:, :60], atol=1e-10)
+
+
+@pytest.mark.parametrize("kernel", sorted(set(KERNELS) - {"spectrum", "repeat"}))
 def test_every_kernel_contains_a_constant_of_unit_variance(kernel):
     """The coefficients by which the features add up to 1 are as likely as those of a unit constant."""
     phi = np.asarray(features(kernel, INSIDE[None], BOUNDS))
@@ -172,7 +183,7 @@ def test_what_is_unknown_grows_from_nothing_at_the_end_of_the_range(kernel):
     assert not unknown(kernel, INSIDE[None], BOUNDS).any()
 
 
-@pytest.mark.parametrize("kernel", ["line", "wave", "spectrum", "play", "line*line", "line*wave"])
+@pytest.mark.parametrize("kernel", ["line", "wave", "spectrum", "repeat", "play", "line*line", "line*wave"])
 def test_lines_go_on_and_functions_of_an_angle_are_known_everywhere(kernel):
     count = kernel.count("*") + 1
     assert not unknown(kernel, np.tile([-9.0, 0.3, 70.0], (count, 1)), BOUNDS * count).any()

@@ -157,6 +157,8 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
          "joint2 as a function of its gravity torque", "a hysteresis loop"),
 
         (gear(1), "joint1 as a function of its position", "waves of many orders, as of a gear"),
+        (Unnamed("joint1", "position of joint 1", -3.0, 3.0, "repeat", rolloff=(2 * np.pi / 0.8, 2.0)),
+         "joint1 as a function of its position", "a curve that repeats every 0.8 rad and is no sine"),
 
         (Unnamed("joint3", "position of joint 3 and direction of motion of joint 3", 0.0, 1.0, "rough*line",
                  further=(-1.0, 1.0)),
@@ -351,6 +353,23 @@ def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
     }
     again = json.loads(json.dumps(plain, allow_nan=False))
     assert statements.with_statements(again) == json.loads(json.dumps(stated))
+
+
+@pytest.mark.parametrize(("times", "is_said"), [(None, False), (1.2, False), (2.4, True)])
+def test_blocks_that_scatter_much_more_than_the_fit_says_are_said(compliant, drawn, times, is_said):
+    finding = compliant.findings[0]
+    if times is not None:
+        finding = replace(finding, block_std=times * np.sqrt(np.diagonal(finding.covariance)))
+    entry = replace(compliant, findings=(finding,)).to_dict()["findings"][0]
+    assert ("fit_std" in entry) == (times is not None)
+    plain = compliant.to_dict()["findings"][0]
+    for name, estimate in entry["parameters"].items():
+        std = plain["parameters"][name]["std"]
+        assert estimate == {"value": plain["parameters"][name]["value"], "std": pytest.approx((times or 1.0) * std)}
+        assert entry.get("fit_std", {}).get(name, std) == std
+    said = "Between blocks of the recording its numbers scatter 2.4 times as much as the noise lets expect"
+    for text in (page(replace(compliant, findings=(finding,)), drawn), statements.finding_statement(entry)):
+        assert (said in text) == is_said
 
 
 def test_a_number_that_is_not_finite_is_unknown():

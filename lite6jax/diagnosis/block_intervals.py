@@ -1,0 +1,62 @@
+"""What a number of a finding scatters by between blocks of the recording, beside what the fit says of it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.diagnosis.options import Options
+from lite6jax.estimation.jackknife import stds_over_blocks
+from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.score_test import longest_time
+from lite6jax.estimation.terms import Terms, join
+from lite6jax.recordings.sequence import contiguous_blocks
+from lite6jax.search.search import Selection
+
+Array = NDArray[np.floating]
+
+_FEWEST = 5
+"""Blocks below which their scatter is not used: a standard deviation from fewer is uncertain by half."""
+
+
+def block_stds(selection: Selection, options: Options) -> list[Array]:
+    """Standard deviations from blocks of each term of a selection: of its numbers, and of the one that was chosen.
+
+    Empty of terms without a name, of problems whose residuals are curved, where first-order changes mean little, and
+    where the recording is too short for `_FEWEST` blocks.
+    """
+    state = selection.state
+    problem = selection.problem
+    nothing: list[Array] = [np.zeros(0) for _ in state.tested]
+    if problem.curved or all(test.term.nonparametric for test in state.tested):
+        return nothing
+    training = state.fit.training
+    longest = longest_time(problem, state.fit, options.engine)
+    blocks = interval_blocks(training, longest, options)
+    if len(blocks) < _FEWEST:
+        return nothing
+    terms = []
+    values = []
+    for test, part in zip(state.tested, state.fit.terms.slices, strict=True):
+        terms.append(test.term.released() if test.chosen_std else test.term)
+        values.append([*state.fit.values[part], *([test.term.chosen] if test.chosen_std else [])])
+    released = Terms(tuple(terms))
+    stds = stds_over_blocks(problem, state.fit, released, join(values), blocks)
+    return [
+        np.zeros(0) if test.term.nonparametric else stds[part]
+        for test, part in zip(state.tested, released.slices, strict=True)
+    ]
+
+
+def interval_blocks(training: Mask, longest: float, options: Options) -> list[Mask]:
+    """Contiguous blocks `(sample,)` of the training samples.
+
+    Args:
+        training: `(sample,)`.
+        longest: autocorrelation time in samples of what the noise model leaves, of which a block is `block_times` long.
+        options: thresholds.
+    """
+    samples = np.flatnonzero(training)
+    shortest = options.block_times * longest if longest > 1 else 1.0
+    count = int(np.clip(len(samples) / shortest, 1, options.interval_blocks))
+    blocks = np.zeros((count, training.size), bool)
+    blocks[:, samples] = contiguous_blocks(len(samples), count)
+    return list(blocks)

@@ -1,0 +1,87 @@
+"""Standard deviations of fitted numbers from their scatter as blocks of samples are left out.
+
+A standard deviation from a fit holds if the model does, but for noise. What the model lacks differs from one part of a
+recording to another, and so do numbers that are fitted without that part.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.estimation.least_squares import Fit, linear_columns
+from lite6jax.estimation.problem import LinearisedProblem, Mask, linearised_at, prior_precision
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.estimation.robust import FREEDOM, variance_factor
+from lite6jax.estimation.terms import Terms
+
+Array = NDArray[np.floating]
+
+_FEWEST = 4.0
+"""Blocks that know as much of a number as all do together, below which their scatter says nothing of it."""
+_ROUNDING = 1e-9
+"""Relative, by which rounding may make a number more certain without a block than with it."""
+
+
+def stds_over_blocks(
+    problem: LinearisedProblem, fitted: Fit, terms: Terms, values: Array, blocks: Sequence[Mask]
+) -> Array:
+    """The standard deviation `(terms.size,)` of each number from its scatter over blocks of samples.
+
+    Each block is left out once, and numbers and nuisance are fitted to the others, to first order: with H the
+    information of all samples and g the weighted residuals along its columns, those of block b take
+    (H − H_b)⁻¹ g_b from the estimate. In independent noise that has the variance of the estimate without the block less
+    that of the one with it. The scatter is the root of the sum of squares over the sum of these variances, so that
+    blocks which know much and little of a number count alike (the jackknife by groups: J. Shao and C. Wu, The Annals
+    of Statistics 17, 1989).
+
+    Args:
+        problem: that was fitted.
+        fitted: with its noise model and weights.
+        terms: of the model, or the same with numbers released that were held fixed.
+        values: `(terms.size,)`, their numbers at the estimate.
+        blocks: `(sample,)` each; samples in none of them always stay.
+
+    Returns:
+        about those of the fit where the model holds, and larger where it does not; those of the fit where too few
+        blocks determine a number to say.
+    """
+    nuisance = fitted.nuisance
+    columns = fitted.noise.whitened(linear_columns(linearised_at(problem, nuisance), terms, values))
+    count = len(columns)
+    row_weight = np.where(fitted.training, fitted.residuals.row_weight, 0.0)
+    pull = row_weight * fitted.residuals.innovations
+    # variance of a weighted residual over its weight, which the weights of Student's t make less than one
+    unit = float(np.sum(pull**2) / np.sum(row_weight))
+    precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
+    H = np.diag(precision)
+    blocks = [block & fitted.training for block in blocks]
+    stays = fitted.training & ~np.any(blocks, axis=0)
+    information = [_products(columns[..., part], row_weight[:, part]) for part in (*blocks, stays)]
+    H = H + np.sum(information, 0)
+    numbers = np.arange(count - terms.size, count)
+    variance = np.diagonal(scaled_inverse(H))[numbers]
+    squares = np.zeros(terms.size)
+    expected = np.zeros((len(blocks), terms.size))
+    everywhere = np.ones(terms.size, bool)
+    for k, block in enumerate(blocks):
+        inverse = scaled_inverse(H - information[k])
+        gradient = np.tensordot(columns[..., block], pull[:, block], 2)
+        moved = (inverse @ gradient)[numbers]
+        gained = np.diagonal(inverse)[numbers] - variance
+        # of what no other block determines the inverse is zero, or what rounding leaves of it
+        everywhere &= gained > -_ROUNDING * variance
+        expected[k] = unit * np.maximum(gained, 0.0)
+        squares += moved**2
+    total = expected.sum(0)
+    alike = np.divide(total**2, np.sum(expected**2, 0), out=np.zeros_like(total), where=total > 0)
+    enough = everywhere & (alike >= _FEWEST)
+    scatter = np.divide(squares, total, out=np.ones_like(total), where=enough)
+    factor = variance_factor(fitted.residuals.squares[fitted.training], problem.rows, FREEDOM, 0)
+    return np.sqrt(scatter * variance * factor)
+
+
+def _products(columns: Array, weight: Array) -> Array:
+    """The information `(number, number)` of columns `(number, row, sample)` with weights `(row, sample)`."""
+    flat = (columns * np.sqrt(weight)).reshape(len(columns), -1)
+    return flat @ flat.T
