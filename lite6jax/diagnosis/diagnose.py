@@ -370,9 +370,9 @@ def diagnose_poses(
     options = (options or Options()).of(recording.settings)
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
-        rows = screen_rows(recording, options.screening, arm)
+        rows = screen_rows(recording, arm)
         # what cannot be read at all ends here, before any process has begun
-        begun = screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
+        begun = screen(rows.recording, arm, geometry, options.prior, factory=factory, coarse=True)
         require_determined(begun.rigid_arm)
         case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):

@@ -136,7 +136,7 @@ class Case:
         """With these faults corrected, from the training rows."""
         entered("screening")
         used = self.recording if self.training is None else self.recording.select(self.training)
-        return screen(used, self.arm, self.geometry, self.options.screening, corrections, self.factory)
+        return screen(used, self.arm, self.geometry, self.options.prior, corrections, self.factory)
 
     def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""

@@ -1,9 +1,8 @@
-"""All options of a diagnosis in one object: the engine's, the screening's, and its own."""
+"""All options of a diagnosis in one object: the engine's, and its own."""
 
 from dataclasses import dataclass, field, replace
 from typing import final
 
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.errors import InputError
 from lite6jax.estimation.documented import option
 from lite6jax.estimation.options import EngineOptions
@@ -22,14 +21,12 @@ class Options:
 
     Attributes:
         engine: of estimation and search.
-        screening: of the screening of data faults.
 
     Raises:
         InputError: fewer than two held-out blocks.
     """
 
     engine: EngineOptions = field(default_factory=EngineOptions)
-    screening: ScreeningOptions = field(default_factory=ScreeningOptions)
     folds: int = option(
         _USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search"
     )
@@ -98,8 +95,7 @@ class Options:
         """
         prior = self.prior.given(settings.prior or {})
         engine = replace(self.engine, prior=prior)
-        screening = replace(self.screening, prior=prior)
-        return replace(self, engine=engine, screening=screening)
+        return replace(self, engine=engine)
 
     @property
     def quick(self) -> bool:

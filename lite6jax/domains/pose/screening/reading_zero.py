@@ -11,6 +11,7 @@ import numpy as np
 
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, MOST_FITTED
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.recordings.fault import DataFault
 
@@ -25,18 +26,17 @@ def free_constant(state: Screened) -> Screened:
         return state
     if decision is False:
         return state
-    options = state.options
     freed = replace(recording, settings=replace(settings, distance_offset="unknown"))
     free = rigid_arm(freed, state.rigid_arm.arm, state.geometry, state.factory)
-    fitted = free.fitted(options.most_fitted)
+    fitted = free.fitted(MOST_FITTED)
     constant, std = _constant(fitted)
     if not decision:
-        plain = state.rigid_arm.fitted(options.most_fitted)
+        plain = state.rigid_arm.fitted(MOST_FITTED)
         scale = min(fitted.scale, plain.scale)
         gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)
-        price = 0.5 * np.log(recording.samples) + options.prior.cost("distance_constant")
+        price = 0.5 * np.log(recording.samples) + state.prior.cost("distance_constant")
         declared = settings.distance_noise_m
-        noisy = fitted.scale * fitted.noise[0] > options.as_noise_ratio * declared if declared else False
+        noisy = fitted.scale * fitted.noise[0] > AS_NOISE_RATIO * declared if declared else False
         if gain < price or noisy:
             return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
     numbers = {"constant_m": constant, "std_m": std}
