@@ -161,7 +161,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     arm = begun
     steps = 0
     converged = False
-    while not converged and steps < DEFAULTS.steps:
+    while not converged and steps < DEFAULTS.fit.steps:
         arm, before = relinearise(arm, DEFAULTS, steps=1), arm
         steps = steps + 1
         converged = bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.thresholds import OBSERVABLE_SHARE
-from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
+from lite6jax.estimation.thresholds import EIGENVALUE_ROUNDING
 from lite6jax.recordings.sequence import differentiate, run_segments
 
 Array = NDArray[np.floating]
@@ -43,7 +43,7 @@ class Projected:
         """`(rank, row sample)`, orthonormal, of the known columns."""
         columns = np.concatenate([self.arm.frame_columns, self.nuisance]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
-        return orthonormal(unit_rows(flat), DEFAULTS.rounding)
+        return orthonormal(unit_rows(flat), EIGENVALUE_ROUNDING)
 
     @cached_property
     def residual(self) -> Array:
