@@ -657,19 +657,16 @@ def diagnose(
     with_torques = "torques" in domains
     arm = arm or arm_of(recording) if with_torques else arm
     reference_recording = None if reference is None else load_recording(reference, arm)
-    of_poses = (
-        reference_recording
-        if not with_torques
-        or reference_recording is None
-        or not reference_recording.has_torques
-        or reference_recording.numbers_per_sample
-        else None
-    )
+    of_poses = reference_recording
+    of_torques = None
+    if reference_recording is not None and reference_recording.has_torques:
+        of_torques = reference_recording
+        if with_torques and not reference_recording.numbers_per_sample:
+            of_poses = None
     of_arm: dict[str, Any] = {"geometry": geometry, "factory": factory}
     poses = diagnose_poses(recording, arm, reference=of_poses, effects=kinematic, **of_arm, **arguments)
     if not with_torques:
         return poses
-    of_torques = reference_recording if reference_recording is not None and reference_recording.has_torques else None
     try:
         torques = diagnose_torques(recording, arm, reference=of_torques, effects=dynamic, **arguments)
     except InputError as error:

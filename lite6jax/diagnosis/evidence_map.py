@@ -183,7 +183,9 @@ class _Shares:
 def _name(site: Site) -> str:
     """The name of the place of a column of the problem: readings grow in the sensor."""
     kind, number, _ = site
-    return f"{kind}{number + 1}" if kind in ("joint", "link") else "sensor" if kind == SCALE else kind
+    if kind in ("joint", "link"):
+        return f"{kind}{number + 1}"
+    return "sensor" if kind == SCALE else kind
 
 
 def _column(site: str, driver: Driver) -> str:

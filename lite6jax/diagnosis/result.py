@@ -325,11 +325,9 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def _reference(self) -> ReferenceOrigin | None:
         """The reference that the findings are the difference from."""
         against = None if self.against is None else self.against.to_dict()
-        return (
-            None
-            if against is None or against["basis"] == "effects"
-            else ReferenceOrigin(against["file"], against["basis"])
-        )
+        if against is None or against["basis"] == "effects":
+            return None
+        return ReferenceOrigin(against["file"], against["basis"])
 
     @property
     @abstractmethod

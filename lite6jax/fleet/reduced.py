@@ -26,6 +26,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import block_covariance, sums_by_block
 from lite6jax.estimation.thresholds import CONFOUNDED, LOWEST_ORDER
+from lite6jax.fields import field_values
 from lite6jax.fleet.terms import (
     CUBICS,
     SPLINES,
@@ -171,6 +172,7 @@ class ReducedArm:
             "runs": filtered.runs,
             "kept": filtered.kept,
         }  # fmt: skip
+        stored = field_values(self)
         sink = io.BytesIO()
         np.savez(
             sink,
@@ -179,7 +181,7 @@ class ReducedArm:
             noise=np.array([(model.coefficient, model.share) for model in self.noise.models]),
             groups=self.noise.groups,
             starts=np.array(self.noise.starts),
-            **{name: getattr(self, name) for name in _ARRAYS},
+            **{name: stored[name] for name in _ARRAYS},
             **smoothing,
         )
         return sink.getvalue()

@@ -367,7 +367,7 @@ def test_a_state_refuses_tests_of_other_terms_than_were_fitted():
 
 
 def test_every_option_is_documented_once():
-    options = documented(EngineOptions)
+    options = documented(EngineOptions())
     assert len({option.name for option in options}) == len(options) >= 7
     assert all(option.meaning and option.why for option in options)
 

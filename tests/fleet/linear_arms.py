@@ -89,7 +89,7 @@ def stored(folder, arms):
 
 def tried(arms, options=OPTIONS):
     """All that some arms are tested for."""
-    return Tried([one.heading for one in arms], options.engine)
+    return Tried([one.heading for one in arms], options)
 
 
 def population(folder, arms, processes=0, options=OPTIONS):

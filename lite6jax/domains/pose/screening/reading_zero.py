@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, MOST_FITTED
 from lite6jax.estimation.projection import scaled_inverse
@@ -29,7 +29,10 @@ def free_constant(state: Screened) -> Screened:
     freed = replace(recording, settings=replace(settings, distance_offset="unknown"))
     free = rigid_arm(freed, state.rigid_arm.arm, state.geometry, state.factory)
     fitted = free.fitted(MOST_FITTED)
-    constant, std = _constant(fitted)
+    J = fitted.frame_columns.reshape(len(fitted.unknown), -1) / fitted.scale
+    covariance = scaled_inverse(J @ J.T + np.diag(fitted.precision))
+    constant = float(fitted.measured.constant[0])  # type: ignore[attr-defined]
+    std = float(np.sqrt(covariance[-1, -1]))
     if not decision:
         plain = state.rigid_arm.fitted(MOST_FITTED)
         scale = min(fitted.scale, plain.scale)
@@ -41,10 +44,3 @@ def free_constant(state: Screened) -> Screened:
             return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
     numbers = {"constant_m": constant, "std_m": std}
     return state.corrected(DataFault("distance_offset", (), numbers), rigid=fitted)
-
-
-def _constant(arm: RigidArm) -> tuple[float, float]:
-    """m, the constant of the distances with the arm fitted, and its standard deviation."""
-    J = arm.frame_columns.reshape(len(arm.unknown), -1) / arm.scale
-    covariance = scaled_inverse(J @ J.T + np.diag(arm.precision))
-    return float(arm.measured.constant[0]), float(np.sqrt(covariance[-1, -1]))  # type: ignore[attr-defined]
