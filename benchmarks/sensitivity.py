@@ -96,7 +96,7 @@ def variations() -> Iterator[tuple[str, float, float]]:
     from lite6jax.diagnosis.options import Options
 
     options = Options()
-    for group, holder in {"engine": options.engine, "screening": options.screening, "diagnosis": options}.items():
+    for group, holder in {"engine": options.engine, "diagnosis": options}.items():
         for field in fields(holder):
             value = getattr(holder, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float):

@@ -250,7 +250,7 @@ def parse_yaml(text: str, path: str | Path) -> Any:
         ) from error
 
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _RESOLVER = yaml.resolver.Resolver()
 _CONSTRUCTOR = yaml.constructor.SafeConstructor()
 _TAG = "tag:yaml.org,2002:"
@@ -261,7 +261,7 @@ _WORDS = {"yes", "no", "on", "off", "true", "false", "null"}
 
 def _construct(path: str | Path, text: str) -> Any:
     """What a YAML text holds, in one pass over its events: of thousands of files, no parser of trees is as fast."""
-    events = yaml.parse(text, Loader=_LOADER)
+    events = yaml.parse(text, Loader=YAML_LOADER)
     anchors = dict[str, tuple[Any, int]]()
     count = 0
 

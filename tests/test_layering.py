@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
-    *("interruption", "errors", "suffixes", "storage", "results", "progress", "threads"),
+    *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
     *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
     *("controller", "calibration"),
     *("workers", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),

@@ -69,7 +69,7 @@ def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
     ids=range(7),
 )
 def test_yaml_that_would_end_the_process(tmp_path, monkeypatch, loader, text, message):
-    monkeypatch.setattr(storage, "_LOADER", getattr(storage.yaml, loader))
+    monkeypatch.setattr(storage, "YAML_LOADER", getattr(storage.yaml, loader))
     path = tmp_path / "deep.yaml"
     path.write_text(text)
     assert message in refusal(storage.read_yaml, path)

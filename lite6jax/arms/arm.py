@@ -7,7 +7,7 @@ one, asks here.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from lite6jax.arms import chains, frames
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.frames import sample_joints as sample_joints
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 
 LEVER = 0.1
 """m, the lever at which a prismatic joint's thresholds, typical sizes and bounds are those of a revolute joint: by a
@@ -253,7 +254,7 @@ class Arm:
 
     def __getstate__(self) -> dict[str, object]:
         """The fields alone: a pickle does not depend on what has been computed of an arm."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return field_values(self)
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:

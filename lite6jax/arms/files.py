@@ -233,7 +233,9 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
     phrases = []
     if form not in WHOLE_ARM and not calibrated:
-        bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
+        bodies = ""
+        if arm.mass is not None:
+            bodies = " and masses" if arm.inertia is None else ", masses and inertia"
         drives = [term for field, term in JOINT_TERMS.items() if field in arm.drives]
         phrases += [f"joint limits{bodies}", *drives]
     if form in ("vendor", "ur") and arm.sliding:

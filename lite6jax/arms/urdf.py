@@ -262,7 +262,9 @@ def write_urdf(
         if (body := link_body(arm, i)) is not None:
             _set_body(link, body)
         lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
-        kind = "prismatic" if arm.slides[i] else "continuous" if i in arm.endless else "revolute"
+        kind = "continuous" if i in arm.endless else "revolute"
+        if arm.slides[i]:
+            kind = "prismatic"
         joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))

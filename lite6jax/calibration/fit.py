@@ -231,11 +231,9 @@ def _free_of_frames(
     held_parameters = list[FixedParameter]()
     frame_columns = list[int]()
     for k in (k for k in (*range(geometry, size), *range(geometry)) if movable[k]):
-        share = (
-            np.linalg.solve(H[np.ix_(frame_columns, frame_columns)], H[frame_columns, k])
-            if observed[k]
-            else np.zeros(len(frame_columns))
-        )
+        share = np.zeros(len(frame_columns))
+        if observed[k]:
+            share = np.linalg.solve(H[np.ix_(frame_columns, frame_columns)], H[frame_columns, k])
         independent = observed[k] and H[k, k] - share @ H[frame_columns, k] > _INDEPENDENT
         if k >= geometry and independent:
             frame_columns.append(k)

@@ -165,7 +165,9 @@ def declared_geometry(
             f"has its tool; give the six-parameter file, or the tool in the sidecar"
         )
     if geometry == "declared":
-        geometry = "free" if factory is None else "exact" if uncertainty is None else "prior"
+        geometry = "exact" if uncertainty is None else "prior"
+        if factory is None:
+            geometry = "free"
     if geometry in ("exact", "prior") and factory is None:
         raise InputError(
             f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use "
@@ -239,7 +241,9 @@ def recording_problem(
     noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
     lacking = [declared[0] is None, rotation is not None and declared[1] is None]
     if any(lacking):
-        quantities = "positions" if not lacking[1] else "all that is measured" if lacking[0] else "orientations"
+        quantities = "positions" if lacking[0] else "orientations"
+        if all(lacking):
+            quantities = "all that is measured"
         notes.append(f"the sidecar does not declare the noise of {quantities}: it is taken from the residuals")
     by_joints = None
     if settings.joint_noise_rad:

@@ -35,7 +35,8 @@ with import_lazily():
     from lite6jax.domains.pose import predict as pose_predict
     from lite6jax.domains.tracking import predict as tracking_predict
     from lite6jax.domains.tracking import simulator as tracking_simulator
-    from lite6jax.fleet import diagnoses, folder, reduction, terms
+    from lite6jax.estimation import options as engine_options
+    from lite6jax.fleet import diagnoses, folder, reduction
     from lite6jax.recordings import files as recording_files
     from lite6jax.report import (
         compensations,
@@ -297,7 +298,7 @@ class DiagnoseCommand:
                 self.json, lambda: documents.of_diagnoses(rows), listings.diagnoses_report(rows), [table]
             )
         rounds: list[int] = []
-        arguments = str(self.source), self.out, terms.PoolingOptions(), self.scheduler, self.processes
+        arguments = str(self.source), self.out, engine_options.DEFAULTS, self.scheduler, self.processes
         with screen.repeated(lambda: f"pooling the recordings: {rounds[-1] if rounds else 0} effects so far"):
             document = diagnoses.pool_folder(*arguments, rounds.append).to_dict()
         write_atomically(pooled, diagnosis_file.document_text(document), overwrite=self.force)

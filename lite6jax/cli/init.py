@@ -31,8 +31,8 @@ with import_lazily():
     from lite6jax.domains.pose import joining as pose_joining
     from lite6jax.domains.pose import points as pose_points
     from lite6jax.domains.pose import reflectors
-    from lite6jax.domains.pose.screening import options as screening_options
     from lite6jax.domains.pose.screening import screen as screening
+    from lite6jax.domains.pose.screening import thresholds as screening_thresholds
     from lite6jax.domains.tracking import joining as tracking_joining
     from lite6jax.recordings import boards, fault, formats, naming
     from lite6jax.recordings import columns as table_columns
@@ -239,11 +239,11 @@ def _find_gross_faults(
     ):
         return ()
     declared = settings.get("pose_frame") == "base" or settings.get("tool", "unknown") != "unknown"
-    agrees = inspected.error <= screening_options.ScreeningOptions().suspect_reach * inspected.arm.reach
+    agrees = inspected.error <= screening_thresholds.SUSPECT_REACH * inspected.arm.reach
     try:
         recording = recordings.read_recording(source)
         if agrees and not declared:  # nothing is declared that could be wrong
-            return screening.screen_rows(recording, screening_options.ScreeningOptions()).found
+            return screening.screen_rows(recording).found
         return screening.screen(recording, allow_undecided=True, coarse=True).found
     except InputError as error:  # of too few rows, and the like: the table was recognised all the same
         notes.append(name_options(str(error)))

@@ -12,6 +12,7 @@ from lite6jax import suffixes
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 
 with import_lazily():
     from lite6jax import recordings, simulation
@@ -166,7 +167,7 @@ class SimulateCommand:
     def _check_options(self) -> None:
         """Refuses options of poses for a log of commands, and the other way round."""
         usual = {field.name: field.default for field in fields(self)}
-        changed = [name for name in usual if getattr(self, name) != usual[name]]
+        changed = [name for name, value in field_values(self).items() if value != usual[name]]
         refused = _OF_POSES if self.tracking else _OF_COMMANDS
         for name in changed:
             if name in refused:

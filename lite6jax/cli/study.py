@@ -11,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from lite6jax.cli import command, command_design
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 
 with import_lazily():
     import numpy as np
@@ -184,10 +185,9 @@ class TorqueSetup:
 
 def _given(options: Any, *names: str) -> list[str]:
     """Which of some options are not at their defaults; of all where none is named."""
+    values = field_values(options)
     checked_fields = (item for item in fields(options) if not names or item.name in names)
-    return [
-        f"--{item.name.replace('_', '-')}" for item in checked_fields if getattr(options, item.name) != item.default
-    ]
+    return [f"--{item.name.replace('_', '-')}" for item in checked_fields if values[item.name] != item.default]
 
 
 def _refuse_torques(options: TorqueSetup) -> None:

@@ -37,7 +37,7 @@ from lite6jax.diagnosis.heldout import (
     verify,
 )
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, SeparatingPoses
+from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis, SeparatingPoses
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis, diagnose_tracking
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
@@ -63,6 +63,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import orthonormal, outside, scaled_solve, unit_rows
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE, EIGENVALUE_ROUNDING
 from lite6jax.model import ArmModel
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
@@ -73,6 +74,21 @@ from lite6jax.search.search import Selection
 from lite6jax.sensors.pose import Measured
 
 Array = NDArray[np.floating]
+
+_OUTLIER_SQUARES = 30.0
+"""Squared residual over the scale, per number, beyond which a row is an outlier: 5.5 standard deviations."""
+FEWEST_ROWS = 15
+"""Rows below which nothing is said where nothing is found: five a fitted frame."""
+_WITHIN_REACH = 200
+"""Rows that may be asked for where something near was not found: a day's work."""
+_SEPARATING_POSES = 12
+"""Poses that separate a pair of effects: half an hour of recording."""
+_SEPARATING_CANDIDATES = 3000
+"""Candidate poses they are chosen from, dense enough for six joints."""
+_SEPARATING_MARGIN = 0.035
+"""rad from the joint limits that a separating pose keeps: two degrees."""
+_SAME_EFFECT = 1e-4
+"""Share of an effect that its alternative cannot do, below which both are the same: 1 % of its length."""
 Source = Recording | str | Path
 Nominal = Arm | str | Path | None
 
@@ -193,7 +209,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
         The evidence of an effect grows with the number of rows.
         """
-        minimum_rows = max(self.options.fewest_rows, self.problem.samples + 1)
+        minimum_rows = max(FEWEST_ROWS, self.problem.samples + 1)
         if self.selection.nearest is None:
             return minimum_rows
         term, p_value = self.selection.nearest
@@ -279,15 +295,15 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def _too_few(self) -> bool:
-        if self.problem.samples < self.options.fewest_rows:
+        if self.problem.samples < FEWEST_ROWS:
             return True
         bad = self.quality.verdict == "bad"
-        return not self._leaves_noise and not bad and self.rows_needed <= self.options.within_reach
+        return not self._leaves_noise and not bad and self.rows_needed <= _WITHIN_REACH
 
     @property
     def _leaves_noise(self) -> bool:
         # what a model that does not describe the poses leaves is not noise, whether or not noise is declared
-        if not self.fit.noise.white or (self.most_over_noise or 0.0) > self.options.as_noise:
+        if not self.fit.noise.white or (self.most_over_noise or 0.0) > AS_NOISE:
             return False
         return self.quality.verdict != "bad" and (not self.findings or self.over_noise["position"] is not None)
 
@@ -311,7 +327,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             return "separable"
         if effect.periodic and labels[0] == labels[1]:
             return "undecided"  # another order of the same wave
-        return "undecided" if _differ(self.selection, k, effect, self.options) else "equivalent"
+        return "undecided" if _differ(self.selection, k, effect) else "equivalent"
 
     def _own_parts(self) -> dict[str, Any]:
         problem = self.problem
@@ -359,9 +375,9 @@ def diagnose_poses(
     options = (options or Options()).of(recording.settings)
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
-        rows = screen_rows(recording, options.screening, arm)
+        rows = screen_rows(recording, arm)
         # what cannot be read at all ends here, before any process has begun
-        begun = screen(rows.recording, arm, geometry, options.screening, factory=factory, coarse=True)
+        begun = screen(rows.recording, arm, geometry, options.prior, factory=factory, coarse=True)
         require_determined(begun.rigid_arm)
         case = Case(rows.recording, arm, geometry, options, tuple(effects), factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
@@ -373,13 +389,12 @@ def diagnose_poses(
         searched = replace(case, among=selection.considered), explanation.final_decisions
         errors = errors_of_folds(errors_of_search, searched, folds)
         of_all = selection
-        inliers = ~_outliers(of_all, options)
+        inliers = ~_outliers(of_all)
         verified = verify(
             of_all,
             errors,
             folds,
             inliers,
-            options,
             lambda spread: refitted_errors(of_all, spread, options),
             judge_poses,
         )
@@ -402,13 +417,13 @@ def diagnose_poses(
         faults=faults,
         ruled_out=tuple(ruled_out.values()),
         options=options,
-        outliers=_outliers(selection, options),
+        outliers=_outliers(selection),
         separating=separating,
         **verified._asdict(),
     )
 
 
-def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
+def _outliers(selection: Selection) -> NDArray[np.bool_]:
     """`(sample,)`, rows that are far from the model, and rows without joints.
 
     A residual within the declared noise, or within the rounding of a file, is none, however small the others are.
@@ -417,7 +432,7 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     residuals = selection.state.fit.residuals
     assert isinstance(problem, PoseProblem)
     error_floor = ROUNDING if (declared := problem.declared_noise[0]) is None else declared
-    far = residuals.squares > options.outlier_squares * problem.rows
+    far = residuals.squares > _OUTLIER_SQUARES * problem.rows
     return far & (np.sum(residuals.rows**2, 0) > (error_floor / problem.noise[0]) ** 2) | ~problem.valid
 
 
@@ -441,12 +456,12 @@ def _separating_poses(
         (k, alternative.term)
         for k, tested in enumerate(state.tested)
         for alternative in tested.alternatives
-        if alternative.gap < options.engine.close
+        if alternative.gap < CLOSE
         and isinstance(alternative.term, Effect)
         and not alternative.term.nonparametric
         and not (alternative.term.periodic and alternative.term.label == tested.term.label)
         and alternative.term not in state.fit.terms.terms
-        and _differ(selection, k, alternative.term, options)
+        and _differ(selection, k, alternative.term)
     ][: options.most_separated]
     if not pairs:
         return ()
@@ -454,9 +469,9 @@ def _separating_poses(
     position, orientation = problem.noise
     sensor = Sensor("position" if orientation is None else "pose", position, orientation)
     experiment = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
-    drawn = candidates(problem.arm, options.separating_candidates, limit_margin=options.separating_margin)
+    drawn = candidates(problem.arm, _SEPARATING_CANDIDATES, limit_margin=_SEPARATING_MARGIN)
     recorded = problem.recording.joint_position
-    count = options.separating_poses
+    count = _SEPARATING_POSES
     separating_poses = []
     for k, rival in pairs:
         effect = state.tested[k].term
@@ -472,7 +487,7 @@ def _separating_poses(
     return tuple(separating_poses)
 
 
-def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bool:
+def _differ(selection: Selection, k: int, rival: Effect) -> bool:
     """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
     problem = selection.problem
     fit = selection.state.fit
@@ -484,8 +499,8 @@ def _differ(selection: Selection, k: int, rival: Effect, options: Options) -> bo
     effect = np.tensordot(fit.values[part], columns, 1).reshape(1, -1)
     beside = problem.columns([rival], beside=(fit.terms, fit.values))
     span = np.concatenate([beside, problem.nuisance_columns(fit.terms, fit.values)]).reshape(-1, effect.size)
-    remainder = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
-    return bool(np.sum(remainder**2) > options.same_effect * np.sum(effect**2))
+    remainder = outside(effect, orthonormal(unit_rows(span), EIGENVALUE_ROUNDING))
+    return bool(np.sum(remainder**2) > _SAME_EFFECT * np.sum(effect**2))
 
 
 # ------------------------------------------------------------------ of one domain, or of several

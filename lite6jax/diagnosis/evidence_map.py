@@ -25,6 +25,7 @@ from lite6jax.estimation.evidence import Marginal, log_orders, of_process
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest, score_test
+from lite6jax.estimation.thresholds import CONFOUNDED, EXACT_BELOW
 from lite6jax.search.scan import ModelScan, Scan
 from lite6jax.search.spectrum import spectrum
 
@@ -162,10 +163,10 @@ class _Shares:
         sums = self._marginal.sums(column)
         shares = np.full(len(functions), np.nan)
         pulls, informations = self._marginal.equations(sums, functions)
-        s = of_process(pulls, informations, sums.left, sums.freedom, self._test.options.confounded).variance
+        s = of_process(pulls, informations, sums.left, sums.freedom, CONFOUNDED).variance
         total_weight = (functions**2 * sums.weight).sum((1, 2))
         for k, (pull, information) in enumerate(zip(pulls, informations, strict=True)):
-            if np.trace(information) > self._test.options.confounded * total_weight[k]:
+            if np.trace(information) > CONFOUNDED * total_weight[k]:
                 posterior = np.linalg.inv(information + np.eye(len(pull)) / s[k])
                 values = posterior @ pull
                 explained = values @ (2 * pull - information @ values)
@@ -182,7 +183,9 @@ class _Shares:
 def _name(site: Site) -> str:
     """The name of the place of a column of the problem: readings grow in the sensor."""
     kind, number, _ = site
-    return f"{kind}{number + 1}" if kind in ("joint", "link") else "sensor" if kind == SCALE else kind
+    if kind in ("joint", "link"):
+        return f"{kind}{number + 1}"
+    return "sensor" if kind == SCALE else kind
 
 
 def _column(site: str, driver: Driver) -> str:
@@ -198,7 +201,7 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     tests = [score_test(problem, fit, engine) for problem, fit in stages(found)]
     effects = [finding.effect for finding in found.findings]
     gears = [effect for effect in effects if isinstance(effect, Unnamed) and effect.kernel == "spectrum"]
-    exact_below = max([engine.exact_below, *(orders_of(effect.bounds)[-1] for effect in gears)])
+    exact_below = max([EXACT_BELOW, *(orders_of(effect.bounds)[-1] for effect in gears)])
     spectra = []
     for k, family in enumerate(found.problem.periodic):
         site = family.site

@@ -27,6 +27,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
@@ -136,7 +137,7 @@ class Case:
         """With these faults corrected, from the training rows."""
         entered("screening")
         used = self.recording if self.training is None else self.recording.select(self.training)
-        return screen(used, self.arm, self.geometry, self.options.screening, corrections, self.factory)
+        return screen(used, self.arm, self.geometry, self.options.prior, corrections, self.factory)
 
     def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
@@ -332,7 +333,7 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     gap = rival.evidence - explanation.evidence - case.options.prior.cost("calibration_off")
     numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": abs(gap), "rival_terms": explanation.labels}
     if gap <= 0:
-        likely = gap > -case.options.engine.close
+        likely = gap > -CLOSE
         ruled_out = DataFault("calibration_off", (), {"reason": "physics" if likely else "unlikely", **numbers})
         return replace(
             explanation, screened=replace(explanation.screened, ruled_out=(*explanation.screened.ruled_out, ruled_out))

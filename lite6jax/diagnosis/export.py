@@ -118,11 +118,10 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     if not np.allclose(np.asarray(model.model.T_sensor_base), np.eye(4), rtol=0, atol=_SAME):
         left_out.append("where the base stands in the frame of the sensor")
     if nominal is not None and not np.allclose(tip, nominal.T_joint_flange, rtol=0, atol=_SAME):
-        left_out.append(
-            "the nominal flange (the chain ends at the point that was measured)"
-            if alone
-            else "the point that was measured (what follows the last joint stays as it is)"
-        )
+        if alone:
+            left_out.append("the nominal flange (the chain ends at the point that was measured)")
+        else:
+            left_out.append("the point that was measured (what follows the last joint stays as it is)")
     limits = model.joint_limits if nominal is None else nominal.joint_limits
     arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=tip, sliding=model.sliding)
     if alone and nominal is not None and nominal.dof == arm.dof:

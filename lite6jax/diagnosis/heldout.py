@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.block_intervals import block_stds
+from lite6jax.diagnosis.block_intervals import BLOCK_TIMES, block_stds
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.options import Options
@@ -35,6 +35,28 @@ from lite6jax.search.search import Selection, at_estimate
 from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
+
+_LARGEST_RISE = 1.01
+"""Ratio of held-out position errors with and without effects, above which these are not kept.
+
+It is what effects that only turn the tool cost in precision. Effects of many numbers may cost more.
+"""
+_LARGEST_EXCESS = 3.0
+"""Ratio of held-out position errors to those of the fitted rows, above which effects are not kept.
+
+It is 1 to 2 where a model is right, and more where functions follow the rows that they were fitted to.
+"""
+_CLEARLY_SMALLER = 1 / 3
+"""Ratio of held-out position errors with and without effects below which effects are kept, if errors are not raised.
+
+It is of the geometric mean over blocks. What predicts most of rows that were not used is there, as drift that a
+block at an end continues.
+"""
+_SPREAD_BLOCKS = 5
+"""Blocks over the recording that are held out together where the effects found are fitted again.
+
+None is then all that shows how a drift begins.
+"""
 
 # ------------------------------------------------------------------ blocks of rows
 
@@ -66,15 +88,15 @@ def fold_count(samples: int, options: Options, needed: int = 0) -> int:
     return count
 
 
-def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> list[Mask]:
-    """As many sets of rows `(sample,)` as these contiguous ones, each of up to `spread_blocks` blocks over all rows.
+def spread_folds(folds: Sequence[Mask], noise: NoiseModel) -> list[Mask]:
+    """As many sets of rows `(sample,)` as these contiguous ones, each of up to `_SPREAD_BLOCKS` blocks over all rows.
 
     A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise.
     """
     count = len(folds)
     samples = folds[0].size
-    long = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
-    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, options.spread_blocks)))
+    long = max(BLOCK_TIMES * model.time if model.share else 1.0 for model in noise.models)
+    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, _SPREAD_BLOCKS)))
     return [np.any(blocks[number::count], 0) for number in range(count)]
 
 
@@ -127,9 +149,7 @@ class Judgement(NamedTuple):
 class Judge(Protocol):
     """How a domain judges effects."""
 
-    def __call__(
-        self, errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
-    ) -> Judgement:
+    def __call__(self, errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> Judgement:
         """Whether the errors of folds reject the effects of a selection; `kept` `(sample,)` are the rows that count."""
         ...
 
@@ -150,7 +170,6 @@ def verify(
     errors: HeldOut,
     folds: Sequence[Mask],
     kept: Mask,
-    options: Options,
     refitted: Callable[[Sequence[Mask]], HeldOut],
     judge: Judge,
 ) -> Verification:
@@ -161,13 +180,12 @@ def verify(
         errors: on contiguous `folds`, each searched without.
         folds: these.
         kept: `(sample,)`, the rows that count.
-        options: thresholds.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
         judge: of the domain.
     """
     state = selection.state
     findings = []
-    by_blocks = block_stds(selection, options)
+    by_blocks = block_stds(selection)
     for tested, numbers, block_std in zip(state.tested, state.fit.terms.slices, by_blocks, strict=True):
         assert isinstance(tested.term, Effect)
         alternatives = tuple(alternative for alternative in tested.alternatives if isinstance(alternative.term, Effect))
@@ -180,21 +198,19 @@ def verify(
             Finding(tested.term, values, covariance, tested.p_value, gain, alternatives, std, share, block_std)
         )
     selected_findings = tuple(findings)
-    searched = judge(errors, selection, kept, folds, options) if selected_findings else Judgement(False, 1.0)
+    searched = judge(errors, selection, kept, folds) if selected_findings else Judgement(False, 1.0)
     if not searched.rejects:
         return Verification(selection, errors, folds, selected_findings)
-    spread = spread_folds(folds, state.fit.noise, options)
+    spread = spread_folds(folds, state.fit.noise)
     again = refitted(spread)
-    if judge(again, selection, kept, spread, options).rejects:
+    if judge(again, selection, kept, spread).rejects:
         # the nuisance alone, as it was fitted without the effects
         bare = replace(selection, problem=selection.reference, state=State(state.baseline, state.baseline))
         return Verification(bare, errors.without_effects(), folds, (), Withdrawn(selected_findings, errors, kept))
     return Verification(selection, again, spread, selected_findings, None, SearchedAgain(len(folds), searched.ratio))
 
 
-def judge_by_folds(
-    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
-) -> Judgement:
+def judge_by_folds(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> Judgement:
     """By the geometric mean over folds of the errors with effects over those without.
 
     The variance of errors is unknown and differs between folds, so each ratio is one of likelihoods, and no fold
@@ -203,15 +219,13 @@ def judge_by_folds(
     pairs = [(errors.before_over_noise[:, rows], errors.after_over_noise[:, rows]) for rows in _rows_of(folds, kept)]
     logs = [[np.log(max(float(np.linalg.norm(fold_errors)), 1e-150)) for fold_errors in pair] for pair in pairs]
     ratio = float(np.exp(np.mean([after - before for before, after in logs])))
-    return Judgement(ratio > options.heldout_rise, ratio)
+    return Judgement(ratio > _LARGEST_RISE, ratio)
 
 
-def judge_poses(
-    errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options
-) -> Judgement:
+def judge_poses(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> Judgement:
     """By whether effects raise the errors of rows that were not used, or describe none but those that were."""
     numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
-    rejects = raises(errors, kept, numbers, options) or is_overfitted(errors, selection, kept, folds, options)
+    rejects = raises(errors, kept, numbers) or is_overfitted(errors, selection, kept, folds)
     return Judgement(rejects, _ratio(errors.before[0, kept], errors.after[0, kept]))
 
 
@@ -220,7 +234,7 @@ def _rows_of(folds: Sequence[Mask], counted: Mask) -> list[Mask]:
     return [rows for fold in folds if (rows := fold & counted).any()]
 
 
-def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> bool:
+def raises(errors: HeldOut, kept: Mask, numbers: float) -> bool:
     """Whether effects of so many numbers raise the errors on rows that were not used.
 
     The product of the ratios of position and orientation must not rise, as in the likelihood of Gaussian errors of
@@ -230,13 +244,13 @@ def raises(errors: HeldOut, kept: Mask, numbers: float, options: Options) -> boo
     pairs = zip(errors.before_over_noise[:, kept], errors.after_over_noise[:, kept], strict=True)
     position, turned = (_ratio(before, after) for before, after in pairs)
     cost = 1 + 0.5 * numbers / (3 * kept.sum())
-    return position * turned > 1 or position > max(options.heldout_rise, cost)
+    return position * turned > 1 or position > max(_LARGEST_RISE, cost)
 
 
-def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
+def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> bool:
     """Whether a model with effects describes the rows that it was fitted to, and no others.
 
-    Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger ratio
+    Rows that were not used are then off by `_LARGEST_EXCESS` times the errors of the fitted ones, and by a larger ratio
     than without the effects. Effects that remove most of the error there (in the geometric mean over folds) are kept
     all the same: a drift is not known beyond the rows that show it. Blocks without which nothing was found do not
     count: they say that the other rows are few.
@@ -247,7 +261,7 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
         kept = searched_rows
     if fold_rows := _rows_of(folds, kept):
         logs = [np.log(max(_ratio(before[rows], after[rows]), 1e-300)) for rows in fold_rows]
-        if np.exp(np.average(logs, weights=[rows.sum() for rows in fold_rows])) < options.heldout_left:
+        if np.exp(np.average(logs, weights=[rows.sum() for rows in fold_rows])) < _CLEARLY_SMALLER:
             return False
 
     def times_fitted(of_all: Array, problem: Problem, fit: Fit) -> float:
@@ -258,7 +272,7 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
 
     state = selection.state
     bare = times_fitted(before, selection.reference, state.baseline)
-    return times_fitted(after, selection.problem, state.fit) > max(options.heldout_excess, bare)
+    return times_fitted(after, selection.problem, state.fit) > max(_LARGEST_EXCESS, bare)
 
 
 def _ratio(before: Array, after: Array) -> float:

@@ -175,7 +175,10 @@ def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | 
     driver = choices[closest]
     x = driver_values[closest]
     turns = at_joint and joint not in problem.motion.sliding.joints
-    of = of._replace(unit="1" if field in ("stretch", "scale") else "rad" if turns or component > 2 else "m")
+    unit = "rad" if turns or component > 2 else "m"
+    if field in ("stretch", "scale"):
+        unit = "1"
+    of = of._replace(unit=unit)
     points = x, of.moved, of.slope
     if driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)

@@ -22,6 +22,7 @@ from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
@@ -30,6 +31,14 @@ from lite6jax.search.state import Alternative
 
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=DomainProblem)
+
+AS_NOISE = 1.2
+"""Error over the declared noise up to which what is left is noise: the scatter of 30 rows."""
+NEARLY_SIGNIFICANT = 0.05
+"""Family-wise p-value of an effect that is no finding, below which it is not said that nothing else is missing.
+
+It is the usual level of a single test.
+"""
 
 STATISTICS: Mapping[str, Callable[[Array], Any]] = {
     "mean": np.mean,
@@ -303,7 +312,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         # own; beside effects that were withdrawn, the nearest is that of another model.
         nearest = self.selection.nearest
         options = self.options
-        if self.withdrawn is None and nearest and options.engine.level <= nearest[1] < options.nearly_significant:
+        if self.withdrawn is None and nearest and options.engine.level <= nearest[1] < NEARLY_SIGNIFICANT:
             return "undetermined"
         return "explained" if has_findings else "consistent"
 
@@ -357,11 +366,9 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     def _reference(self) -> ReferenceOrigin | None:
         """The reference that the findings are the difference from."""
         against = None if self.against is None else self.against.to_dict()
-        return (
-            None
-            if against is None or against["basis"] == "effects"
-            else ReferenceOrigin(against["file"], against["basis"])
-        )
+        if against is None or against["basis"] == "effects":
+            return None
+        return ReferenceOrigin(against["file"], against["basis"])
 
     @property
     @abstractmethod
@@ -485,7 +492,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         """An alternative with its status: rejected, found, separable by designed poses, undecided, or equivalent."""
         effect = alternative.term
         assert isinstance(effect, Effect)
-        if alternative.gap >= self.options.engine.close:
+        if alternative.gap >= CLOSE:
             status = "rejected"
         else:
             status = "found" if effect in self.fit.terms.terms else self._distinction(k, effect)

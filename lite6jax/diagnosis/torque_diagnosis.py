@@ -17,7 +17,7 @@ from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.estimates import compare_effects
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis, HeldOut
+from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis, HeldOut
 from lite6jax.diagnosis.uncertainty import uncertainty_of_torques
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.torque.entry import model_entry
@@ -42,6 +42,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.estimation.score_test import longest_time, remaining_noise_model
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
@@ -113,7 +114,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     def _leaves_noise(self) -> bool:
         if self.most_over_noise is None:
             return not self.findings and self.fit.noise.white and self.withdrawn is None
-        return self.most_over_noise <= self.options.as_noise
+        return self.most_over_noise <= AS_NOISE
 
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -210,14 +211,14 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions) -> TorqueP
     widest = of_width(_WIDTHS[-1])
     noise = remaining_noise_model(widest, fit_numbers(widest, terms, options, training=problem.valid), options)
     widest_fit = fit_numbers(widest, terms, options, training=problem.valid, noise=noise)
-    time = max(longest_time(widest, widest_fit, options), 1.0)
+    time = max(longest_time(widest, widest_fit), 1.0)
 
     def judged(width: float) -> float:
         candidate = of_width(width)
         return _evidence(candidate, fit_numbers(candidate, terms, options, training=problem.valid, noise=noise), time)
 
     evidence = {width: judged(width) for width in _WIDTHS[:-1]} | {_WIDTHS[-1]: _evidence(widest, widest_fit, time)}
-    threshold = max(evidence.values()) - options.close
+    threshold = max(evidence.values()) - CLOSE
     likely = max(width for width, log_evidence in evidence.items() if log_evidence > threshold)
     # the grid is coarse, and a prior half as wide as it should be already causes false findings
     wider = [width for width in _WIDTHS if width > likely]
@@ -327,7 +328,7 @@ def _diagnose_alone(
         def refitted(spread: Sequence[Mask]) -> HeldOut:
             return errors_of_folds(errors_without, (unlinearised, options, frozenset(), selection.state), spread, False)
 
-        verified = verify(selection, errors, folds, problem.valid, options, refitted, judge_by_folds)
+        verified = verify(selection, errors, folds, problem.valid, refitted, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
     return TorqueDiagnosis(

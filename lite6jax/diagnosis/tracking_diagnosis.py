@@ -17,7 +17,7 @@ from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import STATISTICS, DomainDiagnosis
+from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.growth import grown
@@ -40,6 +40,7 @@ from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
@@ -95,7 +96,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
     @property
     def _leaves_noise(self) -> bool:
         most = self.most_over_noise
-        return most is not None and most <= self.options.as_noise
+        return most is not None and most <= AS_NOISE
 
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -237,7 +238,7 @@ _IN_LONG_STEPS = 0.01
 _MOVES = 0.03
 """rad, the standard deviation of a joint that moves."""
 _COMPARED = 0.2
-"""`EngineOptions.compared`: a step of this length gains 0.02 of a log-likelihood."""
+"""`settled` of fits that are compared: a step of this length gains 0.02 of a log-likelihood."""
 _ROUGHLY = 4
 """One in so many samples, in which names are looked for before the grip beside declared servos is known."""
 _MEMORY = 0.3
@@ -340,7 +341,7 @@ def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Sele
         others = [*state.tested[:k], *state.tested[k + 1 :]]
         alternatives = []
         for alternative in tested.alternatives:
-            if not alternative.term.nonparametric and alternative.gap < options.close:
+            if not alternative.term.nonparametric and alternative.gap < CLOSE:
                 instead = SelectedTerm(alternative.term)
                 trial = refitted(selection.problem, state, [*others, instead], options.rough)
                 alternative = replace(alternative, gap=max(alternative.gap, state.fit.gain_over(trial.fit)))
@@ -401,7 +402,8 @@ def diagnose_tracking(
     options = (options or Options()).of(recording.settings)
     # A rollout takes as long whether few or all of its samples are compared; and it is iterated until what is left
     # moves log-likelihoods by some hundredths, which shorter steps do not overcome.
-    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=_COMPARED)
+    compared = replace(options.engine.compared, settled=_COMPARED)
+    engine = replace(options.engine, first_samples=options.engine.most_samples, compared=compared)
     payload = 0.0
     if simulator is not None:
         arm = simulator.arm
@@ -433,7 +435,7 @@ def diagnose_tracking(
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_of_refit, (selection, engine), anywhere=False)
-        verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out, judge_by_folds)
+        verified = verify(selection, held_out(folds), folds, problem.valid, held_out, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())
         problem = verified.selection.problem

@@ -32,7 +32,13 @@ class Deflection(NamedTuple):
     sensor: Array | None = None
 
     def __add__(self, other: "Deflection") -> "Deflection":  # type: ignore[override]  # not a tuple's concatenation
-        return Deflection(*(a if b is None else b if a is None else a + b for a, b in zip(self, other, strict=True)))
+        sums = []
+        for first, second in zip(self, other, strict=True):
+            if first is None or second is None:
+                sums.append(second if first is None else first)
+            else:
+                sums.append(first + second)
+        return Deflection(*sums)
 
 
 def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:

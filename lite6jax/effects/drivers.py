@@ -54,10 +54,6 @@ def _speed(motion: Motion, _: Loads | None) -> Array | None:
     return None if motion.joint_velocity is None else abs(motion.joint_velocity)
 
 
-def _travel(motion: Motion, _: Loads | None) -> Array | None:
-    return None if motion.joint_velocity is None else since_reversal(motion)
-
-
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _DIRECTIONS = "the directions of motion; keep the rows in the order of recording"
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
@@ -75,7 +71,13 @@ _SOURCES = {
     "direction of motion": _Source(lambda m, _: m.direction, "1", "joint", _DIRECTIONS),
     "velocity": _Source(lambda m, _: m.joint_velocity, "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"),
     "speed": _Source(_speed, "rad/s", "joint", _VELOCITIES, at_slide="slide speed"),
-    "travel since reversal": _Source(_travel, "rad", "joint", _TRAVELS, at_slide="slide travel since reversal"),
+    "travel since reversal": _Source(
+        lambda m, _: None if m.joint_velocity is None else since_reversal(m),
+        "rad",
+        "joint",
+        _TRAVELS,
+        at_slide="slide travel since reversal",
+    ),
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration, "rad/s²", "joint", _ACCELERATIONS, at_slide="slide acceleration"
     ),

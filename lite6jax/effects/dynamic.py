@@ -367,6 +367,10 @@ class CoupledFriction(OfJoint, TorqueEffect):
             )
 
     @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.joint, self.source_joint)
+
+    @property
     def drivers(self) -> tuple[Driver, ...]:
         return (self.own_driver("velocity"), joint_driver("velocity", self.source_joint, self.of_slide))
 

@@ -148,12 +148,13 @@ class Effect(ABC):
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
         joint = getattr(self, self.at, 0)
-        return tuple(
-            driver_of(phrase)
-            if phrase[-1].isdecimal()
-            else joint_driver(phrase, joint if place_of(phrase) else 0, slides(self))
-            for phrase in self.quantities
-        )
+        drivers = []
+        for phrase in self.quantities:
+            if phrase[-1].isdecimal():
+                drivers.append(driver_of(phrase))
+            else:
+                drivers.append(joint_driver(phrase, joint if place_of(phrase) else 0, slides(self)))
+        return tuple(drivers)
 
     @final
     def own(self, name: str) -> str:
@@ -362,6 +363,11 @@ class OfJoint(Effect, ABC):
 
     at: ClassVar[str] = "joint"
 
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The joints that it concerns, counted from 1: its own first."""
+        return (self.joint,)
+
     @final
     def own_driver(self, quantity: str) -> Driver:
         """A quantity of this joint, such as `velocity`."""
@@ -390,7 +396,7 @@ def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
     """
     if not isinstance(effect, OfJoint):
         return
-    joints = [effect.joint, *([effect.source_joint] if hasattr(effect, "source_joint") else [])]  # type: ignore[attr-defined]
+    joints = effect.joints
     mismatched = [joint for joint in joints if (joint - 1 in sliding) != effect.of_slide]
     if mismatched:
         effect_kind, joint_kind = ("prismatic", "revolute") if effect.of_slide else ("revolute", "prismatic")
@@ -474,7 +480,9 @@ class Wave(OfJoint, ABC):
     def from_parameters(self, given: Mapping[str, float]) -> NDArray:
         """As of any effect."""
         repeats, amplitude, _ = self.parameters
-        fixed = None if self.order is None else (1 / self.order if self.of_slide else self.order)
+        fixed = self.order
+        if fixed is not None and self.of_slide:
+            fixed = 1 / fixed
         if repeats not in given and fixed is None:
             of_slide = "no period is given; say after which length the force repeats, as period_m=0.005"
             of_turn = "no order is given; say how often the error comes in a turn, as order=2"

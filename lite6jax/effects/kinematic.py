@@ -151,6 +151,10 @@ class JointCoupling(_Proportional):
             raise InputError(f"{self.label}: its source_joint is itself; that is joint_scale")
 
     @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.joint, self.source_joint)
+
+    @property
     def drivers(self) -> tuple[Driver, ...]:
         return (joint_driver("position", self.source_joint, self.of_slide),)
 

@@ -13,6 +13,7 @@ from lite6jax.arms.arm import joint_unit
 from lite6jax.effects.catalogue import POSE_EFFECTS
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.storage import NonNegative, Strict, check
 
 _TYPES = {
@@ -157,7 +158,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
         values: `(coordinate,)`.
         covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
     """
-    where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
+    where = field_values(effect)
     silent = {_OF_SLIDE: False, effect.fixed: effect.plain}  # fields that say nothing at these values
     written_fields = {
         effect.own(name): list(value) if isinstance(value, tuple) else value

@@ -31,6 +31,7 @@ from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Message, Register, Status
 from lite6jax.emulator.body import SPACING_S, EmulatedArm, Load, Sample
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.simulation.motions import MAX_ACCELERATION, MAX_SPEED, Path, rest
 
 ALL = -1
@@ -113,7 +114,7 @@ def parse_faults(texts: Iterable[str]) -> Faults:
             raise InputError(f"fault {name}: takes no value; leave {value!r} out")
         parsed = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
         if isinstance(parsed, frozenset):
-            parsed |= getattr(faults, key)
+            parsed |= field_values(faults)[key]
         faults = replace(faults, **{key: parsed})
     return faults
 

@@ -9,6 +9,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.thresholds import CLOSE, MARGIN
 
 
 @final
@@ -58,9 +59,9 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     likeliest = max(candidates, key=lambda component: gains[id(component)])
     gain = gains[id(likeliest)]
     beside = max((gains[id(component)] for component in candidates if component.site != likeliest.site), default=0.0)
-    if gain < options.margin + np.log(len(gains)) or gain < beside + options.close:
+    if gain < MARGIN + np.log(len(gains)) or gain < beside + CLOSE:
         return None
-    if gain < max(gains.values()) - options.close:
+    if gain < max(gains.values()) - CLOSE:
         return None
     residuals = test.left_of_rows
     column = test.whitened(likeliest.column)
@@ -73,7 +74,7 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         squares = np.sum(moved * across, 0) ** 2
         freedom = float(test.fit.freedom) - problem.samples
         further = best_amplitude(np.sum(moved**2, 0), squares, float(np.sum(across**2)), max(freedom, 1.0))
-        if float(further.gain) > options.margin + np.log(len(gains)):
+        if float(further.gain) > MARGIN + np.log(len(gains)):
             return None
     share = float(np.sum(along**2) / max(float(np.sum(residuals**2)), 1e-300))
     return Concentration(likeliest.site, share, 1 / problem.rows, stride * gain)

@@ -3,6 +3,8 @@
 from dataclasses import field, fields
 from typing import Any, NamedTuple
 
+from lite6jax.fields import field_values
+
 
 def option(value: Any, meaning: str, why: str) -> Any:
     """A field of an options object, with its documentation."""
@@ -26,9 +28,10 @@ class Documented(NamedTuple):
 
 
 def documented(options: Any) -> list[Documented]:
-    """The options of an object or class, in the order in which they are declared; groups of options are left out."""
+    """The options of an object, in the order in which they are declared; groups of options are left out."""
+    values = field_values(options)
     return [
-        Documented(f.name, getattr(options, f.name, f.default), f.metadata["meaning"], f.metadata["why"])
+        Documented(f.name, values[f.name], f.metadata["meaning"], f.metadata["why"])
         for f in fields(options)
         if "meaning" in f.metadata
     ]

@@ -14,9 +14,28 @@ from lite6jax.estimation.problem import LinearisedProblem, Mask, linearised_at, 
 from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve, schur_complement
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
+from lite6jax.estimation.thresholds import CONFOUNDED
 
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
+
+_FIRST_STEPS = 6
+"""Most steps of a fit that is linearised anew where it has not converged by then; four suffice mostly."""
+_LEAST_GAIN = 0.01
+"""Log-likelihood that a fit must gain to be linearised anew again; `CLOSE` is 600 times that."""
+_EXACT_STEPS = 8
+"""Most steps of a fit with derivatives by differences, which starts at the solution."""
+_EXACT_SETTLED = 0.02
+"""Length of its last step, in standard deviations, as each step is expensive."""
+_HALVINGS = 6
+"""Most halvings of a step that does not improve; a step of 1/64 is no progress."""
+_DIFFERENCE = 1e-6
+"""m or rad by which a difference is taken, between rounding and curvature."""
+_EXACT_ROUNDING = 1e-9
+"""Relative eigenvalue below which a direction is rounding where derivatives are taken by differences.
+
+These are known to about 1e-6: it is a thousand times the square.
+"""
 _MANY = 40
 """Numbers of a term from which factored columns save time."""
 _FAR_STEPS = 20
@@ -151,7 +170,7 @@ def fit(
     (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise.
     Each step multiplies the error by about a thousandth, or by the error of the start in rad where that is larger.
     Beside an effect of many times the noise the nuisance may be too far from that point: a fit that has not converged
-    after `first_steps` goes on with the problem linearised anew, up to `relinearisations` times. Derivatives are kept
+    after `_FIRST_STEPS` goes on with the problem linearised anew, up to `relinearisations` times. Derivatives are kept
     while no term's numbers change by more than the share `stale`. Where a combination of nuisance numbers is nearly
     confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
     are needed for the covariance.
@@ -170,8 +189,8 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    following = options.relinearisations and not exact and len(problem.precision)
-    first = replace(options, steps=options.first_steps) if following else options
+    following = options.fit.relinearisations and not exact and len(problem.precision)
+    first = replace(options, fit=replace(options.fit, steps=_FIRST_STEPS)) if following else options
     found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False)[1]
     if found.converged or exact:
         return found
@@ -191,13 +210,13 @@ def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -
     """
     about = problem
     f = fitted
-    for _ in range(options.relinearisations):
+    for _ in range(options.fit.relinearisations):
         about = about.relinearised(f.nuisance)
         again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
         gain = again.gain_over(f)
         if gain <= 0:
             break
-        f = replace(again, converged=again.converged or gain < options.least_gain)
+        f = replace(again, converged=again.converged or gain < _LEAST_GAIN)
         if f.converged:
             break
     return f if f is fitted else replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
@@ -215,11 +234,11 @@ def relinearise(problem: P, options: EngineOptions, training: Mask | None = None
         problem: the data.
         options: thresholds.
         training: `(sample,)` bool; all where not given.
-        steps: the most; `options.steps` where not given.
+        steps: the most; those of the options where not given.
     """
     terms, values = problem.preset
     if steps is not None:
-        options = replace(options, steps=steps)
+        options = replace(options, fit=replace(options.fit, steps=steps))
     return _fitted(problem, terms, options, values, None, training, None, False, True)[0]
 
 
@@ -242,7 +261,7 @@ def _fitted(
     training = np.ones(problem.samples, bool) if training is None else training
     noise = white_noise(problem.groups) if noise is None else noise
     precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
-    rounding = options.exact_rounding if exact else ROUNDING
+    rounding = _EXACT_ROUNDING if exact else ROUNDING
 
     def residual(where: P, numbers: Array) -> Array:
         return where.residual(numbers[:k], terms, numbers[k:])
@@ -252,7 +271,7 @@ def _fitted(
 
     def columns_at(where: P, numbers: Array, rows: Array) -> Sequence[Array | Factored]:
         if exact:
-            return [noise.whitened(_differences(where, terms, numbers, rows, options.difference))]
+            return [noise.whitened(_differences(where, terms, numbers, rows, _DIFFERENCE))]
         near = linearised_at(where, numbers[:k])
         if noise.white:
             return _parts(near, terms, numbers[k:])
@@ -270,14 +289,14 @@ def _fitted(
     damped = 0.0
     columns: Sequence[Array | Factored] | None = None
     taken = at
-    most_steps = options.exact_steps if exact else options.steps
+    most_steps = _EXACT_STEPS if exact else options.fit.steps
     far_steps = 0
     for step_number in range(most_steps + _FAR_STEPS):
         far = differs(problem, at, taken)
         far_steps += far
         if step_number - far_steps >= most_steps:
             break
-        if columns is None or exact or moving or far or _apart(terms, at[k:], taken[k:], options.stale):
+        if columns is None or exact or moving or far or _apart(terms, at[k:], taken[k:], options.fit.stale):
             columns = columns_at(problem, at, state.rows)
             taken = at
         if not sum(map(len, columns)):
@@ -316,17 +335,17 @@ def _fitted(
         at = trial
         problem = there
         state = weighed(rows, noise, training, least)
-        if length < (options.exact_settled if exact else options.settled):
+        if length < (_EXACT_SETTLED if exact else options.fit.settled):
             converged = True
             break
-        if before - cost < options.settled**2:
+        if before - cost < options.fit.settled**2:
             break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
-    volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, options.confounded)
+    volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, CONFOUNDED)
     rest = covariance, state, training, effective, converged, noise, penalty, volume
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
 
@@ -428,7 +447,7 @@ def _steps(
     tried at last: one part at a kink holds the others up.
     """
     if not damped:
-        yield from ((full / 2**k, 0.0) for k in range(options.halvings + 1))
+        yield from ((full / 2**k, 0.0) for k in range(_HALVINGS + 1))
     steps = [(full, 0.0)]
     for damping in options.damping:
         if damping >= damped:

@@ -16,9 +16,19 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import half_inverse
+from lite6jax.estimation.thresholds import CLOSE, EIGENVALUE_ROUNDING
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
+
+_LAGS = 32
+"""Lags of the portmanteau statistic, which cover autocorrelation times to about ten samples."""
+_SUSPICIOUS = 2.5
+"""Standard deviations of summed autocorrelations below which noise is taken as white; saves time."""
+_LEAST_IN_RUN = 4
+"""Mean samples of a run from which autocorrelation is estimated, as it has two parameters."""
+_MOST_FOR_NOISE = 2000
+"""Samples from which the noise model is estimated; it is then known to 3 %."""
 
 _COEFFICIENTS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
 _FORGOTTEN = 10.0
@@ -204,7 +214,7 @@ def noise_model(
     models = []
     for group in range(int(groups.max(initial=0)) + 1):
         in_group = groups == group
-        samples = slice(None, options.most_for_noise)
+        samples = slice(None, _MOST_FOR_NOISE)
         group_columns = columns[:, in_group, samples]
         acting = group_columns.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
         before = UNCORRELATED if start is None else start.models[group]
@@ -220,7 +230,7 @@ def _autocorrelation(
     rows: Array, columns: Array, prior: Array, run: Integers, options: EngineOptions, before: Autocorrelation
 ) -> Autocorrelation:
     starts = run_starts(run)
-    if not _suspicious(rows, options) or len(starts) * options.least_in_run > rows.shape[1]:
+    if not _suspicious(rows) or len(starts) * _LEAST_IN_RUN > rows.shape[1]:
         return UNCORRELATED
 
     @cache
@@ -236,7 +246,7 @@ def _autocorrelation(
         for _ in range(_SCALINGS):
             # a prior is in absolute units: beside noise of another variance it weighs otherwise
             G = measured + scale * np.diag(prior**2)
-            T, volume = half_inverse(G, options.rounding)
+            T, volume = half_inverse(G, EIGENVALUE_ROUNDING)
             residual_sum = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
             freedom = rows.size - T.shape[1]
             log_likelihood = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * residual_sum / scale + filtered
@@ -255,9 +265,7 @@ def _autocorrelation(
         near = [(neighbour, share) for neighbour in _near(coefficient_grid, coefficient)]
         near += [(coefficient, neighbour) for neighbour in _near(_SHARES, share)]
         best_pair = max(near, key=likelihood)
-    return (
-        Autocorrelation(*best_pair) if likelihood(best_pair) > likelihood((0.0, 0.0)) + options.close else UNCORRELATED
-    )
+    return Autocorrelation(*best_pair) if likelihood(best_pair) > likelihood((0.0, 0.0)) + CLOSE else UNCORRELATED
 
 
 def coefficients(samples: float) -> Sequence[float]:
@@ -287,9 +295,9 @@ def autocorrelation_time(rows: Array) -> float:
     return float(1 + 2 * correlation[1:last].sum())
 
 
-def _suspicious(rows: Array, options: EngineOptions) -> bool:
-    summed = np.cumsum(autocorrelation(rows, min(options.lags, rows.shape[1] // 4))[1:])
-    return bool((summed * np.sqrt(rows.size / np.arange(1, len(summed) + 1)) > options.suspicious).any())
+def _suspicious(rows: Array) -> bool:
+    summed = np.cumsum(autocorrelation(rows, min(_LAGS, rows.shape[1] // 4))[1:])
+    return bool((summed * np.sqrt(rows.size / np.arange(1, len(summed) + 1)) > _SUSPICIOUS).any())
 
 
 def _near(grid: Sequence[float], value: float) -> Sequence[float]:

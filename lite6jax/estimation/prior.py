@@ -6,11 +6,12 @@ has its part of it.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import final
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.documented import documented, option
+from lite6jax.fields import field_values
 
 
 @final
@@ -54,7 +55,7 @@ class Prior:
     @property
     def probabilities(self) -> dict[str, float]:
         """Each by its name."""
-        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+        return {name: float(probability) for name, probability in field_values(self).items()}
 
     @property
     def entries(self) -> dict[str, dict[str, float | str]]:
@@ -71,7 +72,7 @@ class Prior:
 
     def cost(self, name: str) -> float:
         """−ln of a probability, nats."""
-        probability = float(getattr(self, name))
+        probability = self.probabilities[name]
         return -math.log(probability) if probability else math.inf
 
     def given(self, probabilities: Mapping[str, float]) -> "Prior":

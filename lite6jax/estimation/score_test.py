@@ -21,8 +21,20 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, contribution, linearised_at, prior_precision
 from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.thresholds import CONFOUNDED, EIGENVALUE_ROUNDING
 
 Array = NDArray[np.floating]
+
+_WINSOR = 4.0
+"""Standard deviations at which residuals are winsorised; one normal sample in 16 000 is beyond."""
+_MOST_BLOCKS = 200
+"""Most blocks of a score test; at p-values of one in a million, 60 blocks need an effect a tenth larger."""
+_LEAST_IN_BLOCK = 6
+"""Fewest samples in a block; fewer make heavy-tailed sums."""
+_ENOUGH_BLOCKS = 20
+"""Blocks below which they are made shorter: a variance is then known to a third."""
+_BLOCK_TIMES = 2.0
+"""Autocorrelation times in a block; neighbouring blocks then correlate little."""
 
 _MANY = 20
 _UNDETERMINED = 1e-4
@@ -148,18 +160,18 @@ class ScoreTest:
         if self._alike(part):
             stay = np.append(kept, True)[self.owners]
             place = np.append(np.cumsum(kept) - 1, -1)
-            span = self.span.part(stay, self.options.rounding)
+            span = self.span.part(stay, EIGENVALUE_ROUNDING)
             spanned = Spanned(span, place[self.owners[stay]], self.acting[stay])
             whole = None if span.whole is not self.span.whole else self.whole or self
         else:
-            spanned = _spanned(self.problem, part, self.scale, self.options)
+            spanned = _spanned(self.problem, part, self.scale)
             whole = None
         return replace(self, fit=part, residual=residual, whole=whole, table={}, **spanned._asdict())
 
     def extend(self, columns: Array) -> "ScoreTest":
         """The test of the model with more columns `(number, row, sample)`, to first order; the fit is as it was."""
         flat = self._flat(columns)
-        span = self.span.extended(flat[flat.any(1)], self.options.rounding)
+        span = self.span.extended(flat[flat.any(1)], EIGENVALUE_ROUNDING)
         further = len(span.changes) - len(self.span.changes)
         return replace(
             self,
@@ -210,7 +222,7 @@ class ScoreTest:
             for block in np.split(columns, np.cumsum([term.size for term in part])[:-1]):
                 flat = self._flat(block)
                 information, _ = _of_unit_columns(flat @ flat.T, flat @ self.span.basis.T)
-                is_confounded.append(bool(np.linalg.eigvalsh(information).max() <= self.options.confounded))
+                is_confounded.append(bool(np.linalg.eigvalsh(information).max() <= CONFOUNDED))
         return is_confounded
 
     def gains(self, column: Array, functions: Array, keys: Sequence[Hashable] = ()) -> Array:
@@ -236,7 +248,7 @@ class ScoreTest:
             inside = functions @ unwhitened.T / norms[..., None]
             information = information - (inside * self.span.sign) @ inside.swapaxes(1, 2)
         eigenvalues, V = np.linalg.eigh(information)
-        threshold = self.options.confounded
+        threshold = CONFOUNDED
         inverse = np.where(eigenvalues > threshold, 1 / np.maximum(eigenvalues, threshold), 0.0)
         along = np.einsum("gji,gj->gi", V, functions @ pull / norms)
         return 0.5 * np.sum(inverse * along**2, 1)
@@ -372,7 +384,7 @@ class ScoreTest:
         return self.span.outside(self._flat(columns))[:, :measured].reshape(columns.shape)
 
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:
-        return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
+        return block_test(projected, norms, per_block, self._by_block, self.scale[0])
 
     def _flat(self, columns: Array) -> Array:
         """Columns `(number, row, sample)` as readings of the span: whitened, zero of held-out samples and priors."""
@@ -418,7 +430,6 @@ def block_test(
     per_block: Array,
     by_block: Callable[[Array], Array],
     unit: float,
-    options: EngineOptions,
 ) -> Score:
     """The score of one candidate, with the test by blocks of samples (Hotelling's T²).
 
@@ -434,7 +445,7 @@ def block_test(
     length = np.where(norms > 0, norms, 1.0)
     G = projected / length[:, None]
     eigenvalues, V = np.linalg.eigh(G @ G.T)
-    identifiable = eigenvalues > options.confounded
+    identifiable = eigenvalues > CONFOUNDED
     if not identifiable.any():
         return Score(0.0, 0, 1.0, True, np.zeros(size))
     T = V[:, identifiable] / np.sqrt(eigenvalues[identifiable])  # of unit information
@@ -486,14 +497,14 @@ def score_test(
     problem = linearised_at(problem, fit.nuisance)
     training = np.tile(fit.training, problem.rows).astype(float)
     n = float(training.sum())
-    winsorised = _winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training
+    winsorised = _winsorised(fit.residuals.innovations, fit, _WINSOR) * fit.training
     freedom = max(n - fit.parameters, 1.0)
     # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
     mean = [np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) for g in range(len(fit.scale))]
     # of residuals that are exactly zero it is the fit's scale
     rms = np.sqrt(np.array([float(mean_square) * n / freedom or 1.0 for mean_square in mean]))
     scale = rms * fit.scale
-    scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
+    scale = np.maximum(scale, EIGENVALUE_ROUNDING * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
     time = float(_times(winsorised, problem.groups).max())
     # the model is integrated over: what it explains under a prior is a part of what is to be explained
@@ -504,8 +515,8 @@ def score_test(
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
     stated = _stated(problem)
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
-    blocks = _blocks(problem.samples, time, options)
-    spanned = _spanned(problem, fit, scale, options)
+    blocks = _blocks(problem.samples, time)
+    spanned = _spanned(problem, fit, scale)
     freedom = n - fit.parameters
     test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned)
     return test if grams is None else replace(test, grams=grams)
@@ -524,7 +535,7 @@ def _stated(problem: Problem) -> NDArray[np.integer]:
     return np.flatnonzero((problem.precision > 0) & problem.informative)
 
 
-def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -> Spanned:
+def _spanned(problem: Problem, fit: Fit, scale: Array) -> Spanned:
     """The columns of a model, with the readings of priors after those of the measurements: those that are stated first.
 
     Args:
@@ -545,7 +556,7 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
     rows = np.concatenate([columns, prior], 1)
     del columns  # with hundreds of terms these are half a gigabyte each
     rows = unit_rows(rows if is_nonzero.all() else rows[is_nonzero])
-    return Spanned(Span.of_rows(rows, options.rounding), owners[is_nonzero], acting[is_nonzero])
+    return Spanned(Span.of_rows(rows, EIGENVALUE_ROUNDING), owners[is_nonzero], acting[is_nonzero])
 
 
 def _determined(
@@ -601,7 +612,7 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     training = fit.training
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
-    rows = _winsorised(fit.residuals.rows, fit, options.winsor)
+    rows = _winsorised(fit.residuals.rows, fit, _WINSOR)
     columns = linear_columns(linearised_at(problem, fit.nuisance), fit.terms, fit.values)
     columns /= fit.scale[fit.residuals.groups, None]
     columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
@@ -640,27 +651,27 @@ def _winsorised(rows: Array, fit: Fit, limit: float) -> Array:
     return out
 
 
-def autocorrelation_times(problem: Problem, fit: Fit, options: EngineOptions) -> Array:
+def autocorrelation_times(problem: Problem, fit: Fit) -> Array:
     """The autocorrelation time of the residuals of each group of noise, `(group,)` samples."""
-    return _times(_winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training, problem.groups)
+    return _times(_winsorised(fit.residuals.innovations, fit, _WINSOR) * fit.training, problem.groups)
 
 
-def longest_time(problem: Problem, fit: Fit, options: EngineOptions) -> float:
+def longest_time(problem: Problem, fit: Fit) -> float:
     """The longest autocorrelation time of any group's residuals, in samples; `score_test` uses the same."""
-    return float(autocorrelation_times(problem, fit, options).max())
+    return float(autocorrelation_times(problem, fit).max())
 
 
 def _times(residual: Array, groups: NDArray[np.integer]) -> Array:
     return np.array([autocorrelation_time(residual[groups == group]) for group in range(int(groups.max()) + 1)])
 
 
-def _blocks(samples: int, time: float, options: EngineOptions) -> NDArray[np.integer]:
+def _blocks(samples: int, time: float) -> NDArray[np.integer]:
     """The first sample of each block: longer than the autocorrelation time, and enough of them for a variance.
 
     Of few samples, blocks are shorter, down to one sample: a test by four blocks finds nothing.
     """
-    shortest = int(np.clip(samples // options.enough_blocks, 1, options.least_in_block))
-    correlated = int(np.ceil(options.block_times * time)) if time > 1 else 1
+    shortest = int(np.clip(samples // _ENOUGH_BLOCKS, 1, _LEAST_IN_BLOCK))
+    correlated = int(np.ceil(_BLOCK_TIMES * time)) if time > 1 else 1
     length = max(shortest, correlated)
-    count = int(np.clip(samples // length, 4, options.most_blocks))
+    count = int(np.clip(samples // length, 4, _MOST_BLOCKS))
     return (np.arange(count) * samples) // count

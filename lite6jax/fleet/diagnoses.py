@@ -9,6 +9,7 @@ import pyarrow as pa
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.fleet.place import DIED, StorageFolder, list_recordings
 from lite6jax.workers import Workers, run_batches
 
@@ -172,7 +173,7 @@ def _make_folder(out: Path, place: StorageFolder) -> Path:
 def pool_folder(
     folder: str,
     out: Path,
-    thresholds: "terms.PoolingOptions",
+    thresholds: EngineOptions,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,
@@ -214,7 +215,7 @@ def pool_folder(
             f"{folder}: {len(files)} recording can be pooled, and --fleet takes {_FEWEST} or more{reason}; add "
             "recordings of this type of arm"
         )
-    candidate_terms = terms.Tried([headings[file] for file in files], thresholds.engine)
+    candidate_terms = terms.Tried([headings[file] for file in files], thresholds)
     with Workers(scheduler, processes, len(files)) as workers:
         recordings = pooling.Reduced([places[file] for file in files], thresholds, workers)
         return population.diagnose_population(arm[0], members, candidate_terms, recordings, progress)

@@ -29,10 +29,20 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.estimation.thresholds import BETTER, CLOSE, CONFOUNDED, EXCHANGES, IMPOSSIBLE, LISTED, LOWEST_ORDER
 from lite6jax.fleet.hierarchy import ArmLikelihoods, fitted
-from lite6jax.fleet.reduced import SCREENED, RecordingEvidence, RecordingScan, ReducedArm, chi_squared, order_grid
-from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm, PoolingOptions, Tested, Tried
+from lite6jax.fleet.reduced import (
+    ORDER_STEP,
+    SCREENED,
+    RecordingEvidence,
+    RecordingScan,
+    ReducedArm,
+    chi_squared,
+    order_grid,
+)
+from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm, Tested, Tried
 from lite6jax.workers import Workers
 
 Array = NDArray[np.floating]
@@ -228,7 +238,7 @@ class Reduced:
     Each recording is a task of its own, computed by one thread: numbers do not depend on workers and their number.
     """
 
-    def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
+    def __init__(self, stored: Sequence[Path], options: EngineOptions, workers: Workers) -> None:
         """The files of `ReducedArm.to_bytes`, thresholds, and workers that are started; computes nothing."""
         self._stored = tuple(stored)
         self.options = options
@@ -236,18 +246,20 @@ class Reduced:
 
     def scans(self, beside: Sequence[Tested], candidate_terms: Tried) -> Iterator[RecordingScan]:
         """What each recording says of all that is tested, beside some terms, in order."""
-        return self._answers(scan_beside, tuple(beside), (*candidate_terms.singles, *candidate_terms.pairs))
+        return self._answers(
+            scan_beside, self.options, tuple(beside), (*candidate_terms.singles, *candidate_terms.pairs)
+        )
 
     def evidence(self, requests: Sequence[Asked]) -> list[list[RecordingEvidence | None]]:
         """For each recording, what it says of each term that is asked for."""
         return list(self._answers(measure, tuple(requests)))
 
     def _answers(self, question: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
-        """What `question(recording, options, *arguments)` gives of each recording, in order."""
+        """What `question(recording, *arguments)` gives of each recording, in order."""
         batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
         waiting: dict[int, Any] = {}
         following = 0
-        for number, result in self._workers.outcomes(answer, batches, (question, self.options, *arguments), died=_died):
+        for number, result in self._workers.outcomes(answer, batches, (question, *arguments), died=_died):
             waiting[number] = result
             while following in waiting:
                 yield waiting.pop(following)
@@ -266,19 +278,29 @@ def answer(stored: Sequence[bytes], question: Callable[..., Any], *arguments: An
 
 
 def scan_beside(
-    arm: ReducedArm, options: PoolingOptions, beside: tuple[Tested, ...], processes: tuple[FleetProcess, ...]
+    arm: ReducedArm, options: EngineOptions, beside: tuple[Tested, ...], processes: tuple[FleetProcess, ...]
 ) -> RecordingScan:
     """The `RecordingScan` of one recording beside some terms."""
-    return arm.beside(beside, options).scan(processes, options)
+    return arm.beside(beside).scan(processes, options)
 
 
-def measure(arm: ReducedArm, options: PoolingOptions, requests: tuple[Asked, ...]) -> list[RecordingEvidence | None]:
+def measure(arm: ReducedArm, requests: tuple[Asked, ...]) -> list[RecordingEvidence | None]:
     """What one recording says of each term that is asked for."""
-    arm_beside = {beside: arm.beside(beside, options) for beside in {beside for _, beside in requests}}
-    return [arm_beside[beside].evidence(term, options) for term, beside in requests]
+    arm_beside = {beside: arm.beside(beside) for beside in {beside for _, beside in requests}}
+    return [arm_beside[beside].evidence(term) for term, beside in requests]
 
 
 # ------------------------------------------------------------------ the search
+
+
+_MOST_EFFECTS = 16
+"""Most effects that a type is found to have: twice those of one recording."""
+_LINES = 3
+"""Sites whose best order is measured in every arm before one is added, as a line is narrow."""
+_PROCESSES = 6
+"""Processes whose kernels are measured in every arm: twice the sites, as drivers differ."""
+_SAME_LINE = 0.5
+"""Orders within which two waves are one line: a line's width over two turns."""
 
 
 @final
@@ -301,13 +323,13 @@ class Search:
         self._tried = candidate_terms
         self._progress = progress
         self._options = reduced.options
-        self._least = -float(np.log(reduced.options.engine.level))
+        self._least = -float(np.log(reduced.options.level))
         self._known: dict[frozenset[Tested], list[PooledEvidence]] = {}
 
     def selected(self) -> list[PooledEvidence]:
         """The effects, in the order in which they were found, each with its alternatives."""
         terms = self._grown([])
-        for _ in range(self._options.engine.exchanges):
+        for _ in range(EXCHANGES):
             better = self._exchanged(terms)
             if better is None:
                 break
@@ -319,7 +341,7 @@ class Search:
 
     def _grown(self, terms: list[Tested]) -> list[Tested]:
         considered = set[Tested]()
-        while len(terms) < self._options.most_effects:
+        while len(terms) < _MOST_EFFECTS:
             self._progress(len(terms))
             significant = (
                 weighed
@@ -358,27 +380,21 @@ class Search:
             if (
                 replacement is not None
                 and replacement.term not in replaced
-                and replacement.net >= replaced_net + self._options.engine.better
+                and replacement.net >= replaced_net + BETTER
             ):
                 return self._dropped([*remaining_terms, replacement.term])
         return None
 
     def _reviewed(self, weighed: PooledEvidence, other_terms: list[Tested]) -> PooledEvidence:
         """With its rivals, and of a process the nearest name."""
-        rivals = [
-            rival
-            for rival in self._ranked(other_terms)
-            if not _is_same(rival.term, weighed.term, self._options.same_line)
-        ]
-        gaps = [(rival.term, max(weighed.net - rival.net, 0.0)) for rival in rivals[: self._options.engine.listed]]
+        rivals = [rival for rival in self._ranked(other_terms) if not _is_same(rival.term, weighed.term, _SAME_LINE)]
+        gaps = [(rival.term, max(weighed.net - rival.net, 0.0)) for rival in rivals[:LISTED]]
         named_rivals = [(rival.likelihood, rival.term) for rival in rivals if isinstance(rival.term, PooledTerm)]
         nearest = None
         if isinstance(weighed.term, FleetProcess) and named_rivals:
             likelihood, term = max(named_rivals, key=lambda pair: pair[0])
             nearest = term, float(np.clip(likelihood / weighed.likelihood, 0.0, 1.0))
-        return replace(
-            weighed, rivals=tuple(pair for pair in gaps if pair[1] < self._options.engine.close), nearest=nearest
-        )
+        return replace(weighed, rivals=tuple(pair for pair in gaps if pair[1] < CLOSE), nearest=nearest)
 
     # -------------------------------------------------------------- what is likeliest
 
@@ -386,9 +402,7 @@ class Search:
         """All that is likely and possible beside some terms, the likeliest first; of processes the likeliest kernel."""
         key = frozenset(beside)
         if key not in self._known:
-            candidate_evidence, groups = screen(
-                self._reduced.scans(beside, self._tried), self._options.engine.confounded
-            )
+            candidate_evidence, groups = screen(self._reduced.scans(beside, self._tried), CONFOUNDED)
             requests = [(term, tuple(beside)) for term in (*self._lines(groups, beside), *self._processes(groups))]
             weighed_terms = [
                 *(self._weighed(PooledTerm(name), evidence) for name, evidence in candidate_evidence.items()),
@@ -409,12 +423,12 @@ class Search:
             net = groups[key] - self._tried.cost_of_waves(orders)
             for term in beside:
                 if isinstance(term, PooledTerm) and term.key == key and term.order is not None:
-                    net[np.abs(orders - term.order) < self._options.same_line] = -np.inf
+                    net[np.abs(orders - term.order) < _SAME_LINE] = -np.inf
             lines.append((float(net.max()), key, float(orders[np.argmax(net)])))
         waves: list[Tested] = []
-        for net, key, order in sorted(lines, reverse=True)[: self._options.lines]:
-            near = order + self._options.order_step * _FINER if net > 0 else np.zeros(0)
-            likely = {max(round(order), 1.0), *near[near >= self._options.engine.lowest_order].tolist()}
+        for net, key, order in sorted(lines, reverse=True)[:_LINES]:
+            near = order + ORDER_STEP * _FINER if net > 0 else np.zeros(0)
+            likely = {max(round(order), 1.0), *near[near >= LOWEST_ORDER].tolist()}
             waves += [PooledTerm(key, float(wave_order)) for wave_order in sorted(likely)] if net > 0 else []
         return waves
 
@@ -422,8 +436,8 @@ class Search:
         """Processes of the likeliest quantities and pairs of them, with every kernel."""
         screened = zip((*self._tried.singles, *self._tried.pairs), (*groups[SPLINES], *groups[CUBICS]), strict=True)
         nets = [(gain - self._tried.cost(process), process) for process, gain in screened]
-        close = [pair for pair in nets if pair[0] > self._least - self._options.engine.close]
-        likely = sorted(close, key=lambda pair: -pair[0])[: self._options.processes]
+        close = [pair for pair in nets if pair[0] > self._least - CLOSE]
+        likely = sorted(close, key=lambda pair: -pair[0])[:_PROCESSES]
         return [kernel for _, process in likely for kernel in self._tried.with_every_kernel(process)]
 
     # -------------------------------------------------------------- measured in every arm
@@ -438,7 +452,7 @@ class Search:
         return [self._weighed(term, column) for (term, _), column in zip(requests, columns, strict=True)]
 
     def _weighed(self, term: Tested, evidence: Sequence[RecordingEvidence | None]) -> PooledEvidence:
-        return weigh(term, evidence, self._options.engine.confounded, self._tried.cost(term))
+        return weigh(term, evidence, CONFOUNDED, self._tried.cost(term))
 
     def _is_possible(self, weighed: PooledEvidence) -> bool:
         """Whether the mean is not far outside what the named effect can be, as far as that matters."""
@@ -449,7 +463,7 @@ class Search:
             return True
         hierarchy = fitted(weighed.likelihoods(candidate.typical))
         assert hierarchy is not None  # what too few arms show has no evidence
-        limit = self._options.engine.impossible * np.hypot(hierarchy.std, hierarchy.between)
+        limit = IMPOSSIBLE * np.hypot(hierarchy.std, hierarchy.between)
         mean = hierarchy.mean
         return bool(((mean > lower - limit) & (mean < upper + limit)).all())
 

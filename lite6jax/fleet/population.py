@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.effects.drivers import driver_of
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.fleet import FLEET
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import PooledEvidence, Reduced, Search
-from lite6jax.fleet.terms import Candidate, FleetProcess, PoolingOptions, Tested, Tried
+from lite6jax.fleet.terms import Candidate, FleetProcess, Tested, Tried
 
 Array = NDArray[np.floating]
+
+_FEWEST_ARMS = 5
+"""Arms below which none is said to differ from the others; four give a variance."""
 
 POINTS = 41
 """Of the curve of a function of one driver."""
@@ -94,7 +98,7 @@ class Population:
     members: tuple[Member, ...]
     effects: tuple[TypeEffect, ...]
     tried: Tried
-    options: PoolingOptions
+    options: EngineOptions
 
     @cached_property
     def used(self) -> tuple[int, ...]:
@@ -106,7 +110,7 @@ class Population:
         return {
             "schema": FLEET,
             "arm": self.arm,
-            "level": self.options.engine.level,
+            "level": self.options.level,
             "recordings": [self._member(i) for i in range(len(self.members))],
             "effects": [self._effect(effect) for effect in self.effects],
         }
@@ -217,7 +221,7 @@ def diagnose_population(
     return Population(arm, tuple(members), tuple(effects), candidate_terms, reduced.options)
 
 
-def _effect(selected: PooledEvidence, candidate: Candidate, effects: int, options: PoolingOptions) -> TypeEffect:
+def _effect(selected: PooledEvidence, candidate: Candidate, effects: int, options: EngineOptions) -> TypeEffect:
     """The hierarchical model of an effect without the arms that differ from the others, one after the other."""
     evidence = selected.evidence
     included = list(range(len(evidence)))
@@ -225,11 +229,11 @@ def _effect(selected: PooledEvidence, candidate: Candidate, effects: int, option
     hierarchy = fitted(selected.likelihoods(candidate.typical))
     assert hierarchy is not None, "an effect was selected that too few arms show"
     shown = sum(arm_evidence is not None for arm_evidence in evidence)
-    while shown - len(outliers) >= options.fewest_arms:
+    while shown - len(outliers) >= _FEWEST_ARMS:
         p_values = [hierarchy.outlier_p_value(i) for i in range(len(included))]
         farthest = int(np.argmin(p_values))
         p = min(p_values[farthest] * shown * effects, 1.0)
-        if p >= options.engine.level:
+        if p >= options.level:
             break
         outliers[included.pop(farthest)] = p
         refitted = fitted(hierarchy.arms.without(farthest))

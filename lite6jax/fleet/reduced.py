@@ -22,8 +22,11 @@ from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.effects import kernels
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import block_covariance, sums_by_block
+from lite6jax.estimation.thresholds import CONFOUNDED, LOWEST_ORDER
+from lite6jax.fields import field_values
 from lite6jax.fleet.terms import (
     CUBICS,
     SPLINES,
@@ -31,7 +34,6 @@ from lite6jax.fleet.terms import (
     FleetComponent,
     FleetProcess,
     PooledTerm,
-    PoolingOptions,
     Tested,
     Varied,
 )
@@ -170,6 +172,7 @@ class ReducedArm:
             "runs": filtered.runs,
             "kept": filtered.kept,
         }  # fmt: skip
+        stored = field_values(self)
         sink = io.BytesIO()
         np.savez(
             sink,
@@ -178,7 +181,7 @@ class ReducedArm:
             noise=np.array([(model.coefficient, model.share) for model in self.noise.models]),
             groups=self.noise.groups,
             starts=np.array(self.noise.starts),
-            **{name: getattr(self, name) for name in _ARRAYS},
+            **{name: stored[name] for name in _ARRAYS},
             **smoothing,
         )
         return sink.getvalue()
@@ -267,21 +270,21 @@ class ReducedArm:
         rows = len(self.noise.groups)
         return float(max(self.residual.size - rows * np.sum(~self.training) - len(self.basis), 1))
 
-    def beside(self, terms: Sequence[Tested], options: PoolingOptions) -> "ReducedArm":
+    def beside(self, terms: Sequence[Tested]) -> "ReducedArm":
         """The same with further terms in the model: they join the basis, and leave the residual."""
         columns = [self.columns_of(term) for term in terms]
         flat = unit_rows(np.concatenate([self.columns[:0], *columns]))
-        new = orthonormal(outside(flat, self.basis), options.engine.confounded) if len(flat) else flat
+        new = orthonormal(outside(flat, self.basis), CONFOUNDED) if len(flat) else flat
         basis = np.concatenate([self.basis, new])
         return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
-    def evidence(self, term: Tested, options: PoolingOptions) -> RecordingEvidence | None:
+    def evidence(self, term: Tested) -> RecordingEvidence | None:
         """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
         columns = self.columns_of(term)
         projected = outside(columns, self.basis)
         norms = np.linalg.norm(columns, axis=1)
         # what is confounded with the model is rounding, in the score and in the information alike
-        threshold = options.engine.confounded
+        threshold = CONFOUNDED
         length = np.where(norms > 0, norms, 1.0)
         C = projected @ projected.T / np.outer(length, length)
         unconfounded = np.diagonal(C) > threshold
@@ -298,19 +301,19 @@ class ReducedArm:
             -V @ along * length, information, covariance, float(self.left @ self.left), self.freedom
         )
 
-    def scan(self, processes: Sequence[FleetProcess], options: PoolingOptions) -> RecordingScan:
+    def scan(self, processes: Sequence[FleetProcess], options: EngineOptions) -> RecordingScan:
         """What the recording says of all candidates, of all waves, and of functions that processes are screened by."""
         candidate_evidence = {
-            candidate.key: self.evidence(PooledTerm(candidate.key), options) for candidate in self.heading.candidates
+            candidate.key: self.evidence(PooledTerm(candidate.key)) for candidate in self.heading.candidates
         }
         groups = {family.key: self._spectrum(family, options) for family in self.heading.families}
         for kernel in SCREENED:
             groups[kernel] = self._screened(
-                [process for process in processes if process.kernel == kernel], SCREENED[kernel], options
+                [process for process in processes if process.kernel == kernel], SCREENED[kernel]
             )
         return RecordingScan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
 
-    def _spectrum(self, family: Candidate, options: PoolingOptions) -> GroupScores:
+    def _spectrum(self, family: Candidate, options: EngineOptions) -> GroupScores:
         """Of the waves of a family."""
         orders = order_grid(options)
         place = self._place_of(family)
@@ -328,13 +331,11 @@ class ReducedArm:
             waves = self._waves(family, orders[part])
             if not white:
                 waves = (noise.whitened(waves[:, :, None] * site) * self.training).reshape(len(waves), 2, -1)
-            score[part], information[part] = _equations(waves, *measured, options.engine.confounded)
+            score[part], information[part] = _equations(waves, *measured, CONFOUNDED)
         statistic, size = chi_squared(score, information)
         return GroupScores(score, information, np.stack([statistic, size, size])[..., None])
 
-    def _screened(
-        self, processes: Sequence[FleetProcess], roots: Sequence[Array], options: PoolingOptions
-    ) -> GroupScores:
+    def _screened(self, processes: Sequence[FleetProcess], roots: Sequence[Array]) -> GroupScores:
         """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
         groups = len(processes)
         size = len(roots[0])
@@ -350,7 +351,7 @@ class ReducedArm:
         for where, group_indices in members.items():
             f = np.stack([functions[processes[k].drivers] for k in group_indices])
             measured = self._over_rows(self._places[where])
-            score[group_indices], information[group_indices] = _equations(f, *measured, options.engine.confounded)
+            score[group_indices], information[group_indices] = _equations(f, *measured, CONFOUNDED)
         sums = np.zeros((3, groups, len(roots)))
         for k, R in enumerate(roots):
             varying = R[:, 1:]  # without the constant, which is larger than all else
@@ -373,9 +374,13 @@ class ReducedArm:
         return sums_by_block(products, len(self.noise.groups), self.training.size, self.blocks)
 
 
-def order_grid(options: PoolingOptions) -> Array:
+ORDER_STEP = 0.125
+"""Step of the orders that are pooled, a quarter of a line's width over two turns: it costs 5 % of a line's power."""
+
+
+def order_grid(options: EngineOptions) -> Array:
     """The orders at which families are scored, `(order,)`, the same for all recordings."""
-    return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
+    return np.arange(LOWEST_ORDER, options.highest_order + 1e-9, ORDER_STEP)
 
 
 def chi_squared(score: Array, information: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """From the diagnosis of one recording to its reduced form: findings that can be pooled go back into the residual."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from lite6jax.effects.effect import Effect, Loading, Wave
 from lite6jax.effects.nonparametric import Process
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
+from lite6jax.fields import field_values
 from lite6jax.fleet.reduced import Heading, ReducedArm, readings
 from lite6jax.fleet.terms import Candidate, FleetComponent, Varied
 from lite6jax.search.scan import PAIRS, SINGLE
@@ -114,8 +115,8 @@ def _is_pooled(term: Term, candidates: Sequence[Effect], problem: PoseProblem | 
 
 def _key(effect: Effect) -> str:
     """Name and fields, such as `joint_coupling:joint=2,source_joint=3`."""
-    field_values = ",".join(f"{field.name}={getattr(effect, field.name)}" for field in fields(effect))
-    return f"{effect.name}:{field_values}"
+    where = ",".join(f"{name}={value}" for name, value in field_values(effect).items())
+    return f"{effect.name}:{where}"
 
 
 def _candidate(effect: Effect, key: str, problem: PoseProblem | TorqueProblem) -> Candidate:

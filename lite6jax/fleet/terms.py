@@ -1,10 +1,10 @@
-"""What the recordings of a type are tested for, what each costs, and the options of pooling.
+"""What the recordings of a type are tested for and what each costs.
 
 Tested are names, waves of an angle and processes.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, cast, final
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lite6jax.effects import kernels
 from lite6jax.effects.drivers import Driver
-from lite6jax.estimation.documented import option
 from lite6jax.estimation.evidence import log_orders
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Problem
@@ -27,28 +26,6 @@ CUBICS = "cubic*cubic"
 """What processes of one quantity and of two are screened by."""
 _TYPICAL = 1e-4
 """Of a coefficient, in its unit; the same for all, so that it sets no more than the unit of their spread."""
-
-
-@final
-@dataclass(frozen=True)
-class PoolingOptions:
-    """The thresholds of pooling. Each field documents its meaning and the reason for its value.
-
-    Attributes:
-        engine: of estimation and search, as they were in the diagnoses.
-    """
-
-    engine: EngineOptions = field(default_factory=EngineOptions)
-    order_step: float = option(
-        0.125, "step of the orders that are pooled", "a quarter of a line's width over two turns: 5 % of its power"
-    )
-    most_effects: int = option(16, "most effects that a type is found to have", "twice those of one recording")
-    lines: int = option(3, "sites whose best order is measured in every arm before one is added", "a line is narrow")
-    processes: int = option(
-        6, "processes whose kernels are measured in every arm", "twice the sites, as drivers differ"
-    )
-    same_line: float = option(0.5, "orders within which two waves are one line", "a line's width over two turns")
-    fewest_arms: int = option(5, "arms below which none is said to differ from the others", "four give a variance")
 
 
 @final

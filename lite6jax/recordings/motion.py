@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Inertia, inertia_of
+from lite6jax.fields import field_values
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import directions, run_segments, unwrap
 from lite6jax.recordings.settings import RecordingSettings
@@ -60,8 +61,9 @@ def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None =
     matrices = dict.fromkeys(("joint_velocity", "joint_acceleration", "commanded_position"), A)
     matrices |= {} if effort is None else {"joint_torque": effort, "motor_current": effort}
     matrices |= {"joint_temperature": exchange} if moved else {}
+    recorded = field_values(recording)
     for name, matrix in matrices.items():
-        column = getattr(recording, name)
+        column = recorded[name]
         if column is not None:
             changed[name] = column @ matrix.T + (b if name == "commanded_position" else 0.0)
     changed["direction_of_motion"] = recording.direction_of_motion @ np.sign(A).T

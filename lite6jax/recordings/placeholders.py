@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.fields import field_values
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.recording import Recording
 
@@ -58,7 +59,8 @@ def _uniform(values: Array) -> Rows:
 
 def possible_marks(recording: Recording) -> list[Mark]:
     """All that may be marks, of whole rows first; of rows that repeat in all columns, none of single ones."""
-    marks = [mark for array in ARRAYS for mark in _of_array(array, getattr(recording, array))]
+    recorded = field_values(recording)
+    marks = [mark for array in ARRAYS for mark in _of_array(array, recorded[array])]
     return [mark for mark in marks if len(mark.samples) < LARGEST_SHARE * recording.samples]
 
 

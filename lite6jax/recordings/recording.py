@@ -14,6 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.recordings.columns import MATRIX, OF_ARRAY, is_scalar, name_columns, quaternions
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
@@ -348,8 +349,9 @@ class Recording(PublicResult):
     def _chosen(self, rows: Any) -> dict[str, Any]:
         """All that has a sample a row, of these rows."""
         readings = {} if self.readings is None else {"readings": self.readings.select(rows)}
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: array[rows] for name, array in arrays.items() if isinstance(array, np.ndarray)} | readings
+        return {
+            name: array[rows] for name, array in field_values(self).items() if isinstance(array, np.ndarray)
+        } | readings
 
     @property
     def station(self) -> Int[np.ndarray, " sample"]:
@@ -422,7 +424,8 @@ class Recording(PublicResult):
         retained = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
         retained = (*retained, "payload", "run", "row", "settings", "source", "sliding", "readings", "stations")
         velocity = None if self.velocity_differentiated else self.joint_velocity
-        arguments: dict[str, Any] = {name: getattr(self, name) for name in retained} | {"joint_velocity": velocity}
+        values = field_values(self)
+        arguments: dict[str, Any] = {name: values[name] for name in retained} | {"joint_velocity": velocity}
         return Recording.assembled(**(arguments | changes))
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -431,8 +434,9 @@ class Recording(PublicResult):
         What follows from the rest is left out: differentiated velocities, a payload or a run that is zero throughout.
         """
         table: dict[str, np.ndarray] = {}
+        values = field_values(self)
         for name in OF_ARRAY:
-            block = getattr(self, name)
+            block = values[name]
             if block is None or (name in ("payload", "run") and not block.any()):
                 continue
             if (name == "joint_velocity" and self.velocity_differentiated) or (
@@ -629,12 +633,13 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
             "files of one arm are diagnosed together where all are poses, touches of points, touches of planes, "
             "distances, or logs of commands"
         )
+    first_settings = field_values(first.settings)
     for recording in recordings[1:]:
-        for key in (key for key in usual if key not in merged):
-            if getattr(recording.settings, key) != getattr(first.settings, key):
+        for key, value in field_values(recording.settings).items():
+            if key not in merged and value != first_settings[key]:
                 raise InputError(
-                    f"{recording.source}: its sidecar says {key}: {getattr(recording.settings, key)}, and that of "
-                    f"{first.source} {getattr(first.settings, key)}; let them agree"
+                    f"{recording.source}: its sidecar says {key}: {value}, and that of {first.source} "
+                    f"{first_settings[key]}; let them agree"
                 )
         if recording.dof != first.dof:
             raise InputError(
@@ -649,8 +654,9 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         "row": np.concatenate([recording.row + k for recording, k in zip(recordings, before, strict=False)])
     }
     left_out = _TORQUES if kinds == {"commands"} else ()
+    recorded = [field_values(recording) for recording in recordings]
     for name in (name for name in OF_ARRAY if name not in left_out):
-        parts = [getattr(recording, name) for recording in recordings]
+        parts = [values[name] for values in recorded]
         derived = name == "joint_velocity" and first.velocity_differentiated
         if all(array is not None for array in parts) and not derived:
             arrays[name] = np.concatenate(parts)
@@ -664,15 +670,17 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
             msgspec.structs.replace(distance, between=tuple(f"{stem}/{name}" for name in distance.between))
             for distance in recording.settings.contact_distances
         )
-        for key in ("contact_points", "planes", "anchor_m"):
-            declared = getattr(recording.settings, key)
+        settings = recording.settings
+        by_key = {"contact_points": settings.contact_points, "planes": settings.planes, "anchor_m": settings.anchor_m}
+        for key, declared in by_key.items():
             declared = dict.fromkeys(touches.names, declared) if isinstance(declared, tuple) else declared
             merged[key] |= (
                 {f"{stem}/{name}": value for name, value in declared.items()} if isinstance(declared, Mapping) else {}
             )
     readings = None
     if touched:
-        value, pixels = (np.concatenate([getattr(touches, key) for touches in touched]) for key in ("value", "pixels"))
+        value = np.concatenate([touches.value for touches in touched])
+        pixels = np.concatenate([touches.pixels for touches in touched])
         readings = Readings(touched[0].kind, np.concatenate(groups), tuple(names), value, pixels)
     return Recording.assembled(
         **arrays,

@@ -21,6 +21,7 @@ from msgspec import Meta
 
 from lite6jax import suffixes
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
@@ -153,8 +154,11 @@ class ServoSettings(_Record, frozen=True, omit_defaults=True):
     time_constant_s: PerJoint | None = None
 
     def __post_init__(self) -> None:
-        for name in ("stiffness_Nm_per_rad", "torque_limit_Nm"):
-            if 0.0 in (getattr(self, name) or ()):
+        for name, numbers in (
+            ("stiffness_Nm_per_rad", self.stiffness_Nm_per_rad),
+            ("torque_limit_Nm", self.torque_limit_Nm),
+        ):
+            if 0.0 in (numbers or ()):
                 raise ValueError(f"{name}: is zero")
 
 
@@ -269,8 +273,9 @@ class RecordingSettings:
     instrument: Annotated[Annotated[Line, Meta(max_length=120)] | None, "one line of at most 120 characters"] = None
 
     def __post_init__(self) -> None:
+        values = field_values(self)
         for field in fields(self):
-            value = getattr(self, field.name)
+            value = values[field.name]
             if value is not None or field.default is not None:
                 object.__setattr__(self, field.name, parse_setting(field.name, value))
         if self.factory_uncertainty and not self.factory_calibration:
@@ -305,16 +310,22 @@ class RecordingSettings:
             InputError: lists that are of another number of joints; the message begins with `source`.
         """
         noise = self.torque_noise_Nm
-        per_joint = replace(self, torque_noise_Nm=(noise,) * joints) if isinstance(noise, float) else self
-        for key in ("torque_noise_Nm", "torque_constant_Nm_per_A"):
-            numbers = getattr(per_joint, key)
+        noises = (noise,) * joints if isinstance(noise, float) else noise
+        per_joint = self if noises is noise else replace(self, torque_noise_Nm=noises)
+        constants = self.torque_constant_Nm_per_A
+        for key, numbers in (("torque_noise_Nm", noises), ("torque_constant_Nm_per_A", constants)):
             if numbers is not None and len(numbers) != joints:
                 raise InputError(
                     f"{source}: recording.{key} has {len(numbers)} numbers for {joints} joints; give one per joint"
                 )
         if isinstance(self.servo, ServoSettings):
-            for key in ("stiffness_Nm_per_rad", "damping_Nm_s_per_rad", "torque_limit_Nm", "time_constant_s"):
-                numbers = getattr(self.servo, key)
+            servo = self.servo
+            for key, numbers in (
+                ("stiffness_Nm_per_rad", servo.stiffness_Nm_per_rad),
+                ("damping_Nm_s_per_rad", servo.damping_Nm_s_per_rad),
+                ("torque_limit_Nm", servo.torque_limit_Nm),
+                ("time_constant_s", servo.time_constant_s),
+            ):
                 if numbers is not None and len(numbers) != joints:
                     raise InputError(
                         f"{source}: recording.servo.{key} has {len(numbers)} numbers for {joints} joints; give one per "
@@ -571,8 +582,9 @@ def write_settings(
         InputError: the file exists and `overwrite` is false, or it cannot be written.
     """
     declared = {}
+    values = field_values(settings)
     for field in fields(settings):
-        value = getattr(settings, field.name)
+        value = values[field.name]
         if value is not None and not (field.name in OF_READINGS and value == field.default):
             declared[field.name] = value
     content = {"recording": declared} | ({} if account is None else {"account": dict(account)})

@@ -458,10 +458,8 @@ def tracking_over_time(diagnosis: TrackingDiagnosis, title: str) -> Figure:
     rows = np.arange(max(int(_SHOWN * len(time)), 2))
     figure, axes = panels_in_rows(problem.rows)
     for j, axis in enumerate(axes):
-        for name, color in _STAGES:
-            axis.plot(
-                time[rows], 1e3 * getattr(diagnosis, name)[j, rows], color=color, lw=1, label=name if not j else None
-            )
+        for (name, color), errors in zip(_STAGES, (diagnosis.before, diagnosis.after), strict=True):
+            axis.plot(time[rows], 1e3 * errors[j, rows], color=color, lw=1, label=name if not j else None)
         axis.set(xlabel="time (s)", ylabel=f"joint {j + 1} (mrad)")
     figure.legend(loc="outside lower center", frameon=False, ncols=2)
     return titled(figure, f"{title}: errors of held-out rollouts")

@@ -223,7 +223,7 @@ def prediction_document(
     """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:
-        frames = {name: getattr(registration, name) for name in ("T_sensor_base", "T_flange_tool")}
+        frames = {"T_sensor_base": registration.T_sensor_base, "T_flange_tool": registration.T_flange_tool}
         fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
     return {
         "schema": "lite6jax/prediction/1",

@@ -303,7 +303,12 @@ def verification_figure(verification: KinematicsCheck, title: str) -> Figure:
     q = np.rad2deg(verification.joint_position)
     position = verification.position
     largest = float(position.max())
-    scale, unit = (1e9, "nm") if largest < 1e-6 else (1e6, "µm") if largest < 1e-3 else (1e3, "mm")
+    unit = "mm"
+    if largest < 1e-6:
+        unit = "nm"
+    elif largest < 1e-3:
+        unit = "µm"
+    scale = {"mm": 1e3, "µm": 1e6, "nm": 1e9}[unit]
     figure, panels = panels_in_rows(q.shape[1], shared=True)
     for joint, panel in enumerate(panels):
         dots(panel, q[:, joint], scale * position, AFTER)

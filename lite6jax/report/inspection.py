@@ -16,7 +16,7 @@ from rich.console import RenderableType
 from lite6jax.domains.pose.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.reflectors import WithPose
-from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
@@ -183,7 +183,7 @@ def arm_statement(inspection: Inspection) -> str:
         return sentences.arm_unknown(tried)
     if not inspection.arms:
         return f"Arm: {arm.name}, as given; there are no poses to compare it with."
-    missed = inspection.error > ScreeningOptions().suspect_reach * arm.reach
+    missed = inspection.error > SUSPECT_REACH * arm.reach
     others = "; ".join(f"{arm_name} to {1e3 * error:.3g} mm" for arm_name, error in inspection.arms[1:3])
     return sentences.arm_compared(arm.name, inspection.error, missed, others)
 

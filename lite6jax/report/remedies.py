@@ -163,7 +163,9 @@ def detail(entry: Entry) -> str:
     )
     if period:
         return f" of period {1e3 * period:.4g} mm"
-    return f" of order {order:.4g}" if order else f" from joint{source:.0f}" if source else ""
+    if order:
+        return f" of order {order:.4g}"
+    return f" from joint{source:.0f}" if source else ""
 
 
 def component(where: Entry) -> str:

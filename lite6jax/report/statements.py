@@ -118,10 +118,9 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
     if torques:
         exerted_units = dict.fromkeys(units(document))
-        kind_of_unit = {
-            unit: "all" if len(exerted_units) == 1 else "prismatic" if unit == "N" else "revolute"
-            for unit in exerted_units
-        }
+        kind_of_unit = {unit: "prismatic" if unit == "N" else "revolute" for unit in exerted_units}
+        if len(exerted_units) == 1:
+            kind_of_unit = dict.fromkeys(exerted_units, "all")
         kinds = [(f"{kind_of_unit[unit]} joints", "torque", unit) for unit in exerted_units]
     for name, measure, unit in kinds:
         scale, shown = SCREEN.get(unit, (1.0, unit))

@@ -124,7 +124,8 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
     }
     if experiment.movable[: chain.size].any():
         yield from (*parameter_tables(chain, lambda name, _: shown.get(name, "")), "")
-    parts = [part for part in ("frame", "tool") if getattr(experiment.form, part)]
+    form = experiment.form
+    parts = [part for part, is_free in (("frame", form.frame), ("tool", form.tool)) if is_free]
     if parts:
         rows = ((part, *(shown.get(f"{part}_{twist}", "") for twist in TWIST_NAMES)) for part in parts)
         yield from (listing("", *TWIST_NAMES, rows=rows), "")

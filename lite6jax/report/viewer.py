@@ -300,7 +300,9 @@ def _parts(site: str, links: Sequence[int]) -> tuple[str, ...]:
     if match is None:  # the sensor, the clock
         return ()
     number = int(match[2])
-    return (site if match[1] == "joint" else f"link{number}" if number in links else f"joint{max(number, 1)}",)
+    if match[1] == "joint":
+        return (site,)
+    return (f"link{number}" if number in links else f"joint{max(number, 1)}",)
 
 
 # ------------------------------------------------------------------ in the browser

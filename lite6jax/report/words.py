@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.arm import joint_unit
+from lite6jax.storage import YAML_LOADER
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """Factor and name of the printed unit, by SI unit."""
@@ -292,7 +293,7 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
 def read_texts(name: str) -> dict[str, Any]:
     """The texts of a file in `templates`."""
     text = (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
-    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return yaml.load(text, YAML_LOADER)
 
 
 def fill(text: str, numbers: Mapping[str, Any], /, **more: object) -> str:

@@ -11,18 +11,22 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import State
 
+_WHOLE_WITHIN = 2.0
+"""Standard deviations within which an order is taken as whole: 95 %."""
+
 
 def final_estimates(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with its numbers and their covariance as they are reported.
 
     Derivatives are taken at the estimate. Orders that were chosen from a spectrum are fitted as well, unless one was
-    whole and stays within `whole_within` standard deviations. So are other numbers that the search chose, unless one
+    whole and stays within `_WHOLE_WITHIN` standard deviations. So are other numbers that the search chose, unless one
     would leave its limits. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
     (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). So they do for an input that may
     be wrong without being found so, on which every number may depend in proportion.
     """
-    options = replace(options, relinearisations=0)  # the problem is linearised at the estimate
+    # the problem is linearised at the estimate
+    options = replace(options, fit=replace(options.fit, relinearisations=0))
     fitted = state.fit
     between = _between_models(problem, fitted, options)
     of_inputs = _beside_inputs(problem, fitted, options)
@@ -31,7 +35,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     uncertain = _with_exact_derivatives(problem, fitted, options)
     if any(free) or uncertain:
         released = _released(problem, fitted, free, options)
-        still = [f and not _is_whole(released, k, fitted, options) for k, f in enumerate(free)]
+        still = [f and not _is_whole(released, k, fitted) for k, f in enumerate(free)]
         still = [f and not _is_beyond(problem, released, k) for k, f in enumerate(still)]
         if still != free:
             released = _released(problem, fitted, still, options) if any(still) or uncertain else None
@@ -113,13 +117,13 @@ def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOption
     return bool(len(problem.precision)) and fitted.terms.size <= options.most_exact
 
 
-def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> bool:
-    """Whether a chosen number was whole, and its estimate is within `whole_within` standard deviations of that."""
+def _is_whole(released: Fit, k: int, fitted: Fit) -> bool:
+    """Whether a chosen number was whole, and its estimate is within `_WHOLE_WITHIN` standard deviations of that."""
     chosen = fitted.terms.terms[k].chosen
     last = released.terms.slices[k].stop - 1
     if chosen is None or chosen % 1:
         return False
-    return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
+    return bool((released.values[last] - chosen) ** 2 < _WHOLE_WITHIN**2 * released.covariance[last, last])
 
 
 def _is_beyond(problem: Problem, released: Fit, k: int) -> bool:

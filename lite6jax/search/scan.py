@@ -32,6 +32,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
+from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED
 from lite6jax.search.spectrum import Line, lines
 
 Array = NDArray[np.floating]
@@ -417,7 +418,7 @@ class ModelScan:
         candidates += self.of_read_outs()
         if scan.among is None:
             candidates += self.spectra()
-            singles = self.singles(max([least, *(candidate.net - self._options.close for candidate in candidates)]))
+            singles = self.singles(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
             candidates += [*singles, *self.pairs(singles, 0.0 if white else least)]
         else:
             processes = (
@@ -606,7 +607,7 @@ class ModelScan:
             pull, information, residual_sum, freedom = self._equations(
                 component, splines, [((k,), "splines") for k in continuous]
             )
-            upper_bounds = bound(pull, information, residual_sum, freedom, self._options.confounded)
+            upper_bounds = bound(pull, information, residual_sum, freedom, CONFOUNDED)
             costs = np.array([self._scan.cost_of_process(component.site, (k,)) for k in continuous])
             for i in np.flatnonzero(upper_bounds > costs):
                 if self._scan.may_act(component.site, continuous[i]):
@@ -622,7 +623,7 @@ class ModelScan:
             if self._scan.may_act(component.site, k)
         )
         candidates += self._of_all(self._own_plays())
-        least = max([least, *(candidate.net - self._options.close for candidate in candidates)])
+        least = max([least, *(candidate.net - CLOSE for candidate in candidates)])
         order = np.argsort(limits)[::-1]
         while order.size and limits[order[0]] > least:
             batch = order[:_WEIGHED]
@@ -642,7 +643,7 @@ class ModelScan:
                 (at[i][0], (at[i][1],), "play") for i in batch if at[i][1] not in self._scan.own[at[i][0].site]
             ]
             candidates += self._of_all(process for process in processes if self._scan.suits(process[2], process[1]))
-            least = max(least, max(candidate.net for candidate in candidates) - self._options.close)
+            least = max(least, max(candidate.net for candidate in candidates) - CLOSE)
         return _best_of_each(candidates)
 
     def _own_plays(self) -> Iterator[tuple[Component, tuple[int, ...], str]]:
@@ -657,7 +658,7 @@ class ModelScan:
     ) -> Evidence:
         """The evidence of a scaled kernel, arguments as of `of_process`, of all splines."""
         R = kernels.root(kernel)
-        return of_process(pull @ R, R.T @ information @ R, residual_sum, freedom, self._options.confounded)
+        return of_process(pull @ R, R.T @ information @ R, residual_sum, freedom, CONFOUNDED)
 
     def of_read_outs(self) -> list[Ranked]:
         """What the read-outs that may wander do by themselves: wander with the likeliest memory, or jump once."""
@@ -690,7 +691,7 @@ class ModelScan:
             information[:, None, None],
             sums.left,
             sums.freedom,
-            self._options.confounded,
+            CONFOUNDED,
         ).gain
         at = float(begins[np.argmax(gains)])
         return [self.of_kernel(component, (self._scan.time,), "step", (at,), exact=True)]
@@ -772,7 +773,7 @@ class ModelScan:
             size = kernels.deviations(kernel, self._scan.quantities[k].bounds, rolloff)
             acting = slice(len(size))
             scaled = information[acting, acting] * np.outer(size, size)
-            evidence = of_process(pull[acting] * size, scaled, residual_sum, freedom, self._options.confounded)
+            evidence = of_process(pull[acting] * size, scaled, residual_sum, freedom, CONFOUNDED)
             candidates.append(self._process(evidence, component, (k,), kernel, rolloff))
         return candidates
 
@@ -823,7 +824,7 @@ class ModelScan:
         freedom = np.repeat([equations.freedom for equations in waiting], counts)[:, None, None]
         pull = np.concatenate([equations.pull for equations in waiting])
         information = np.concatenate([equations.information for equations in waiting])
-        evidence = of_process(pull, information, residual_sum, freedom, self._options.confounded)
+        evidence = of_process(pull, information, residual_sum, freedom, CONFOUNDED)
         places = (
             (equations.component, quantity_indices) for equations in waiting for quantity_indices in equations.sets
         )
@@ -940,7 +941,7 @@ class ModelScan:
         """A process of one kernel."""
         functions = self._scan.features(which, kernel, rolloff)[None]
         equations = self._equations(component, functions, [(which, kernel, rolloff)], exact)
-        evidence = of_process(*equations, self._options.confounded)
+        evidence = of_process(*equations, CONFOUNDED)
         return self._process(Evidence(*(part[0] for part in evidence)), component, which, kernel, rolloff)
 
     def _process(

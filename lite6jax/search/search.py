@@ -10,10 +10,17 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem, WanderingProblem, linearised_at
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
+from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
 from lite6jax.search.scan import Considered, ModelScan
 from lite6jax.search.select import Selector, is_wander
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
+
+SAME_LINEARISATION = 0.1
+"""Sum of the squared differences of residuals, in standard deviations, below which linearisations are the same.
+
+A tenth of what each fitted number explains of noise.
+"""
 
 _ROUNDS = 3
 """Linearisations: the first about the nuisance alone, each next about what the one before has found."""
@@ -152,7 +159,7 @@ def _selected(selection: Selection, options: EngineOptions, thorough: bool, amon
         selection = at_estimate(replace(selection, state=state, considered=considered), options)
         f = selection.state.fit
         moved = (f.residuals.rows - state.fit.residuals.rows) / f.scale[selection.problem.groups, None]
-        if np.sum(moved[..., f.training] ** 2) < options.margin:
+        if np.sum(moved[..., f.training] ** 2) < MARGIN:
             break
     return selection
 
@@ -165,14 +172,14 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     """
     if not selection.state.tested:
         return selection
-    for _ in range(options.relinearisations):
+    for _ in range(options.fit.relinearisations):
         problem = selection.problem
         f = selection.state.fit
         there = problem.relinearised(f.nuisance)
         none = np.zeros_like(f.nuisance)
         here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
         apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
-        same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same
+        same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < SAME_LINEARISATION
         if same and linearised_at(problem, f.nuisance) is problem:
             break
         fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
@@ -187,7 +194,8 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     """
     problem = selection.problem
     state = selection.state
-    selector = Selector(problem, replace(options, relinearisations=0))
+    at_once = replace(options, fit=replace(options.fit, relinearisations=0))
+    selector = Selector(problem, at_once)
     while state.tested:
         tested = []
         for k, one in enumerate(state.tested):
@@ -201,9 +209,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
             tested.append(replace(one, p_value=p_value))
         k = int(np.argmax([one.p_value for one in tested]))
         if tested[k].p_value < options.level:
-            state = refitted(
-                problem, replace(state, tested=tuple(tested)), tested, replace(options, relinearisations=0)
-            )
+            state = refitted(problem, replace(state, tested=tuple(tested)), tested, at_once)
             break
         state = refitted(problem, state, [*tested[:k], *tested[k + 1 :]], options)
         state = replace(state, fit=selector.in_likeliest_noise(state.fit))

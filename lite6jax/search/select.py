@@ -30,11 +30,19 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.search.scan import NEARLY, Considered, ModelScan, Pair, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
 Array = NDArray[np.floating]
+
+_NAMES_FOR_PROCESS = 3
+"""Most names that take the place of a process: as many orders as gears have."""
+_ESTIMATES = 4
+"""Most estimates of tried numbers beside the others; each comes closer."""
+_MOST_TERMS = 8
+"""Terms of one group of rows from which none is added; bounds the time, and more were never true in a trial."""
 
 _LARGE = 30.0
 """Log odds by their columns, from which curved terms are compared by their fits."""
@@ -80,7 +88,7 @@ class Selector:
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
             clearly = instead.fit.noise.white and not grown.fit.noise.white
-            if instead.evidence > grown.evidence + (self.options.close if clearly else 0.0):
+            if instead.evidence > grown.evidence + (CLOSE if clearly else 0.0):
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
@@ -109,7 +117,7 @@ class Selector:
             if named is not state:
                 state = named
                 continue
-            if not thorough or exchanged >= self.options.exchanges:
+            if not thorough or exchanged >= EXCHANGES:
                 return state
             better = self._exchanged(state)
             if better is None:
@@ -154,14 +162,14 @@ class Selector:
             return self._added(state, worth)
         if len(worth) > 1 and max(candidate.net for candidate in worth) < _LARGE:
             added = self._added(state, worth)
-            if added.evidence > state.evidence + len(worth) * self.options.margin:
+            if added.evidence > state.evidence + len(worth) * MARGIN:
                 return added
         for candidate in worth:
             added = max(
                 (self._added(state, [rival]) for rival in self._comparable(state, candidate)),
                 key=lambda trial: trial.evidence,
             )
-            if added.evidence > state.evidence + self.options.margin:
+            if added.evidence > state.evidence + MARGIN:
                 state = added
             else:
                 failures[candidate.site] += _FAILURES if candidate.process else 1
@@ -176,7 +184,7 @@ class Selector:
         rivals = [
             name
             for name in sorted(named, key=lambda name: -name.net)
-            if name.site == candidate.site and name.key != candidate.key and name.net > self.options.margin
+            if name.site == candidate.site and name.key != candidate.key and name.net > MARGIN
         ]
         return [candidate, *rivals[:_RIVALS]]
 
@@ -210,11 +218,11 @@ class Selector:
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
         columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
-        taken = counts >= self.options.most_terms
+        taken = counts >= _MOST_TERMS
         found = list[Ranked]()
         weighed = [self._continued(one, model) for one in self._not_refused(ranked, test, state)]
         for one in sorted(weighed, key=lambda one: -one.net):
-            if one.net < self.options.margin or taken.all():
+            if one.net < MARGIN or taken.all():
                 break
             if one.key in tried or one.site in tried:
                 continue
@@ -316,7 +324,7 @@ class Selector:
         one that is far off leaves large residuals, which are winsorised, so that the next may be off as well.
         """
         open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
-        for _ in range(self.options.estimates):
+        for _ in range(_ESTIMATES):
             tested = list(state.tested)
             for k in open_:
                 tested[k] = self._chosen_again(self.beside(state, k), tested[k])
@@ -373,7 +381,7 @@ class Selector:
             least = set[int]()
             taken = np.zeros(self.problem.rows, bool)
             for k in order.tolist():
-                if tested[k].term in self._preset or tested[k].net >= self.options.margin or taken.all():
+                if tested[k].term in self._preset or tested[k].net >= MARGIN or taken.all():
                     break
                 rows = self._rows(tested[k].term, state)
                 if not (rows & taken).any():
@@ -385,7 +393,7 @@ class Selector:
                 least = {int(order[0])}
             rest = [one for k, one in enumerate(tested) if k not in least]
             without = refitted(self.problem, state, rest, self.options)
-            if self.problem.curved and without.evidence < state.evidence - self.options.margin:
+            if self.problem.curved and without.evidence < state.evidence - MARGIN:
                 return state
             state = without
 
@@ -441,7 +449,7 @@ class Selector:
                 for k, one in enumerate(state.tested)
             ]
             k = int(np.argmax(beyond)) if beyond else 0
-            if not beyond or beyond[k] <= self.options.impossible:
+            if not beyond or beyond[k] <= IMPOSSIBLE:
                 contradicted = next((k for k in range(len(beyond)) if self._is_contradicted(state, k)), None)
                 if contradicted is None:
                     return state
@@ -465,7 +473,7 @@ class Selector:
         whole, *alone = (
             float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts], together=True)
         )
-        return max(alone) > whole + self.options.close
+        return max(alone) > whole + CLOSE
 
     # -------------------------------------------------------------- exchange
 
@@ -494,7 +502,7 @@ class Selector:
     def _needed(self, old: Term, nonparametric: bool) -> float:
         """Log odds that another term must have over this one to take its place: names may be slightly less likely."""
         if old.nonparametric == nonparametric:
-            return self.options.better
+            return BETTER
         return NEARLY if nonparametric else -NEARLY
 
     def _paired(self, state: State, k: int) -> State | None:
@@ -507,7 +515,7 @@ class Selector:
         if pair is None:
             return None
         candidate = self._settled(self._estimated(self._with(self._left_out(state, k), *pair.names)))
-        return candidate if candidate.evidence > state.evidence + self.options.better else None
+        return candidate if candidate.evidence > state.evidence + BETTER else None
 
     def _absorbed(self, state: State, k: int) -> State | None:
         """The state with one process in the place of the k-th term, a name, and of a process beside it at its site.
@@ -531,7 +539,7 @@ class Selector:
             rest = [selected for n, selected in enumerate(state.tested) if n not in (j, k)]
             test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
             likeliest = self._processes(test, component, [tuple(together)])
-            if likeliest and likeliest[0].net >= self.options.margin:
+            if likeliest and likeliest[0].net >= MARGIN:
                 bare = refitted(self.problem, state, rest, self.options)
                 return self._settled(self._estimated(self._with(bare, likeliest[0])))
         return None
@@ -545,7 +553,7 @@ class Selector:
         likeliest = next(
             (pair for pair in ModelScan(self.scan, test).together(term) if pair.names[1].cause[0] not in excluded), None
         )
-        return None if likeliest is None or likeliest.net < net + self.options.margin else likeliest
+        return None if likeliest is None or likeliest.net < net + MARGIN else likeliest
 
     def _likeliest_pair_at(self, test: ScoreTest, site: str, excluded: set[str]) -> Pair | None:
         """The likeliest two names of a site, neither of them `excluded`."""
@@ -561,7 +569,7 @@ class Selector:
         bare = None
         for names, gain in self._names_for(state, k):
             needed = self._needed(process.term, bool(names[-1].process))
-            if gain + self.options.close < process.net + needed:
+            if gain + CLOSE < process.net + needed:
                 continue
             bare = bare or self._left_out(state, k)
             candidate = self._noise_chosen_again(self._dropped(self._added(bare, names)))
@@ -584,7 +592,7 @@ class Selector:
         model = (state.fit.terms, state.fit.values)
         excluded = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
         component, quantity_indices = self._process_of(process)
-        while len(names) < self.options.names_for_process:
+        while len(names) < _NAMES_FOR_PROCESS:
             likeliest = self._likeliest_name(test, state, rows, excluded)
             if likeliest is None:
                 return
@@ -593,7 +601,7 @@ class Selector:
                 pair = self._likeliest_pair(test, term, likeliest.net, excluded)
             more, net = ((likeliest,), likeliest.net) if pair is None else pair
             site_pair = self._likeliest_pair_at(test, process.site, excluded)
-            if site_pair is not None and site_pair.net > net + self.options.margin:
+            if site_pair is not None and site_pair.net > net + MARGIN:
                 more, net = site_pair
                 site_pair = None
             before = names, gain
@@ -606,7 +614,7 @@ class Selector:
                 yield [*before[0], *site_pair.names], before[1] + site_pair.net
             wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
             for less in self._processes(test, component, [*_either(quantity_indices), *wandering]):
-                if less.net >= self.options.margin:
+                if less.net >= MARGIN:
                     yield [*names, less], gain + less.net
 
     def _likeliest_name(self, test: ScoreTest, state: State, rows: Mask, excluded: set[str]) -> Ranked | None:
@@ -614,7 +622,7 @@ class Selector:
         names = [
             name
             for name in ModelScan(self.scan, test).names_and_waves()
-            if name.cause[0] not in excluded and name.net >= self.options.margin
+            if name.cause[0] not in excluded and name.net >= MARGIN
         ]
         names = [name for name in names if (self._rows(name.make(), state) & rows).any()]
         return next((name for name in names if name.make().usual), names[0] if names else None)
@@ -634,7 +642,7 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
-            lowest_odds = state.tested[k].net - self.options.close
+            lowest_odds = state.tested[k].net - CLOSE
             candidates = self._not_refused(ModelScan(self.scan, test, rows).ranked(lowest_odds), test, state)
             continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
             ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
@@ -655,7 +663,7 @@ class Selector:
                 (every * (selected.gain - candidate.gain) - (selected.cost - candidate.cost), candidate)
                 for candidate in self._in_place(state, k)
             ]
-            near = sorted((pair for pair in gaps if pair[0] < self.options.close), key=lambda pair: pair[0])
+            near = sorted((pair for pair in gaps if pair[0] < CLOSE), key=lambda pair: pair[0])
             # a process of a name's own driver at its site is that name, unless it is as likely
             names = [selected.term, *(candidate.make() for _, candidate in near if not candidate.process)]
             named_drivers = {
@@ -663,7 +671,7 @@ class Selector:
             }
             for gap, candidate in near:
                 key = candidate.site, candidate.cause
-                if len(alternatives) == self.options.listed:
+                if len(alternatives) == LISTED:
                     break
                 if (
                     candidate.process
@@ -684,11 +692,11 @@ class Selector:
             if every == 1 and (absorbed := self._absorbed(state, k)) is not None:
                 gap = state.evidence - absorbed.evidence
                 new = [test.term for test in absorbed.tested if test.term not in state.fit.terms.terms]
-                if gap < self.options.close and new:
+                if gap < CLOSE and new:
                     alternatives.append(Alternative(new[0], max(gap, 0.0)))
                     alternatives.sort(key=lambda alternative: alternative.gap)
             if (wave := wave_of(self.problem, selected.term)) is not None:
-                waves = as_likely(test, *wave, self.options.close / every)
+                waves = as_likely(test, *wave, CLOSE / every)
                 alternatives += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
                 alternatives.sort(key=lambda alternative: alternative.gap)
             alternatives_by_term.append(tuple(alternatives))
@@ -711,7 +719,7 @@ class Selector:
         score, ((lower, upper),) = test.score([term])[0], self.problem.limits(term)
         value = float(score.values[0])
         std = abs(value) / max(np.sqrt(2 * score.gain), 1e-300)
-        return max(lower - value, value - upper) <= self.options.impossible * std
+        return max(lower - value, value - upper) <= IMPOSSIBLE * std
 
     def _contains(self, ranked: Ranked, term: Term) -> bool:
         """Whether a ranked term is this one, or a process of its quantities and another one at its site."""

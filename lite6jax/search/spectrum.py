@@ -13,8 +13,14 @@ from lite6jax.estimation.evidence import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
+from lite6jax.estimation.thresholds import EXACT_BELOW, LOWEST_ORDER
 
 Array = NDArray[np.floating]
+
+_OTHER_ORDERS = 3
+"""Other orders that are reported beside one that explains no more; they fit on a screen."""
+_SCORED_PEAKS = 4
+"""Peaks of a spectrum that are scored exactly; side lobes are lower than these."""
 
 _BIN = 2 * np.pi / 2**15
 """rad, to which angles are rounded: at order 400 that is a 25th of a radian of phase at most, and at order 1000
@@ -59,7 +65,7 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     place = np.rint((q[training] - q.min()) / _BIN).astype(int)
     step = 2 * np.pi / (_BIN * length)
     highest = family.highest or options.highest_order
-    at = np.arange(int(np.ceil(options.lowest_order / step)), int(highest / step))
+    at = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
     e = _transform(place, score, length)[at]
     w = _transform(place, weight, length)
     total = float(weight.sum())
@@ -78,8 +84,8 @@ def lines(test: ScoreTest) -> list[Line]:
         orders, gains = spectrum(test, family)
         if not gains.any():
             continue
-        low = orders[orders <= options.exact_below][::2]
-        peaks = orders[_peaks(test, family, orders, gains)[: options.kept_lines]]
+        low = orders[orders <= EXACT_BELOW][::2]
+        peaks = orders[_peaks(test, family, orders, gains)[:_SCORED_PEAKS]]
         best_order = _best(test, family, np.unique(np.concatenate([low, peaks])))
         order = _refined(test, family, best_order, orders[1] - orders[0])
         gain = _gain(test, family, order)
@@ -107,7 +113,7 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
     resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
     gain = _gain(test, family, order)
     step = orders[1] - orders[0]
-    limit = test.options.other_orders
+    limit = _OTHER_ORDERS
     alternatives: list[tuple[float, float]] = []
     # what the spectrum says is rounded: the lowest of equals to within one come first, and of twice as many the best
     peaks = _peaks(test, family, orders, gains)
@@ -140,7 +146,7 @@ def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float)
     """The likeliest order within a step of the spectrum."""
     for width in (step, step / 5):
         near = order + width * np.linspace(-1, 1, 9)
-        order = _best(test, family, near[near >= test.options.lowest_order])
+        order = _best(test, family, near[near >= LOWEST_ORDER])
     return _best(test, family, np.array([order, max(round(order), 1)]))
 
 

@@ -245,6 +245,9 @@ def measure(
     if turn is not None:
         turn[hit] += size / OUTLIER_LEVER_M * _draw_directions(rng, hit.size)
         quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()))
+    declared_tool: str | tuple[float, ...] = "unknown"
+    if tool_known:
+        declared_tool = "none" if tool is None else tuple(np.asarray(tool, float).tolist())
     settings = replace(
         motion.settings,
         joint_source="measured",
@@ -252,7 +255,7 @@ def measure(
         pose_source=source,
         motion=motion.motion,
         pose_frame="base" if T_sensor_base is None else "unknown",
-        tool="unknown" if not tool_known else "none" if tool is None else tuple(np.asarray(tool, float).tolist()),
+        tool=declared_tool,
         position_noise_m=probe.position_noise,
         orientation_noise_rad=probe.orientation_noise,
     )

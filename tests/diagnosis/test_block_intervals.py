@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from lite6jax.diagnosis.block_intervals import block_stds, interval_blocks
-from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
@@ -69,7 +68,7 @@ def test_the_larger_covers_the_truth_in_noise_that_the_fit_takes_for_white(arm, 
             recording = arm.recording(moving, noise=None, poses=autocorrelated(poses, seed))
         selection = selected(recording)
         fit_std = np.sqrt(np.diagonal(selection.state.fit.covariance))
-        stds = np.concatenate(block_stds(selection, Options()))
+        stds = np.concatenate(block_stds(selection))
         off = np.abs(selection.state.fit.values - VALUES)
         by_fit.append(off < 1.96 * fit_std)
         by_larger.append(off < 1.96 * np.maximum(fit_std, stds))
@@ -85,7 +84,7 @@ def test_the_larger_covers_the_truth_in_noise_that_the_fit_takes_for_white(arm, 
 def test_a_finding_says_the_larger_and_that_of_the_fit_beside_it(arm, moving):
     selection = selected(arm.recording(moving, noise=None, poses=autocorrelated(arm.poses(moving), 3)))
     fitted = selection.state.fit
-    by_blocks = block_stds(selection, Options())
+    by_blocks = block_stds(selection)
     findings = [
         Finding(term, fitted.values[at], fitted.covariance[at, at], 1e-9, 50.0, (), block_std=stds)
         for term, at, stds in zip(TERMS.terms, fitted.terms.slices, by_blocks, strict=True)
@@ -105,29 +104,29 @@ def test_a_finding_says_the_larger_and_that_of_the_fit_beside_it(arm, moving):
 
 def test_an_order_with_a_standard_deviation_has_one_from_blocks(arm, moving):
     recording = arm.recording(moving, seed=2)
-    without, whole = block_stds(selected(recording), Options())
+    without, whole = block_stds(selected(recording))
     assert (len(without), len(whole)) == (1, 2)
-    _, harmonic = block_stds(selected(recording, chosen_std=1e-3), Options())
+    _, harmonic = block_stds(selected(recording, chosen_std=1e-3))
     assert len(harmonic) == 3
     assert 0 < harmonic[2] < 0.1
 
 
-def test_functions_without_a_name_and_short_recordings_have_none(arm, moving):
+def test_functions_without_a_name_and_short_recordings_have_none(arm, moving, monkeypatch):
     unnamed = Unnamed("joint3", "position of joint 3", -1.0, 1.0, "smooth", spread=1e-4)
     both = selected(arm.recording(moving), Terms((TERMS.terms[0], unnamed)))
-    named, nothing = block_stds(both, Options())
+    named, nothing = block_stds(both)
     assert named.size == 1
     assert nothing.size == 0
-    few = Options(interval_blocks=4)
-    assert [stds.size for stds in block_stds(both, few)] == [0, 0]
+    monkeypatch.setattr("lite6jax.diagnosis.block_intervals._MOST", 4)
+    assert [stds.size for stds in block_stds(both)] == [0, 0]
 
 
 def test_blocks_are_longer_than_the_noise_remembers():
     training = np.ones(400, bool)
     training[::7] = False
-    blocks = interval_blocks(training, 1.0, Options())
+    blocks = interval_blocks(training, 1.0)
     assert len(blocks) == 20
     assert np.array_equal(np.sum(blocks, 0), training)
-    blocks = interval_blocks(training, 19.0, Options())
+    blocks = interval_blocks(training, 19.0)
     assert len(blocks) == 6
     assert min(block.sum() for block in blocks) >= 57

@@ -7,6 +7,7 @@ from diagnosis.recorded import NOISE, OPTIONS, Made, fitted_to, found, moving_mo
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.search.scan import ModelScan, Scan
 from tests.oracles.gravity import gravity_moments
 
@@ -96,7 +97,7 @@ def test_nothing_is_likely_where_nothing_is(arm, still):
     for seed in range(3):
         problem = pose_problem(arm.recording(still, seed=seed))
         test = score_test(problem, fitted_to(problem), OPTIONS)
-        assert max(one.net for one in ModelScan(Scan(problem, OPTIONS), test).ranked()) < OPTIONS.margin
+        assert max(one.net for one in ModelScan(Scan(problem, OPTIONS), test).ranked()) < MARGIN
 
 
 # ------------------------------------------------------------------ very many orders at once

@@ -76,7 +76,7 @@ def test_few_rows_are_held_out_in_as_many_blocks_as_many_rows(samples, needed, c
 )
 def test_rows_that_are_held_out_together_are_spread_in_blocks_longer_than_the_noise_remembers(rows, noise, blocks):
     contiguous = list(np.arange(rows) * 5 // rows == np.arange(5)[:, None])
-    folds = spread_folds(contiguous, NoiseModel((noise,), np.zeros(3, int)), Options())
+    folds = spread_folds(contiguous, NoiseModel((noise,), np.zeros(3, int)))
     assert np.array_equal(np.sum(folds, 0), np.ones(rows))
     assert (len(folds), block_count(folds)) == (5, blocks)
     ends = np.flatnonzero(np.diff(np.argmax(folds, 0))) + 1

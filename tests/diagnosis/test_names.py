@@ -7,10 +7,11 @@ import pytest
 from diagnosis.recorded import Made, moving_motion, static_motion, with_effects
 from scipy.signal import lfilter
 
-from lite6jax.diagnosis.diagnose import diagnose_poses
+from lite6jax.diagnosis.diagnose import FEWEST_ROWS, diagnose_poses
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import HeldOut, raises
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import AS_NOISE, NEARLY_SIGNIFICANT
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.report import statements
 from lite6jax.report.sentences.diagnosis import held_out, verdict_statement
@@ -145,7 +146,7 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
     diagnosis = diagnose_poses(arm.recording(static_motion(6, 12)))
     assert diagnosis.verdict == "undetermined"
-    assert diagnosis.to_dict()["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
+    assert diagnosis.to_dict()["rows_needed"] == diagnosis.rows_needed >= FEWEST_ROWS
 
 
 @pytest.mark.parametrize(("compliance", "verdict"), [(6e-6, "undetermined"), (0.0, "explained")])
@@ -155,12 +156,12 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(ar
     small = f"joint_compliance:joint=3,compliance_rad_per_Nm={compliance}"
     diagnosis = diagnose_poses(with_effects(arm, scale, small).recording(static_motion(21, 200)))
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_scale:joint2"]
-    assert (diagnosis.most_over_noise or 0.0) <= OPTIONS.as_noise
+    assert (diagnosis.most_over_noise or 0.0) <= AS_NOISE
     assert diagnosis.verdict == verdict
     if compliance:
         effect, p_value = diagnosis.nearest
         assert effect.label == "joint_compliance:joint3"
-        assert OPTIONS.engine.level < p_value < OPTIONS.nearly_significant
+        assert OPTIONS.engine.level < p_value < NEARLY_SIGNIFICANT
         said = verdict_statement(diagnosis.to_dict())
         assert said == (
             "Undetermined: what is left, with the effects below, is noise, but joint compliance at joint3 is nearly "
@@ -266,4 +267,4 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, some, ke
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
     before, after = np.stack([rows, rows]), np.stack([position * rows, orientation * rows])
-    assert raises(HeldOut(before, after, before, after, rows > 0), rows > 0, 0, OPTIONS) == raised
+    assert raises(HeldOut(before, after, before, after, rows > 0), rows > 0, 0) == raised

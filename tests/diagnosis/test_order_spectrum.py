@@ -7,6 +7,7 @@ from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, with_eff
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.estimation.score_test import gain_p_value, score_test
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.search.search import search
 from lite6jax.search.spectrum import as_likely, lines, spectrum
 
@@ -66,7 +67,7 @@ def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest_whole_
     against = evidence(made, taught(still, grid))
     best = lines(against)[0]
     assert (best.family.site, best.order) == ("joint2", order)
-    found = as_likely(against, best.family, best.order, OPTIONS.close)
+    found = as_likely(against, best.family, best.order, CLOSE)
     assert others is None or [other for other, _ in found] == others
     assert max([gap for _, gap in found], default=0.0) < (0.5 if others is None else 1e-6)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import DomainDiagnosis
+from lite6jax.diagnosis.result import AS_NOISE, DomainDiagnosis
 from lite6jax.domains.base import Domain
 from lite6jax.domains.entries import Document, ModelEntry, shared_fields
 from lite6jax.effects.effect import Coordinate, Effect, final_effect
@@ -194,7 +194,7 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
     moves = property(lambda self: ({},) * len(self.findings))
     _noise = property(lambda self: ({"position_m": self.problem.noise}, {"position_m": self.problem.noise}))
     _peak_to_peak = None  # of nonparametric effects, which there are none of
-    _leaves_noise = property(lambda self: self.most_over_noise <= self.options.as_noise)
+    _leaves_noise = property(lambda self: self.most_over_noise <= AS_NOISE)
 
     @cached_property
     def over_noise(self):
@@ -244,6 +244,6 @@ def diagnose_oscillator(recording, oscillator, noise):
     selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
     folds = contiguous_blocks(problem.samples, 5)
     held_out = partial(errors_of_folds, errors_of_refit, (selection, options.engine), anywhere=False)
-    verified = verify(selection, held_out(folds), folds, problem.valid, options, held_out, judge_by_folds)
+    verified = verify(selection, held_out(folds), folds, problem.valid, held_out, judge_by_folds)
     nothing = {"faults": (), "ruled_out": (), "outliers": ~problem.valid}
     return OscillatorDiagnosis(problem=problem, options=options, **nothing, **verified._asdict())

@@ -8,6 +8,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
 from lite6jax.effects.kinematic import JointOffset
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation import thresholds
 from lite6jax.estimation.evidence import Marginal, bound, of_process
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
@@ -132,7 +133,7 @@ def test_the_evidence_of_a_process_is_that_of_its_covariance_beside_the_nuisance
     features = R.T @ spline_basis(np.asarray(problem.motion.joint_position[2]), -3.0, 3.0)
     sums = marginal.sums(component.column)
     (pull,), (information,) = marginal.equations(sums, features[None])
-    found = of_process(pull, information, sums.left, sums.freedom, OPTIONS.confounded)
+    found = of_process(pull, information, sums.left, sums.freedom, thresholds.CONFOUNDED)
     Z = Q.T @ (features[:, None] * component.column).reshape(len(features), -1).T / test.scale[0]
     # beside readings of the declared noise: four more, at its size
     known = np.full(4, 1 / test.scale[0])

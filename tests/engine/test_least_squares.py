@@ -13,6 +13,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import white_noise
+from lite6jax.estimation.options import FitOptions
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.terms import Terms
@@ -254,7 +255,7 @@ def test_kept_derivatives_lead_to_the_same_fit(arm, still, poses, monkeypatch):
     fits = []
     for stale in (0.0, 0.1):
         taken.append(0)
-        fits.append(fit(case, PHYSICS, replace(OPTIONS, stale=stale, relinearisations=0)))
+        fits.append(fit(case, PHYSICS, replace(OPTIONS, fit=FitOptions(stale=stale, relinearisations=0))))
     first = taken.index(0, 1)
     assert sum(taken[first:]) < sum(taken[:first])
     anew, kept = fits

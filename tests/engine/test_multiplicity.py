@@ -8,7 +8,7 @@ from engine.linear_problem import Column, Decay, Driver, Wave, linear_problem
 from scipy.integrate import quad
 
 from lite6jax.effects import kernels
-from lite6jax.estimation.evidence import log_orders, log_orders_of
+from lite6jax.estimation.evidence import RESOLVED_ORDERS, log_orders, log_orders_of
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.search.scan import PAIRS, SINGLE, Scan
 
@@ -19,7 +19,7 @@ def test_the_probabilities_of_whole_and_other_orders_add_up_to_one():
 
     def density(log_order: float) -> float:  # of log n, by which it is constant; 1e-6 beside a whole order
         order = np.exp(log_order) + 1e-6
-        return DEFAULTS.resolved_orders * float(np.exp(-log_orders(order, DEFAULTS))) * order
+        return RESOLVED_ORDERS * float(np.exp(-log_orders(order, DEFAULTS))) * order
 
     between = quad(density, 0, np.log(DEFAULTS.highest_order))[0]
     assert between == pytest.approx(1 - DEFAULTS.prior.whole_order, rel=1e-5)

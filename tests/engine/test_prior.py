@@ -24,7 +24,7 @@ def test_kinds_of_a_further_term_are_together_certain():
 
 def test_a_sidecar_changes_both_the_search_and_the_screening():
     options = Options().of(RecordingSettings(prior={"calibration_off": 0.02, "named": 0.5}))
-    assert options.engine.prior == options.screening.prior == options.prior
+    assert options.engine.prior == options.prior
     assert (options.prior.calibration_off, options.prior.named) == (0.02, 0.5)
     assert options.prior.wave == PRIOR.wave
     assert Options().of(RecordingSettings()) == Options()

@@ -4,15 +4,16 @@ import numpy as np
 
 from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.noise import UNCORRELATED, NoiseModel
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import DriverValues
 from lite6jax.fleet.pooling import Reduced
 from lite6jax.fleet.population import Member, diagnose_population
 from lite6jax.fleet.reduced import Heading, ReducedArm
-from lite6jax.fleet.terms import Candidate, FleetComponent, PooledTerm, PoolingOptions, Tried, Varied
+from lite6jax.fleet.terms import Candidate, FleetComponent, PooledTerm, Tried, Varied
 from lite6jax.workers import Workers
 
 SAMPLES = 80
-OPTIONS = PoolingOptions()
+OPTIONS = EngineOptions()
 NAMED = tuple(
     Candidate(key, key, site, "none", names, (1.0,) * len(names), (lower,) * len(names), (np.inf,) * len(names))
     for key, site, names, lower in (
@@ -88,7 +89,7 @@ def stored(folder, arms):
 
 def tried(arms, options=OPTIONS):
     """All that some arms are tested for."""
-    return Tried([one.heading for one in arms], options.engine)
+    return Tried([one.heading for one in arms], options)
 
 
 def population(folder, arms, processes=0, options=OPTIONS):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fleet.linear_arms import LOAD, OPTIONS, POSITION, arm, population, tried, wave
+from fleet.linear_arms import LOAD, POSITION, arm, population, tried, wave
 
 from lite6jax.fleet.terms import FleetProcess, PooledTerm
 from lite6jax.report.listings import population_report
@@ -97,7 +97,7 @@ def test_coefficients_mean_the_same_in_recordings_of_other_ranges():
     (cubic,) = (one for one in all_tried.with_every_kernel(load) if one.kernel == "cubic")
     score, information = np.zeros(7), np.zeros((7, 7))
     for _ in range(6):
-        found = arm(rng, [(cubic, values)], noise=np.zeros(80)).evidence(cubic, OPTIONS)
+        found = arm(rng, [(cubic, values)], noise=np.zeros(80)).evidence(cubic)
         score, information = score + found.score, information + found.information
     estimate = np.linalg.lstsq(information, score, rcond=1e-9)[0]
     functions = cubic.functions(np.linspace(*cubic.bounds, 50)[None])

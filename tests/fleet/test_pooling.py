@@ -6,13 +6,13 @@ from fleet.linear_arms import OPTIONS, SAMPLES, arm, tried, wave
 from scipy.signal import lfilter
 from scipy.stats import kstest
 
+from lite6jax.estimation.thresholds import CONFOUNDED
 from lite6jax.fleet.pooling import screen, weigh
 from lite6jax.fleet.reduced import order_grid
 from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm
 
 BENT = PooledTerm("bent")
 LOADED = ("gravity torque of joint 1",), (-3.0, 3.0)
-CONFOUNDED = OPTIONS.engine.confounded
 
 
 def arms_of(seed, count, effects=lambda i: (), **options):
@@ -25,7 +25,7 @@ def process(kernel, drivers=LOADED[0], bounds=LOADED[1], site="joint1"):
 
 
 def measured(arms, term):
-    return [one.evidence(term, OPTIONS) for one in arms]
+    return [one.evidence(term) for one in arms]
 
 
 def outside(one, rows):
@@ -81,7 +81,7 @@ def test_what_a_search_screens_is_what_is_measured():
     arms = arms_of(2, 4)
     named, groups, all_tried = screened(arms)
     assert set(named) == set(all_tried.named)
-    np.testing.assert_allclose(named["bent"][2].score, arms[2].evidence(BENT, OPTIONS).score)
+    np.testing.assert_allclose(named["bent"][2].score, arms[2].evidence(BENT).score)
     at, term = int(np.flatnonzero(order_grid(OPTIONS) == 30.0)[0]), PooledTerm("waves:joint3", 30.0)
     expected = weigh(term, measured(arms, term), CONFOUNDED).gain
     assert groups["waves:joint3"][at] - np.log(3) == pytest.approx(expected)
@@ -114,7 +114,7 @@ def test_noise_larger_than_its_model_is_no_evidence():
 def test_evidence_without_an_effect_is_as_rare_as_it_says(term):
     found = []
     for seed in range(60):
-        evidence = [one.evidence(term, OPTIONS) for one in arms_of(100 + seed, 6)]
+        evidence = [one.evidence(term) for one in arms_of(100 + seed, 6)]
         found.append(weigh(term, evidence, CONFOUNDED).p_value)
     assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
 
@@ -128,7 +128,7 @@ def test_noise_that_the_model_does_not_know_is_seen_by_the_blocks():
             one = arm(rng, noise=lfilter([0.6], [1, -0.8], rng.normal(size=400)), samples=400)
             one.columns[one.parts["soft"]] = lfilter([0.2], [1, -0.97], rng.normal(size=(1, 400)))
             arms.append(one)
-        evidence = [one.evidence(PooledTerm("soft"), OPTIONS) for one in arms]
+        evidence = [one.evidence(PooledTerm("soft")) for one in arms]
         found = weigh(PooledTerm("soft"), evidence, CONFOUNDED)
         robust.append(found.sure)
         white.append(found.net)
@@ -140,5 +140,5 @@ def test_a_wave_of_any_phase_has_no_mean_and_is_in_any():
     rng = np.random.default_rng(5)
     arms = [arm(rng, [wave(41.0, 0.5, phase)]) for phase in rng.uniform(-np.pi, np.pi, 25)]
     term = PooledTerm("waves:joint3", 41.0)
-    found = weigh(term, [one.evidence(term, OPTIONS) for one in arms], CONFOUNDED)
+    found = weigh(term, [one.evidence(term) for one in arms], CONFOUNDED)
     assert (found.way, found.gain > 30) == ("any", True)

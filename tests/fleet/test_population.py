@@ -23,7 +23,7 @@ def fleet(seed, effects, count=30):
 
 def significance(one, term):
     """Standard deviations of a number in one recording."""
-    found = one.evidence(term, OPTIONS)
+    found = one.evidence(term)
     return float(np.abs(found.score[0]) / np.sqrt(found.information[0, 0]))
 
 

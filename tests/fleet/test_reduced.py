@@ -36,11 +36,11 @@ def least_squares(made, terms):
 @pytest.mark.parametrize("term", [SOFT, BENT, LINE[0], CURVE, BOTH])
 def test_evidence_is_least_squares_beside_the_others(made, term):
     others = [other for other in (SOFT, BENT, LINE[0]) if other != term]
-    found = made.beside(others, OPTIONS).evidence(term, OPTIONS)
+    found = made.beside(others).evidence(term)
     values, covariance = least_squares(made, [*others, term])
     np.testing.assert_allclose(np.linalg.solve(found.information, found.score), values, rtol=1e-8)
     np.testing.assert_allclose(np.linalg.inv(found.information), covariance, rtol=1e-8)
-    left = made.beside(others, OPTIONS).left
+    left = made.beside(others).left
     assert found.left == pytest.approx(left @ left)
     assert found.freedom == made.residual.size - len(made.basis) - sum(len(made.columns_of(one)) for one in others)
     ratio = np.diagonal(found.covariance) / np.diagonal(found.information)
@@ -52,24 +52,24 @@ def test_evidence_is_least_squares_beside_the_others(made, term):
 def test_scores_of_a_search_are_the_evidence_on_each_term(made, noise):
     if noise is not None:
         made = replace(made, noise=NoiseModel((noise,), np.zeros(1, int), (0, 30)))
-    made = replace(made, training=np.arange(made.residual.size) % 9 > 0).beside([BENT], OPTIONS)
+    made = replace(made, training=np.arange(made.residual.size) % 9 > 0).beside([BENT])
     scan = made.scan(tried([made]).singles, OPTIONS)
-    expected = made.evidence(SOFT, OPTIONS)
+    expected = made.evidence(SOFT)
     np.testing.assert_allclose(scan.named["soft"].score, expected.score)
     assert scan.named["bent"] is None  # it is in the model
     orders, (score, information, _) = order_grid(OPTIONS), scan.groups["waves:joint3"]
     for order in (1.0, 7.25, 133.125):
         at = int(np.flatnonzero(orders == order)[0])
-        expected = made.evidence(PooledTerm("waves:joint3", order), OPTIONS)
+        expected = made.evidence(PooledTerm("waves:joint3", order))
         np.testing.assert_allclose(score[at], expected.score, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(information[at], expected.information, rtol=1e-9, atol=1e-9)
 
 
 def test_what_is_in_the_model_or_unknown_has_no_evidence(made):
-    assert made.beside([SOFT], OPTIONS).evidence(SOFT, OPTIONS) is None
-    assert made.evidence(PooledTerm("unheard of"), OPTIONS) is None
-    assert made.evidence(PooledTerm("waves:joint9", 3.0), OPTIONS) is None
-    assert made.evidence(replace(CURVE, site="joint9"), OPTIONS) is None
+    assert made.beside([SOFT]).evidence(SOFT) is None
+    assert made.evidence(PooledTerm("unheard of")) is None
+    assert made.evidence(PooledTerm("waves:joint9", 3.0)) is None
+    assert made.evidence(replace(CURVE, site="joint9")) is None
     assert made.evidence(replace(CURVE, drivers=("position of joint 9",)), OPTIONS) is None
 
 
@@ -77,7 +77,7 @@ def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made)
     """Rounding, divided by rounding, would be a number of any size."""
     column = made.parts["bent"].start
     made.columns[column] = 1e3 * made.basis[0] + 1e-7 * made.columns[column]
-    found = made.evidence(BENT, OPTIONS)
+    found = made.evidence(BENT)
     assert (found.score[0], *found.information[0], *found.information[:, 0]) == (0.0, 0.0, 0.0, 0.0, 0.0)
     assert found.information[1, 1] > 1
 
@@ -118,7 +118,7 @@ def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
         for one in made.heading.candidates
         if (one.effect, one.site) == (finding.effect.name, finding.effect.site)
     )
-    found = made.evidence(PooledTerm(key), OPTIONS)
+    found = made.evidence(PooledTerm(key))
     std = float(np.sqrt(finding.covariance[0, 0]))
     assert 1 / found.information[0, 0] == pytest.approx(std**2, rel=0.1)  # robust weights differ a little
     assert found.score[0] / found.information[0, 0] == pytest.approx(finding.values[0], abs=0.3 * std)
@@ -153,5 +153,5 @@ def test_waves_of_a_joint_that_does_not_show_are_not_scored(tmp_path):
     recording = Made(tmp_path, seed=1, orientation=False).recording(static_motion(1, 60))
     made = reduced(diagnose_poses(recording, options=Options(folds=2)))
     assert [one.site for one in made.heading.families] == [f"joint{j}" for j in range(1, 6)]  # the flange is on axis 6
-    scan = made.beside([], OPTIONS).scan(tried([made]).singles, OPTIONS)
+    scan = made.beside([]).scan(tried([made]).singles, OPTIONS)
     assert set(scan.groups) >= {one.key for one in made.heading.families}

@@ -10,10 +10,10 @@ from lite6jax.effects.dynamic import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.fleet.reduced import ReducedArm
 from lite6jax.fleet.reduction import reduced
-from lite6jax.fleet.terms import PooledTerm, PoolingOptions
+from lite6jax.fleet.terms import PooledTerm
 from lite6jax.recordings import Recording, RecordingSettings
 
-OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
+OPTIONS = EngineOptions(highest_order=20.0)
 """A filter of all orders to 400 would take most of the time."""
 VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False,exponent=1.0")
 ORDER, BUMP = 11.0, 0.02
@@ -54,7 +54,7 @@ def fleet(folder, motion, sizes):
 def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_path, motion):
     sizes = [(2.5 * DEVIATION + 10 * DEVIATION * (i == 3), 0.0) for i in range(10)]
     arms, found = fleet(tmp_path, motion, sizes)
-    (own,) = (one.evidence(VISCOUS, OPTIONS) for one in arms[:1])
+    (own,) = (one.evidence(VISCOUS) for one in arms[:1])
     assert own.information[0, 0] ** -0.5 == pytest.approx(DEVIATION, rel=0.1)
     (effect,) = found.effects
     assert (effect.selected.term, list(effect.outliers)) == (VISCOUS, [3])
@@ -103,7 +103,7 @@ def test_processes_are_those_of_the_search_of_the_recording(motion):
 def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):
     found = diagnosed(recording(motion, 0, 0.5), (ViscousFriction(2),))
     arm = reduced(found)
-    value = np.linalg.solve(*arm.evidence(VISCOUS, OPTIONS)[1::-1])
+    value = np.linalg.solve(*arm.evidence(VISCOUS)[1::-1])
     assert value == pytest.approx(found.fit.values, rel=0.02)
     family = found.problem.periodic[2]
     expected = family.columns(np.array([ORDER]))[0].reshape(2, -1)

@@ -28,12 +28,17 @@ from lite6jax.domains.pose.fit import fit_touches
 from lite6jax.domains.pose.registration import noise_of
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.hypotheses import tables_of_model, touches_one_point
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, PUBLISHED_TOLERANCE
 from lite6jax.recordings import Recording, outside_limits, require_one_station
 from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
+
+_MOSTLY_EXPLAINED = 0.8
+"""Share of the squared error at which a cause is likely, set on real arms."""
+_PARTLY_EXPLAINED = 0.3
+"""Share of the squared error at which a cause is possible, set on real arms."""
 
 _RMS_OF_MEDIAN = 1.1260
 """Of the length of an isotropic Gaussian 3-vector: √3 / √(median of χ²₃). Outliers move the median little."""
@@ -78,9 +83,8 @@ class RecordingCheck:
     notes: tuple[str, ...]
 
 
-def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions | None = None) -> list[Cause]:
+def check_calibration(calibration: FactoryCalibration) -> list[Cause]:
     """A calibration's distance to each nominal table, and a constant displacement of the flange."""
-    options = options or ScreeningOptions()
     arm = calibration.arm
     q = check_positions(arm)
     pose = calibration_poses(calibration, q)
@@ -94,32 +98,28 @@ def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions
         for table, d in zip(tables, distances, strict=True)
     ]
     numbers = {"arm": arm.name, "nearest": tables[nearest].name, "tables": compared}
-    if distances[nearest].max() < options.published_tolerance:
+    if distances[nearest].max() < PUBLISHED_TOLERANCE:
         return [Cause("default_table", True, (), numbers)]
     difference = pose[:, :3, 3] - nominal[0][:, :3, 3]
     in_flange = np.einsum("sji,sj->si", nominal[0][:, :3, :3], difference)
     shift = in_flange.mean(0)
-    offset = _tool_offset(shift, np.sum(in_flange**2, 1), np.sum((in_flange - shift) ** 2, 1), options)
+    offset = _tool_offset(shift, np.sum(in_flange**2, 1), np.sum((in_flange - shift) ** 2, 1))
     return [Cause("nominal_table", False, (), numbers), offset]
 
 
-def check_recording(
-    recording: Recording, nominal: Arm | None = None, options: ScreeningOptions | None = None
-) -> RecordingCheck:
+def check_recording(recording: Recording, nominal: Arm | None = None) -> RecordingCheck:
     """Data faults, joint limits, tool offset, outliers, and how much of the error a change of geometry explains.
 
     Args:
         recording: measured poses.
         nominal: the nominal arm; from the sidecar where not given.
-        options: the thresholds.
 
     Raises:
         InputError: as `fit_recording`.
     """
-    options = options or ScreeningOptions()
     require_one_station(recording)
     recording = recording if nominal is not None else with_arm(recording)
-    screened = screen(recording, nominal, options=options, allow_undecided=True)
+    screened = screen(recording, nominal, allow_undecided=True)
     recording = screened.recording
     arm = screened.arm
     assert arm is not None
@@ -130,12 +130,12 @@ def check_recording(
         causes.append(Cause("joint_limits", True, row_numbers(outside.rows), numbers))
     # of a mismatch that nothing explains, and of poses that were computed, no share of the error means anything
     if not any(screened.count(code) for code in ("undecided", "other_arm", "unexplained", "computed_pose")):
-        causes += _recorded_tool_offset(recording, arm, options)
-        causes += _geometry_and_outliers(recording, arm, options)
+        causes += _recorded_tool_offset(recording, arm)
+        causes += _geometry_and_outliers(recording, arm)
     return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
 
 
-def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
+def _recorded_tool_offset(recording: Recording, arm: Arm) -> list[Cause]:
     """A constant displacement of the measured point on the flange; none where the tool is fitted."""
     settings = recording.settings
     if settings.tool == "unknown" or recording.touches or touches_one_point(recording, noise_of(settings)[0]):
@@ -153,18 +153,18 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
         missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
         squares.append(np.sum(missed**2, 1))
         tools.append(T_flange_tool)
-    cause = _tool_offset(tools[1][:3, 3] - tools[0][:3, 3], squares[0], squares[1], options)
+    cause = _tool_offset(tools[1][:3, 3] - tools[0][:3, 3], squares[0], squares[1])
     return [replace(cause, numbers={**cause.numbers, "declared_m": declared[:3, 3].tolist()})]
 
 
-def _tool_offset(shift: Array, before: Array, after: Array, options: ScreeningOptions) -> Cause:
+def _tool_offset(shift: Array, before: Array, after: Array) -> Cause:
     """`before` and `after`: squared distances without and with the shift; medians, so that outliers do not decide."""
     share = max(0.0, 1 - float(np.median(after)) / max(float(np.median(before)), np.finfo(float).tiny))
-    numbers = {"shift_m": shift.tolist(), "explained": share, "likely": share >= options.mostly_explained}
-    return Cause("tool_offset", share >= options.partly_explained, (), numbers)
+    numbers = {"shift_m": shift.tolist(), "explained": share, "likely": share >= _MOSTLY_EXPLAINED}
+    return Cause("tool_offset", share >= _PARTLY_EXPLAINED, (), numbers)
 
 
-def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
+def _geometry_and_outliers(recording: Recording, arm: Arm) -> list[Cause]:
     """How much a change of geometry explains, of an error that a tool offset may explain as well; and outliers."""
     touches = recording.touches is not None
     geometry = "prior" if recording.settings.factory_calibration else "free"  # where that alone has a known length
@@ -182,10 +182,10 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
     noise = solution.noise
     length = np.sqrt(min(recording.numbers_per_sample, 3))
     declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
-    if before <= options.as_noise_ratio * declared:
+    if before <= AS_NOISE_RATIO * declared:
         kind = "none"
-    elif share < options.mostly_explained:
-        kind = "partly" if share >= options.partly_explained else "other"
+    elif share < _MOSTLY_EXPLAINED:
+        kind = "partly" if share >= _PARTLY_EXPLAINED else "other"
     else:
         kind = "geometry"
     numbers = {

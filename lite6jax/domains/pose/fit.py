@@ -23,7 +23,6 @@ from lite6jax.calibration.solve import MAX_STEPS, Solver
 from lite6jax.calibration.source import load_nominal, read_source, with_arm
 from lite6jax.calibration.start import SAMPLES
 from lite6jax.domains.pose.rigid_arm import RigidArm, require_determined, rigid_arm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import rename_argument, wrong_type
 from lite6jax.estimation.least_squares import fit as fit_numbers
@@ -121,7 +120,6 @@ def fit_recording(
     loss: Loss = "student_t",
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
-    options: ScreeningOptions | None = None,
 ) -> Solution:
     """The fit of a recording without the faults of its data, as in a diagnosis; these are in `faults` of the solution.
 
@@ -129,14 +127,13 @@ def fit_recording(
         recording: measured poses.
         nominal: the nominal arm; from the sidecar, or recognised, where not given.
         geometry, loss, solver, max_steps: as in `fit`.
-        options: thresholds of the screening.
 
     Raises:
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     require_one_station(recording)
     recording = recording if nominal is not None else with_arm(recording)
-    screened = screen(recording, nominal, geometry, options)
+    screened = screen(recording, nominal, geometry)
     if recording.touches is not None:
         begun = rigid_arm(screened.recording, screened.arm, geometry)
         return replace(fit_touches(begun), faults=screened.found, ruled_out=screened.ruled_out)
@@ -164,7 +161,7 @@ def fit_touches(begun: RigidArm) -> Solution:
     arm = begun
     steps = 0
     converged = False
-    while not converged and steps < DEFAULTS.steps:
+    while not converged and steps < DEFAULTS.fit.steps:
         arm, before = relinearise(arm, DEFAULTS, steps=1), arm
         steps = steps + 1
         converged = bool(np.max(np.abs(arm.offset - before.offset), initial=0.0) < 1e-7)

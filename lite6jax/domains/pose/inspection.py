@@ -458,10 +458,15 @@ def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], sour
 
 def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
     """Which of several poses may be of a source: those of its name, else those that do not say whose they are."""
-    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
     indices = [*range(len(roles))]
+    if pose_source in SENSORS:
+        role = "sensor"
+    elif pose_source == "controller_fk":
+        role = "controller"
+    else:
+        return indices
     of_role, open_ = ([k for k in indices if roles[k] == of] for of in (role, None))
-    return indices if role is None else of_role or open_ or indices
+    return of_role or open_ or indices
 
 
 def near(name: str, names: Sequence[str]) -> str:

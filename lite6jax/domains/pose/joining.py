@@ -359,8 +359,6 @@ def _assumed(*files: File) -> str:
         assumptions.append(f"{name}{' …' if of_all else ''} of {of_file}{verb} in {unit}")
         remedies.append(f"--column {name}={block.renamed(unit=alternative)[name]}{of_all}")
     # files that have the column alike need one remedy
-    return (
-        f"; {', '.join(assumptions)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}"
-        if assumptions
-        else ""
-    )
+    if not assumptions:
+        return ""
+    return f"; {', '.join(assumptions)}; if that is wrong, give {' or '.join(dict.fromkeys(remedies))}"

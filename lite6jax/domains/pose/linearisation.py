@@ -20,6 +20,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
 from lite6jax.search.scan import Considered
@@ -137,7 +138,7 @@ def search_load_model(
     other_problem, other_reference = _other(problem, reference)
     again = search(other_problem, options, training, other_reference, thorough, among)
     state = replace(selection.state, fit=alternative)
-    if gain > options.close or again.evidence > replace(selection, state=state).evidence:
+    if gain > CLOSE or again.evidence > replace(selection, state=state).evidence:
         return again
     assert isinstance(selection.problem, PoseProblem)
     assert isinstance(selection.reference, PoseProblem)

@@ -1,7 +1,7 @@
 """Measured poses as an estimation problem: one arm, its unknown frames and geometry, and the columns of effects."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Self, final
@@ -36,6 +36,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Term, Terms
+from lite6jax.fields import field_values
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
@@ -533,7 +534,7 @@ def pose_problem(
         "informative": np.concatenate([rigid.informative, precision > 0, free == 0, none == 0]),
     }
     return PoseProblem(
-        **{field.name: getattr(rigid, field.name) for field in fields(rigid)} | with_more,
+        **(field_values(rigid) | with_more),
         after=np.array([rigid.recording.row >= row for row, _ in jumps]).reshape(len(jumps), rigid.samples),
         motion=motion,
         inertia=inertia,

@@ -502,9 +502,9 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
         return Plane(group, whitener, normal, np.zeros_like(normal), height[0], names, free)
     if readings.kind == "distance":
         declared = settings.anchor_m
-        anchors = (
-            dict.fromkeys(names, declared) if isinstance(declared, tuple) else {} if declared == "unknown" else declared
-        )
+        anchors = {} if declared == "unknown" else declared
+        if isinstance(declared, tuple):
+            anchors = dict.fromkeys(names, declared)
         if isinstance(declared, tuple) and len(names) > 1:
             raise InputError(
                 f"{recording.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "

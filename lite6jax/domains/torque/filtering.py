@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments
@@ -273,11 +274,14 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
         for part, t in zip(parts, at, strict=True)
     ]
     arrays: dict[str, Any] = {"position": None, "quaternion": None, "time": np.concatenate(at)}
+    recorded = field_values(recording)
     for name, kind in kinds.items():
-        if (rows := getattr(recording, name)) is not None:
+        rows = recorded[name]
+        if rows is not None:
             arrays[name] = np.concatenate([kind(time[part], rows[part])(t) for part, t in zip(parts, at, strict=True)])
     for name in ("direction_of_motion", "ambient_temperature", "payload", "row"):
-        if (rows := getattr(recording, name)) is not None:
+        rows = recorded[name]
+        if rows is not None:
             arrays[name] = rows[np.concatenate(nearest)]
     return replace(recording, run=np.repeat(np.arange(len(parts)), [len(t) for t in at]), **arrays)
 

@@ -1,7 +1,7 @@
 """Measured torques as an estimation problem: one arm, its inertial numbers, and the columns of effects on torques."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
 from typing import TYPE_CHECKING, final
@@ -52,6 +52,7 @@ from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.fields import field_values
 
 Array = NDArray[np.floating]
 
@@ -156,7 +157,7 @@ class TorqueProblem:
 
     def __getstate__(self) -> dict[str, object]:
         """What another process is sent: the fields, of which `data` has the regressor, and nothing that is cached."""
-        return {attribute.name: getattr(self, attribute.name) for attribute in fields(self)}
+        return field_values(self)
 
     @property
     def rows(self) -> int:

@@ -19,6 +19,7 @@ from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
+from lite6jax.fields import field_values
 from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import STILL_RAD, check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
@@ -154,8 +155,9 @@ def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording,
     """
     lost = np.zeros(recording.samples, bool)
     faults = []
+    recorded = field_values(recording)
     for mark in possible_marks(recording):
-        values = getattr(recording, mark.array)
+        values = recorded[mark.array]
         of_positions = mark.array == "joint_position"
         if mark.value is None or (mark.column is not None and (still or not of_positions)):
             continue
@@ -355,7 +357,9 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     confounded = score_test(problem, baseline, options).confounded(simple)
     terms = Terms(tuple(term for term, is_confounded in zip(simple, confounded, strict=True) if not is_confounded))
     fitted = fit(problem, terms, options)
-    scaled = fitted.residuals.rows / np.maximum(_robust(fitted.residuals.rows), 1e-300)[:, None]
+    rows = fitted.residuals.rows
+    robust = 1.4826 * np.median(np.abs(rows), axis=1)  # the standard deviation of what is not far away
+    scaled = rows / np.maximum(robust, 1e-300)[:, None]
     away = np.sum(scaled**2, 0)
     time = problem.data.time[problem.chosen]
     runs = problem.run
@@ -390,11 +394,6 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
         worst = by_kind("largest_Nm", off, problem.data.arm.slides, np.max)
         faults.append(DataFault("contact", row_numbers(recording.row[rows]), numbers | worst))
     return inside, faults
-
-
-def _robust(rows: Array) -> Array:
-    """`(joint,)`, the standard deviation of what is not far away."""
-    return 1.4826 * np.median(np.abs(rows), axis=1)
 
 
 def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:

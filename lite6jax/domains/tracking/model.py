@@ -97,7 +97,8 @@ def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = Tr
     for term, part in zip(terms.terms, terms.slices, strict=True):
         assert isinstance(term, Effect)
         model = with_effect(model, term, np.asarray(values[part], float), coupled)
-    positive = {name: np.maximum(getattr(model.servo, name), 0.0) for name in _POSITIVE}
+    numbers = model.servo._asdict()
+    positive = {name: np.maximum(numbers[name], 0.0) for name in _POSITIVE}
     return replace(model, servo=model.servo._replace(**positive))
 
 

@@ -1,7 +1,7 @@
 """Measured joints as an estimation problem: rollouts from commands alone, and the columns of effects as differences."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple, final
@@ -34,6 +34,7 @@ from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import RateLimit, Servo, ServoDamping, ServoStiffness, TorqueLimit, TorqueSpeedLimit
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.fields import field_values
 from lite6jax.recordings.settings import ServoSettings
 
 Array = NDArray[np.floating]
@@ -152,7 +153,7 @@ class TrackingProblem:
 
     def __getstate__(self) -> dict[str, object]:
         """What another process is sent: the fields, and nothing that is cached."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return field_values(self)
 
     # ------------------------------------------------------------------ what rows, noise and runs are
 
@@ -237,7 +238,8 @@ class TrackingProblem:
 
     def servo_at(self, nuisance: Array) -> Servo:
         """The servos at a nuisance `(number,)`."""
-        changed = {name: np.array(getattr(self.servo, name)) for name in {one.field for one in self.unknowns}}
+        numbers = self.servo._asdict()
+        changed = {unknown.field: np.array(numbers[unknown.field]) for unknown in self.unknowns}
         for unknown, number in zip(self.unknowns, nuisance, strict=True):
             changed[unknown.field][unknown.joint] *= np.exp(np.clip(number, -20.0, 20.0))
         return self.servo._replace(**changed)
@@ -246,7 +248,10 @@ class TrackingProblem:
         """Rolled-out read-outs `(joint, every sample)` rad."""
         model = self.model(nuisance, terms, values)
         extra = model.exerted(self.data.dynamics)
-        key = _bytes(model, extra)
+        parts = [*map(np.asarray, model.servo), model.bodies.links, model.bodies.gravity]
+        key = b"".join(part.tobytes() for part in parts)
+        if extra is not None:
+            key += extra.tobytes()
         if key not in self.known.rollouts:
             if len(self.known.rollouts) > _ROLLOUTS_KEPT:
                 self.known.rollouts.clear()
@@ -408,7 +413,7 @@ class TrackingProblem:
         wanted = []
         for unknown in self.unknowns:
             before = self._state(model.servo, extra, unknown.joint)
-            changed = getattr(before.servo, unknown.field) * np.exp(_SHARE)
+            changed = before.servo._asdict()[unknown.field] * np.exp(_SHARE)
             after = before._replace(servo=before.servo._replace(**{unknown.field: changed}))
             wanted.append(_Difference(unknown, before, after, _SHARE))
         differences = self._computed(wanted)
@@ -505,11 +510,6 @@ def _exerts(effect: Effect) -> bool:
     """Whether columns of an effect are those of torques along the measured motion, and not of a servo's numbers."""
     bare = TrackingModel(Servo.ideal(np.ones(effect.joints_needed), np.ones(effect.joints_needed)), NO_BODIES)
     return bool(with_effect(bare, effect, np.zeros(effect.size), coupled=False).torques)
-
-
-def _bytes(model: TrackingModel, extra: Array | None) -> bytes:
-    parts = [*map(np.asarray, model.servo), model.bodies.links, model.bodies.gravity]
-    return b"".join(part.tobytes() for part in parts) + (b"" if extra is None else extra.tobytes())
 
 
 def diagnosed_servos(
@@ -660,7 +660,7 @@ def started(problem: TrackingProblem) -> TrackingProblem:
     commands = data.commands.cut(few)
     fine = few * commands.steps
     loads = problem.loads
-    servo = {name: np.array(getattr(problem.servo, name)) for name in Servo._fields}
+    servo = {name: np.array(numbers) for name, numbers in problem.servo._asdict().items()}
     for joint in range(problem.rows):
         lanes = Servo(*(np.full(len(grid), numbers[joint]) for numbers in servo.values()))
         kp = grid[:, 0]
@@ -671,5 +671,5 @@ def started(problem: TrackingProblem) -> TrackingProblem:
         errors = np.mean((rolled - data.measured[joint, :few]) ** 2, 1)
         best = int(np.nanargmin(errors))
         for name in names:
-            servo[name][joint] = getattr(lanes, name)[best]
+            servo[name][joint] = fields[name][best]
     return replace(problem, servo=Servo(**servo))

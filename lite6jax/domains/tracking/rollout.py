@@ -91,7 +91,10 @@ class Commands(NamedTuple):
         """The first so many samples."""
         return self._replace(
             integral=self.integral[:, : samples * self.steps + 1],
-            **{name: getattr(self, name)[:samples] for name in ("reset", "first", "start", "velocity")},
+            reset=self.reset[:samples],
+            first=self.first[:samples],
+            start=self.start[:samples],
+            velocity=self.velocity[:samples],
         )
 
 

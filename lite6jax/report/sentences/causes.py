@@ -1,6 +1,6 @@
 """What is said of possible causes of an error, which `fit` looks for before it fits."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,10 +35,6 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _vector(parts: Sequence[float]) -> str:
-    return f"({', '.join(map(milli, parts))})"
-
-
 def default_table(cause: "Cause") -> str:
     """Says that a calibration file holds a nominal table."""
     numbers = cause.numbers
@@ -59,9 +55,9 @@ def nominal_table(cause: "Cause") -> str:
 def tool_offset(cause: "Cause") -> str:
     """Says whether a tool offset explains the error."""
     numbers = cause.numbers
+    shift = ", ".join(map(milli, numbers["shift_m"]))
     share = (
-        f"a shift of {_vector(numbers['shift_m'])} mm in the flange frame explains {_percent(numbers['explained'])} of "
-        "the squared error"
+        f"a shift of ({shift}) mm in the flange frame explains {_percent(numbers['explained'])} of the squared error"
     )
     if numbers["likely"]:
         return f"A tool offset is likely: {share}. Set the tool offset (TCP) to zero, or declare it."

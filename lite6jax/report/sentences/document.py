@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lite6jax.diagnosis.document import is_of_torques
-from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import NEARLY_SIGNIFICANT
 from lite6jax.report.words import torque_units
 
 Document = Mapping[str, Any]
@@ -58,6 +58,6 @@ def whose_noise(document: Document) -> str:
 def nearly_significant(document: Document) -> Entry | None:
     """The nearest effect that is no finding, where it is nearly significant; documents do not hold that threshold."""
     nearest = document["nearest"]
-    if nearest is not None and nearest["p_value"] < Options().nearly_significant:
+    if nearest is not None and nearest["p_value"] < NEARLY_SIGNIFICANT:
         return nearest
     return None

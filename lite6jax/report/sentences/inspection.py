@@ -40,7 +40,10 @@ def reason_of_decision(reason: str, numbers: Mapping[str, Any]) -> str:
     if reason == "kinematics":
         return _agreement_of_kinematics(numbers)
     if reason == "slope":
-        return _slope_of_positions(numbers["ratio"], numbers["unit"])
+        slope = f"what the positions change per second in {numbers['unit']}"
+        if 0.5 < numbers["ratio"] < 2:
+            return f"they are {slope}"
+        return f"they are {numbers['ratio']:.3g} times {slope}"
     return fill(_TEXTS["reasons"][reason], numbers)
 
 
@@ -54,13 +57,6 @@ def _agreement_of_kinematics(numbers: Mapping[str, Any]) -> str:
     if ratio < _MUCH_BETTER:
         return f"{sentence} {ratio:.3g} times better than with the next reading"
     return f"{sentence} over 1000 times better than with the next reading"
-
-
-def _slope_of_positions(ratio: float, unit: str) -> str:
-    """Says how velocities compare with the change of positions."""
-    if 0.5 < ratio < 2:
-        return f"they are what the positions change per second in {unit}"
-    return f"they are {ratio:.3g} times what the positions change per second in {unit}"
 
 
 def announced_column(column: str, quantity: str, name: str, unit: str) -> str:

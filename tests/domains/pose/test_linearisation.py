@@ -14,10 +14,12 @@ from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.effects.kinematic import JointCompliance, JointHarmonic, LinkCompliance, PayloadError
 from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import FitOptions
 from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.search.final_estimates import final_estimates, with_alternative
-from lite6jax.search.search import Selection, at_estimate
+from lite6jax.search.search import SAME_LINEARISATION, Selection, at_estimate
 from lite6jax.search.state import SelectedTerm, State
 from tests.oracles.pinocchio_arm import pinocchio_arm
 
@@ -204,11 +206,11 @@ def selection(case, followed):
 
 def test_a_fit_that_does_not_converge_is_linearised_anew(case, followed):
     problem, baseline = case
-    fixed = fit(problem, LINK, replace(OPTIONS, relinearisations=0), None, baseline.nuisance)
+    fixed = fit(problem, LINK, replace(OPTIONS, fit=FitOptions(relinearisations=0)), None, baseline.nuisance)
     assert baseline.scale > 5
     assert not fixed.converged
     assert followed.converged
-    assert followed.gain_over(fixed) > OPTIONS.close
+    assert followed.gain_over(fixed) > CLOSE
     assert followed.scale == pytest.approx(1, abs=4 / np.sqrt(2 * followed.freedom))
     std = np.sqrt(np.diagonal(followed.covariance))
     assert (np.abs(followed.values - TRUE) < 4 * std).all()
@@ -218,7 +220,7 @@ def test_a_selection_is_linearised_at_its_estimate(selection):
     moved = at_estimate(selection, OPTIONS)
     problem, f = moved.problem, moved.state.fit
     apart = problem.residual(f.nuisance, f.terms, f.values) - f.residuals.rows
-    assert np.sum((apart / f.scale) ** 2) < OPTIONS.same
+    assert np.sum((apart / f.scale) ** 2) < SAME_LINEARISATION
     assert at_estimate(moved, OPTIONS) is moved
     # the nuisance alone is still that of the reference
     baseline = moved.state.baseline

@@ -1,7 +1,7 @@
 """Faults of the data: found, located, corrected; and none where there is only physics."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,10 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, estimated, physics_columns
 from lite6jax.domains.pose.screening.screen import SCREENS, screen
 from lite6jax.domains.pose.screening.screened import Corrections
-from lite6jax.estimation.documented import documented
+from lite6jax.domains.pose.screening.thresholds import MOST_FITTED
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.terms import Terms
@@ -86,7 +85,6 @@ CHANGES = {
 """A change of columns, and the faults with their numbers."""
 FREE = ("mirrored", "three mirrored", "added", "degrees", "zero and sign")
 KNOWN = ("swapped", "mirrored", "four mirrored", "others mirrored", "subtracted", "degrees", "quarter")
-OPTIONS = ScreeningOptions()
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +197,7 @@ class TestGoodRecordings:
     @pytest.mark.parametrize("setup", SETUPS)
     def test_the_fit_is_that_of_the_case(self, folder, still, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=6, **SETUPS[setup]).recording(still)
-        fitted = rigid_arm(recording).fitted(OPTIONS.most_fitted)
+        fitted = rigid_arm(recording).fitted(MOST_FITTED)
         problem = pose_problem(recording)
         other = fit(problem, Terms(), DEFAULTS)
         assert fitted.scale == pytest.approx(float(other.scale[0]), rel=0.02)
@@ -213,7 +211,7 @@ class TestGoodRecordings:
         """What plain effects do to plain poses lies in the span of the columns."""
         made = Made(folder, seed=7, orientation=False)
         arm = rigid_arm(made.recording(still, noise=None))
-        projected = Projected(arm, physics_columns(arm), OPTIONS)
+        projected = Projected(arm, physics_columns(arm))
         for name in ("compliance", "harmonic", "backlash", "drift", "tool", "thermal", "base"):
             bent = with_effects(made, *PHYSICS[name]).recording(still, noise=None)
             there = rigid_arm(bent).residuals[None]
@@ -487,9 +485,9 @@ class TestUnsettledReadouts:
         off = screened.recording.joint_position - still["joint_position"] - rest
         assert np.abs(off).max() < 2e-5 + 3e-3 * share
         # what backlash does is still there
-        left = rigid_arm(screened.recording).fitted(OPTIONS.most_fitted)
+        left = rigid_arm(screened.recording).fitted(MOST_FITTED)
         sizes, stds = estimated(
-            left, physics_columns(left, skip=("direction",)), left.joints * still["direction"].T[:, None], OPTIONS
+            left, physics_columns(left, skip=("direction",)), left.joints * still["direction"].T[:, None]
         )
         truth = np.array([0, 0, 0, -1.5e-4 if physics == "backlash" else 0, 0, 0])
         seen = stds < 5e-5
@@ -615,11 +613,6 @@ class TestRegistry:
         needs = [entry.needs for entry in SCREENS]
         assert "recording" not in needs[needs.index("arm") :]  # what needs no arm comes first
         assert needs.index("arm") < needs.index("fit")
-
-    def test_each_option_says_what_it_is_and_why(self):
-        described = documented(OPTIONS)
-        assert {item.name for item in described} == {field.name for field in fields(ScreeningOptions)} - {"prior"}
-        assert all(item.meaning and item.why for item in described)
 
     def test_numbers_are_plain_json(self, good):
         for screened in (screen(good), screen(bumped(good, 61))):

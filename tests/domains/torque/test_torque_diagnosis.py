@@ -13,7 +13,7 @@ from benchmarks.torque_trials.physics import rigid, torques
 from lite6jax.diagnosis.document import model_from_document, read_model, write_document
 from lite6jax.diagnosis.heldout import Judgement
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import block_count
+from lite6jax.diagnosis.result import AS_NOISE, block_count
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques, linearised, with_likely_prior
 from lite6jax.domains.predict import predict
 from lite6jax.domains.torque.problem import torque_problem
@@ -121,9 +121,9 @@ def test_errors_at_reversals_are_no_noise_of_their_joint(creeping):
     over, between = creeping.over_noise, creeping.between_reversals
     errors = (creeping.after / creeping.problem.noise[:, None])[:, creeping.problem.valid]
     np.testing.assert_allclose(list(over.values()), np.sqrt(np.mean(errors**2, 1)), rtol=1e-9)
-    assert over["joint2"] > OPTIONS.as_noise > max(ratio for joint, ratio in over.items() if joint != "joint2")
+    assert over["joint2"] > AS_NOISE > max(ratio for joint, ratio in over.items() if joint != "joint2")
     assert creeping.verdict == "partly_explained"
-    assert between["joint2"] < OPTIONS.as_noise
+    assert between["joint2"] < AS_NOISE
     said = verdict_statement(creeping.to_dict())
     assert "joint 2" in said
     assert "They are larger where joint 2 reverses" in said
@@ -252,7 +252,7 @@ def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noi
 
 @pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
 def test_effects_are_withdrawn_where_searches_and_refits_without_them_reject_them(again, kept, monkeypatch):
-    def judge(errors, selection, kept, folds, options):
+    def judge(errors, selection, kept, folds):
         ratio = 1.2 if block_count(folds) == 2 else again
         return Judgement(ratio > 1, ratio)
 

@@ -211,8 +211,9 @@ def contains(hypothesis: Hypothesis, part: Hypothesis) -> bool:
 
 def simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
     """The fewer the changes and the earlier their kind in `CODES`, the less."""
-    kinds = [0 if c.code in DECLARED else 1 if c.code in POSES else 2 for c in hypothesis]
-    return len(hypothesis), sum(kinds), tuple(CODES.index(c.code) for c in hypothesis)
+    ranks = dict.fromkeys(POSES, 1) | dict.fromkeys(DECLARED, 0)
+    of_kinds = sum(ranks.get(c.code, 2) for c in hypothesis)
+    return len(hypothesis), of_kinds, tuple(CODES.index(c.code) for c in hypothesis)
 
 
 def differ_by_turns(a: Hypothesis, b: Hypothesis) -> bool:

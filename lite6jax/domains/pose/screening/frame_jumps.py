@@ -11,9 +11,15 @@ from scipy.special import chdtrc
 from lite6jax.calibration.start import frames_from_poses, measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import (
+    JUMP_LEVEL,
+    MOST_FITTED,
+    MOST_SAMPLES,
+    OBSERVABLE_SHARE,
+    REFINEMENTS,
+)
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.recordings import Recording
@@ -21,6 +27,25 @@ from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments, spread_rows
 
 Array = NDArray[np.floating]
+
+_MOST_JUMPS = 3
+"""Jumps that are corrected; a mount that slips more often must be repaired."""
+_MARGIN = 8
+"""Rows on either side of a jump; six numbers are estimated from them."""
+_NOISE = 1.0
+"""Standard deviations of the sensor that a jump displaces; less does no harm."""
+_SHARE = 0.03
+"""Squares that a jump explains over the freedom, set on simulated recordings without a jump."""
+_WINDOW = 12
+"""Rows on either side that show a jump in motion: a quarter of a second at 50 Hz."""
+_SHARPNESS = 1.5
+"""Ratio of the step at its row to others; an arm's own physics is smooth."""
+_TOOL_ADVANTAGE = 1.05
+"""Ratio by which a jump of the tool must explain more; bases are knocked more often."""
+_BLOCKS = 300
+"""Blocks of rows between which jumps are first sought; bounds the time."""
+_LARGE_NOISE = 20.0
+"""Standard deviations from which a jump starts in closed form, as a linear step fails."""
 
 
 @final
@@ -46,16 +71,15 @@ def remove_jumps(state: Screened) -> Screened:
     """The poses after each jump where they would have been without it."""
     known_jumps = state.corrections.known_jumps
     limit = state.corrections.jumps
-    options = state.options
     if known_jumps is not None:
         for row, part in known_jumps:
-            jump = _jump_at(state.rigid_arm, row, part, options)
+            jump = _jump_at(state.rigid_arm, row, part)
             if jump is None:
                 break
             state = _without(state, jump)
         return state
-    for _ in range(options.most_jumps if limit is None else limit):
-        jump, numbers = seek_jump(state.rigid_arm, options)
+    for _ in range(_MOST_JUMPS if limit is None else limit):
+        jump, numbers = seek_jump(state.rigid_arm)
         if jump is None:
             return state.rule_out("frame_jump", samples=state.recording.samples, **numbers)
         place = {"row": int(state.recording.row[jump.sample]), "part": jump.part}
@@ -66,7 +90,7 @@ def remove_jumps(state: Screened) -> Screened:
 
 
 def _without(state: Screened, jump: Jump) -> Screened:
-    arm, refined = without_jump(state.rigid_arm, jump, state.options, state.corrections.beside_physics)
+    arm, refined = without_jump(state.rigid_arm, jump, state.corrections.beside_physics)
     row = arm.recording.row
     run = arm.recording.run
     k = jump.sample
@@ -108,17 +132,17 @@ def _displacement(arm: RigidArm, numbers: slice, values: Array, after: NDArray[A
     return float(np.sqrt(np.mean(np.sum(moved**2, 0))))
 
 
-def _jump_at(arm: RigidArm, row: int, part: str, options: ScreeningOptions) -> Jump | None:
+def _jump_at(arm: RigidArm, row: int, part: str) -> Jump | None:
     """The jump at a row of the file, its size estimated; None where no row before it, or none after it, is there."""
     later = arm.recording.row >= row
     sample = int(np.argmax(later))
     if not sample:
         return None
-    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    sampled_rows = spread_rows(arm.samples, MOST_SAMPLES)
     numbers = _numbers(arm, part)
     after = sampled_rows >= sample
     arm = arm.select(sampled_rows)
-    values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0), options)
+    values, std = estimated(arm, physics_columns(arm), np.where(after, arm.twists[numbers], 0.0))
     twist = _twist(np.where(np.isfinite(std), values, 0.0))
     return Jump(sample, part, twist, _displacement(arm, numbers, values, after), float("nan"))
 
@@ -128,7 +152,7 @@ def _twist(values: Array) -> Array:
     return np.pad(values, (0, 6 - len(values)))
 
 
-def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, dict[str, Any]]:
+def seek_jump(arm: RigidArm) -> tuple[Jump | None, dict[str, Any]]:
     """The row, if any, at which the sensor's frame, the base or the tool jumped; else the numbers that rule it out.
 
     The maximum over rows of the score of six numbers that are others after it, beside all physics and a drift that is a
@@ -136,39 +160,39 @@ def seek_jump(arm: RigidArm, options: ScreeningOptions) -> tuple[Jump | None, di
     neighbouring rows too, more than at any other row: the arm's own physics is smooth there.
     """
     full_arm = arm
-    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    sampled_rows = spread_rows(arm.samples, MOST_SAMPLES)
     arm = arm.select(sampled_rows)
-    projected = Projected(arm, physics_columns(arm), options)
+    projected = Projected(arm, physics_columns(arm))
     n = arm.samples
-    if projected.freedom < n or n < 4 * options.jump_margin:
+    if projected.freedom < n or n < 4 * _MARGIN:
         return None, {"reason": "too_few_rows"}
     segment = run_segments(arm.recording.run)
     splits = list[tuple[float, int, str]]()
-    block = max(1, n // options.jump_blocks)
-    for part, advantage in (("base", 1.0), ("tool", options.tool_advantage)):
+    block = max(1, n // _BLOCKS)
+    for part, advantage in (("base", 1.0), ("tool", _TOOL_ADVANTAGE)):
         columns = arm.twists[_numbers(arm, part)]
         starts = np.unique(np.concatenate([np.arange(0, n, block), np.flatnonzero(np.diff(segment)) + 1]))
-        k, gain = _best_split(projected, columns, starts, options)
-        k, gain = _best_split(projected, columns, np.arange(max(k - block, 1), min(k + block + 1, n)), options)
+        k, gain = _best_split(projected, columns, starts)
+        k, gain = _best_split(projected, columns, np.arange(max(k - block, 1), min(k + block + 1, n)))
         splits.append((gain / advantage, k, part))
     _, k, part = max(splits, key=lambda item: item[0])
     numbers = _numbers(arm, part)
     later = np.arange(n) >= k
     after = np.where(later, arm.twists[numbers], 0.0)
     values, _, statistic = projected.regression(after)
-    p = _p_value(projected, after, values, statistic, options)
+    p = _p_value(projected, after, values, statistic)
     displacement = _displacement(arm, numbers, values, later)
     sigmas = np.sqrt(np.mean(np.sum(np.einsum("k,krs->rs", values, after)[:, k:] ** 2, 0)) / arm.rows)
-    if p > options.jump_level or sigmas < options.jump_noise or statistic < options.jump_share * projected.freedom:
-        return None, {"reason": "gradual" if p < options.jump_level else "chance", "p_value": p}
+    if p > JUMP_LEVEL or sigmas < _NOISE or statistic < _SHARE * projected.freedom:
+        return None, {"reason": "gradual" if p < JUMP_LEVEL else "chance", "p_value": p}
     if len(sampled_rows) < full_arm.samples:
         k = _located(full_arm, sampled_rows[k - 1], sampled_rows[k], numbers, values)
-    if not _sharp(full_arm, k, options):
+    if not _sharp(full_arm, k):
         return None, {"reason": "gradual", "p_value": p}
     return Jump(k, part, _twist(values), displacement, p), {}
 
 
-def _p_value(projected: Projected, after: Array, values: Array, statistic: float, options: ScreeningOptions) -> float:
+def _p_value(projected: Projected, after: Array, values: Array, statistic: float) -> float:
     """The probability by chance of the best row's statistic, of two kinds of jumps at every row.
 
     The noise model, which makes it larger, takes long; it is estimated only where it decides.
@@ -180,7 +204,7 @@ def _p_value(projected: Projected, after: Array, values: Array, statistic: float
         return min(float(2 * arm.samples * chdtrc(len(after), statistic / time)), 1.0)
 
     time = autocorrelation_time(rows)
-    if at(time) > options.jump_level:
+    if at(time) > JUMP_LEVEL:
         return at(time)
     fitted = projected.basis.reshape(-1, arm.rows, arm.samples)
     segment = run_segments(arm.recording.run)
@@ -197,21 +221,18 @@ def _located(arm: RigidArm, low: int, high: int, numbers: slice, values: Array) 
     return low + 1 + int(np.argmin(np.cumsum(plain - moved)[:-1]))
 
 
-def without_jump(
-    arm: RigidArm, jump: Jump, options: ScreeningOptions, beside_physics: bool = True
-) -> tuple[RigidArm, Jump]:
+def without_jump(arm: RigidArm, jump: Jump, beside_physics: bool = True) -> tuple[RigidArm, Jump]:
     """The arm with the poses after a jump where they would have been without it, fitted; and the refined jump.
 
     Args:
         arm: fitted.
         jump: as found.
-        options: the thresholds.
         beside_physics: whether it is estimated beside all physics.
     """
     total = np.eye(4)
     moved = arm
     twist = small_displacement(jump.twist)
-    if jump.part == "base" and jump.displacement > options.large_jump_noise * arm.noise[0]:
+    if jump.part == "base" and jump.displacement > _LARGE_NOISE * arm.noise[0]:
         assert arm.recording.position is not None
         points = arm.rigid.tool.copy()
         points[:, :3, :3] = np.eye(3)
@@ -221,13 +242,13 @@ def without_jump(
         )
         inside = np.linalg.inv(arm.T_sensor_base)
         twist = inside @ after @ np.linalg.inv(before) @ arm.T_sensor_base
-    for _ in range(options.refinements):
+    for _ in range(REFINEMENTS):
         total = twist @ total if jump.part == "tool" else total @ twist
         recording = _displaced_back(arm, moved, jump, total)
-        moved = moved.with_poses(recording).fitted(options.most_fitted)
+        moved = moved.with_poses(recording).fitted(MOST_FITTED)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
         columns = np.where(np.arange(arm.samples) >= jump.sample, moved.twists[_numbers(arm, jump.part)], 0.0)
-        if (more := next_step(moved, physics, columns, options)) is None:
+        if (more := next_step(moved, physics, columns)) is None:
             break
         twist = small_displacement(_twist(more))
     twist = np.concatenate([total[:3, 3], Rotation.from_matrix(total[:3, :3]).as_rotvec()])
@@ -259,9 +280,7 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
     return replace(recording, position=position, quaternion=None if turned is None else unit_quaternions(turned))
 
 
-def _best_split(
-    projected: Projected, columns: Array, starts: NDArray[np.integer], options: ScreeningOptions
-) -> tuple[int, float]:
+def _best_split(projected: Projected, columns: Array, starts: NDArray[np.integer]) -> tuple[int, float]:
     """The start from which columns, switched on there, explain most of the residual, and the squares they explain."""
     rows = projected.arm.rows
     n = projected.arm.samples
@@ -279,17 +298,17 @@ def _best_split(
     G = np.moveaxis((G - np.einsum("cms,dms->cds", B, B)) / size[:, None] / size, -1, 0)
     eigenvalues, V = np.linalg.eigh(G)
     pulled = np.einsum("sck,cs->sk", V, g / size)
-    observable = eigenvalues > 100 * options.observable_share
+    observable = eigenvalues > 100 * OBSERVABLE_SHARE
     gain = np.sum(np.where(observable, pulled**2 / np.where(observable, eigenvalues, 1.0), 0.0), 1)
-    gain[(starts < options.jump_margin) | (starts > n - options.jump_margin)] = 0.0
+    gain[(starts < _MARGIN) | (starts > n - _MARGIN)] = 0.0
     k = int(np.argmax(gain))
     return int(starts[k]), float(gain[k])
 
 
-def _sharp(arm: RigidArm, k: int, options: ScreeningOptions) -> bool:
+def _sharp(arm: RigidArm, k: int) -> bool:
     """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
     n = arm.samples
-    w = options.jump_window
+    w = _WINDOW
     segment = run_segments(arm.recording.run)
     if arm.recording.motion == "static" or k < w or k > n - w or segment[k - 1] != segment[k]:
         return True
@@ -306,4 +325,4 @@ def _sharp(arm: RigidArm, k: int, options: ScreeningOptions) -> bool:
     near = np.abs(at - k) <= w
     if not near.any() or near.all():
         return False
-    return bool(size[near].max() > options.jump_sharpness * size[~near].max())
+    return bool(size[near].max() > _SHARPNESS * size[~near].max())

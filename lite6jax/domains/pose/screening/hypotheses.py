@@ -43,15 +43,61 @@ from lite6jax.domains.pose.screening.changes import (
     with_zeros,
 )
 from lite6jax.domains.pose.screening.deviation import Deviation
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED, PUBLISHED_TOLERANCE, SUSPECT_REACH
+from lite6jax.estimation.prior import Prior
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import spread_rows
 
 Array = NDArray[np.floating]
+
+_SUSPECT_NOISE = 10.0
+"""The suspect median error in standard deviations of the sensor; noise alone is below four."""
+_COLUMN_GAIN = 5.0
+"""Ratio by which a correction must reduce the median error, set beside large physics."""
+_CORRECTED_REACH = 0.05
+"""Share of the reach that a corrected error may be, as a clock offset in a fast motion leaves it."""
+_EQUAL_RATIO = 1.5
+"""Ratio of errors up to which corrections are alike; those of wrong columns differ more."""
+_EQUAL_NOISE = 0.1
+"""The same as a difference, in standard deviations: below the scatter of a median."""
+_COLUMN_ROWS = 200
+"""Rows on which single changes are compared; their median error is known to a tenth."""
+_PAIR_ROWS = 60
+"""Rows on which several changes are compared; there are a thousand of them."""
+_PAIRS_FIRST = 8
+"""Best hypotheses that are joined with more changes, or fitted; bounds the time."""
+_ZEROS_FIRST = 3
+"""Best hypotheses beside which zeros of any angle are fitted; each takes a fit."""
+_UNFITTED_RATIO = 2.0
+"""Ratio to the allowed error up to which a hypothesis is fitted; closed forms are rough."""
+_FITTED_RATIO = 3.0
+"""Ratio to the least error up to which a hypothesis is fitted; a fit reorders few."""
+_CLEARLY_NEARER = 20.0
+"""Ratio of errors by which another arm must agree better; arms differ by some cm."""
+_MOST_CHANGES = 3
+"""Faults that a hypothesis joins, a set of signs counted as one; bounds the time."""
+_WORTH_ANOTHER = 0.7
+"""Ratio by which another change must reduce the error; a right one halves it."""
+_BEYOND_GRANTED = 8.0
+"""Times what factories grant, from which a fitted arm is not the declared one; real arms are below five."""
+_LEAST_GROSS = 3.0
+"""Times what factories grant, from which a zero, a frame or a tool is a fault; chains of one's own are below."""
+_LEAST_SCALE = 1.005
+"""Ratio from which a sensor's scale is sought as a fault; physics is below."""
+_LARGEST_SCALE = 1100.0
+"""Ratio up to which a sensor's scale is sought: millimetres that are read as metres."""
+_SHARE_STD = 0.1
+"""Standard deviation from which the share of the way to another table is vague: a tenth of the way."""
+_SHARE_TOLERANCE = 0.1
+"""The share's distance from 1, beside 4 deviations, as arms differ from tables."""
+_SHARE_SIGMAS = 6.0
+"""Deviations of the share from 0; tables differ hardly more than physics moves an arm."""
+_TABLE_RATIO = 0.5
+"""Ratio of residuals that decides where the share is vague; physics rarely halves them."""
 
 
 def correct_mismatch(state: Screened) -> Screened:
@@ -60,20 +106,19 @@ def correct_mismatch(state: Screened) -> Screened:
     It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
     """
     arm = state.rigid_arm
-    options = state.options
-    limit = max(options.suspect_reach * arm.arm.reach, options.suspect_noise * arm.noise[0])
-    thinned = arm.select(spread_rows(arm.samples, options.column_rows))
+    limit = max(SUSPECT_REACH * arm.arm.reach, _SUSPECT_NOISE * arm.noise[0])
+    thinned = arm.select(spread_rows(arm.samples, _COLUMN_ROWS))
     error = median_error(thinned)
     touches = arm.recording.touches is not None
     if not touches and touches_one_point(arm.recording, arm.noise[0]):
         return _rule_out(state, error, limit, one_point=True)
     if error <= limit:
         return _rule_out(state, error, limit)
-    allowed = min(error / options.column_gain, options.corrected_reach * arm.arm.reach)
-    near = _search(thinned, options, allowed)
+    allowed = min(error / _COLUMN_GAIN, _CORRECTED_REACH * arm.arm.reach)
+    near = _search(thinned, allowed)
     nearest_name, nearest_error = (None, np.inf) if touches else _nearest_arm(thinned)
     unfitted = [median_error(_free_frames(thinned, undo(h, thinned.recording))) for h in near]
-    if nearest_error <= min([allowed, error / options.clearly_nearer, *unfitted]):
+    if nearest_error <= min([allowed, error / _CLEARLY_NEARER, *unfitted]):
         numbers = {
             "declared": arm.arm.name,
             "arm": nearest_name,
@@ -81,25 +126,25 @@ def correct_mismatch(state: Screened) -> Screened:
             "corrected_error_m": nearest_error,
         }
         return state.corrected(DataFault("other_arm", (), numbers))
-    fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(options.most_fitted)) for h in near]
+    fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(MOST_FITTED)) for h in near]
     errors = [median_error(fit) for _, fit in fits]
     smallest = min(errors, default=np.inf)
     # a chain that is not known may be further from its table than the limit, and fit the recording as it is
-    recorded = arm.fitted(options.most_fitted)
+    recorded = arm.fitted(MOST_FITTED)
     fitted_error = median_error(recorded)
     if smallest > allowed:
         alternative = {"best_alternative_m": smallest} if fits else {}
-        if fitted_error <= options.corrected_reach * arm.arm.reach:
+        if fitted_error <= _CORRECTED_REACH * arm.arm.reach:
             return _rule_out(state, error, limit, fitted_error_m=fitted_error, **alternative)
         numbers = {"median_error_m": error, "fitted_error_m": fitted_error, "best_alternative_m": None} | alternative
         return state.corrected(DataFault("unexplained", (), numbers))
-    equal_below = max(options.equal_ratio * smallest, smallest + options.equal_noise * arm.noise[0])
+    equal_below = max(_EQUAL_RATIO * smallest, smallest + _EQUAL_NOISE * arm.noise[0])
     equal = [fit for fit, fit_error in zip(fits, errors, strict=True) if fit_error <= equal_below]
     equal.sort(key=lambda pair: (_outside_limits(state, pair[0]), simplicity(pair[0])))
     chosen, corrected = equal[0]
     scale = min(corrected.scale, recorded.scale)
     gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
-    if gain < options.prior.cost("data_fault"):
+    if gain < state.prior.cost("data_fault"):
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
     distinct = [chosen]
     rivals = []
@@ -109,7 +154,7 @@ def correct_mismatch(state: Screened) -> Screened:
         distinct.append(hypothesis)
         equally_simple = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
         equally_simple &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
-        if equally_simple and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < options.prior.cost(
+        if equally_simple and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < state.prior.cost(
             "data_fault"
         ):
             rivals.append(hypothesis)
@@ -130,9 +175,7 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     weighed = deviation.weighed(of_values)
     for change in of_values:
         hypothesis = added(hypothesis, deviation.valued(change, weighed))
-    return tuple(
-        change for change in hypothesis if change.code != "sensor_scale" or _is_gross_scale(change, state.options)
-    )
+    return tuple(change for change in hypothesis if change.code != "sensor_scale" or _is_gross_scale(change))
 
 
 def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
@@ -178,57 +221,55 @@ def touches_one_point(recording: Recording, noise: float) -> bool:
     return median_distance(recording.position) <= 3 * noise
 
 
-def _search(thinned: RigidArm, options: ScreeningOptions, allowed: float) -> list[Hypothesis]:
+def _search(thinned: RigidArm, allowed: float) -> list[Hypothesis]:
     """Hypotheses worth a fit: the best by error, of few changes first, more only where fewer do not suffice."""
     simple = list(single_changes(thinned.recording))
     touches = thinned.recording.touches is not None
     if touches:  # each hypothesis takes a fit of its places
-        thinned = thinned.select(spread_rows(thinned.samples, options.pair_rows))
+        thinned = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
     else:
-        simple += _scales(thinned, options)
+        simple += _scales(thinned)
     beam: list[Hypothesis] = [()]
     errors: dict[Hypothesis, float] = {}
-    for changes in range(1 if touches else options.most_changes):
-        rows = thinned if not changes else thinned.select(spread_rows(thinned.samples, options.pair_rows))
+    for changes in range(1 if touches else _MOST_CHANGES):
+        rows = thinned if not changes else thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
         candidates = {joined(h, more) for h in beam for more in simple if compatible(h, more)}
         scored = {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in candidates}
-        beam = sorted(scored, key=lambda h: (scored[h], simplicity(h)))[: options.pairs_first]
+        beam = sorted(scored, key=lambda h: (scored[h], simplicity(h)))[:_PAIRS_FIRST]
         if not beam:
             break
-        missed = scored[beam[0]] > options.unfitted_ratio * allowed
+        missed = scored[beam[0]] > _UNFITTED_RATIO * allowed
         missed |= any(change.code in DECLARED for change in beam[0])  # a zero does what a frame or a tool does
-        for h in [*([()] if not changes else []), *beam[: options.zeros_first]] if missed else ():
+        for h in [*([()] if not changes else []), *beam[:_ZEROS_FIRST]] if missed else ():
             zeros = _zeros(rows, h)
             if zeros:
                 refined = joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
                 scored[refined] = median_error(_free_frames(rows, undo(refined, rows.recording)))
         smallest = min(scored.values())
-        stuck = bool(errors) and smallest > options.worth_another * min(errors.values())
+        stuck = bool(errors) and smallest > _WORTH_ANOTHER * min(errors.values())
         errors |= scored
-        if smallest <= options.unfitted_ratio * allowed or stuck:
+        if smallest <= _UNFITTED_RATIO * allowed or stuck:
             break
     smallest = min(errors.values(), default=np.inf)
-    limit = max(options.unfitted_ratio * allowed, options.fitted_ratio * smallest)
+    limit = max(_UNFITTED_RATIO * allowed, _FITTED_RATIO * smallest)
     # a number of any size reduces some error of any arm: `explain_deviation` judges what explains a part of it
-    near = (
-        h for h in errors if errors[h] <= (options.unfitted_ratio * allowed if any(map(is_estimated, h)) else limit)
-    )
+    near = (h for h in errors if errors[h] <= (_UNFITTED_RATIO * allowed if any(map(is_estimated, h)) else limit))
     ranked = sorted(near, key=lambda h: (errors[h], simplicity(h)))
-    return ranked[: options.pairs_first]
+    return ranked[:_PAIRS_FIRST]
 
 
-def _scales(thinned: RigidArm, options: ScreeningOptions) -> list[Hypothesis]:
+def _scales(thinned: RigidArm) -> list[Hypothesis]:
     """The scale of the sensor at which the nominal arm misses the poses least, where it is grossly wrong."""
-    thinned = thinned.select(spread_rows(thinned.samples, options.pair_rows))
+    thinned = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
 
     def error(log_scale: float) -> float:
         change = PoseFault("sensor_scale", (), float(np.exp(log_scale)))
         return median_error(_free_frames(thinned, change.undone(thinned.recording)))
 
-    bound = float(np.log(options.largest_scale))
+    bound = float(np.log(_LARGEST_SCALE))
     nearest: Any = minimize_scalar(error, bounds=(-bound, bound), method="bounded")
     log_scale = float(nearest.x)
-    grossly = abs(log_scale) > np.log(options.least_scale)
+    grossly = abs(log_scale) > np.log(_LEAST_SCALE)
     return [(PoseFault("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
 
 
@@ -315,7 +356,7 @@ def median_error(arm: RigidArm) -> float:
 def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
     """How many joint positions a hypothesis puts outside the limits."""
     arm = state.rigid_arm
-    slack = state.options.limit_slack_rad
+    slack = LIMIT_SLACK_RAD
     q = undo(hypothesis, arm.recording).joint_position
     low, high = arm.arm.joint_limits.T
     return int(np.sum((q < low - slack) | (q > high + slack)))
@@ -327,7 +368,6 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
 def explain_deviation(state: Screened) -> Screened:
     """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
     fitted = state.rigid_arm
-    options = state.options
     if all(name != "link" for name, _, _ in fitted.unknown):
         return state.rule_out("arm_deviation", reason="known")
     start = rigid_arm(fitted.recording, fitted.arm, state.geometry, state.factory)
@@ -335,14 +375,14 @@ def explain_deviation(state: Screened) -> Screened:
     made: Hypothesis = ()
     alternatives: list[Hypothesis] = []
     for _ in range(fitted.recording.dof + 1):
-        explained = _likeliest(Deviation(fitted, start), options)
+        explained = _likeliest(Deviation(fitted, start), state.prior)
         if explained is None:
             break
         change, rivals = explained
         more = added(made, change)
         begun = rigid_arm(undo(more, state.recording), fitted.arm, state.geometry, state.factory)
-        again = begun.fitted(options.most_fitted)
-        if again.scale > options.equal_ratio * fitted.scale:  # the fit had taken up something else
+        again = begun.fitted(MOST_FITTED)
+        if again.scale > _EQUAL_RATIO * fitted.scale:  # the fit had taken up something else
             break
         alternatives += rivals
         made = more
@@ -353,12 +393,12 @@ def explain_deviation(state: Screened) -> Screened:
         numbers["alternatives"] = listed(alternatives)
         state = correct(state, made, fitted, numbers)
     numbers = Deviation(fitted, start).summary()
-    if numbers["factor"] < options.beyond_granted:
+    if numbers["factor"] < _BEYOND_GRANTED:
         return state.rule_out("arm_deviation", reason="granted", **numbers)
     return state.corrected(DataFault("arm_deviation", (), numbers))
 
 
-def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[PoseFault, list[Hypothesis]] | None:
+def _likeliest(deviation: Deviation, prior: Prior) -> tuple[PoseFault, list[Hypothesis]] | None:
     """The fault that explains the deviation best, and those that do as well; None where the arm's own prior does."""
     recording = deviation.arm.recording
     changes = [PoseFault("joint_turns", (joint,)) for joint in with_zeros(recording)]
@@ -369,24 +409,24 @@ def _likeliest(deviation: Deviation, options: ScreeningOptions) -> tuple[PoseFau
     none = deviation.weighed(())
     weighed = {change: deviation.weighed((change,)) for change in changes}
     likeliest = max(weighed, key=lambda change: weighed[change].evidence)
-    required = options.prior.cost("data_fault") + float(np.log(len(changes)))
+    required = prior.cost("data_fault") + float(np.log(len(changes)))
     if weighed[likeliest].evidence - none.evidence < required:
         return None
     fits = {change: deviation.weighed((change,), [weighed[likeliest].factor]).fit for change in changes}
-    comparable = [change for change in changes if fits[likeliest] - fits[change] < options.prior.cost("data_fault")]
+    comparable = [change for change in changes if fits[likeliest] - fits[change] < prior.cost("data_fault")]
     comparable.sort(key=lambda change: simplicity((change,)))
     valued = [deviation.valued(change, weighed[change]) for change in comparable]
     if valued[0].code == "sensor_scale":
-        is_gross = _is_gross_scale(valued[0], options)
+        is_gross = _is_gross_scale(valued[0])
     else:  # by its displacement over what factories grant
-        is_gross = deviation.share(comparable[0], weighed[comparable[0]]) > options.least_gross
+        is_gross = deviation.share(comparable[0], weighed[comparable[0]]) > _LEAST_GROSS
     if not is_gross:  # a chain and a sensor do as much by themselves
         return None
     return valued[0], [(change,) for change in valued[1:]]
 
 
-def _is_gross_scale(change: PoseFault, options: ScreeningOptions) -> bool:
-    return abs(np.log(float(change.value))) > np.log(options.least_scale)
+def _is_gross_scale(change: PoseFault) -> bool:
+    return abs(np.log(float(change.value))) > np.log(_LEAST_SCALE)
 
 
 # ------------------------------------------------------------------ another nominal table
@@ -407,11 +447,10 @@ def use_other_table(state: Screened) -> Screened:
     one, and than a fitted chain for its more numbers.
     """
     arm = state.rigid_arm
-    options = state.options
     tables = tables_of_model(arm.arm.name)
     declared = [arm.arm]
     if arm.exact:
-        declared = [t for t in tables if np.abs(t.links - arm.links).max() < options.published_tolerance]
+        declared = [t for t in tables if np.abs(t.links - arm.links).max() < PUBLISHED_TOLERANCE]
     alternatives = [table for table in tables if declared and table.name != declared[0].name]
     if not alternatives:
         reason = "own_chain" if arm.exact else "single_table"
@@ -419,25 +458,25 @@ def use_other_table(state: Screened) -> Screened:
     alternative = alternatives[0]
     vague = False
     numbers: dict[str, Any] = {"declared": declared[0].name, "table": alternative.name}
-    theirs = _with_table(arm, alternative).fitted(options.most_fitted)
+    theirs = _with_table(arm, alternative).fitted(MOST_FITTED)
     if arm.exact:
         # of the way from the declared table to the other at which the data lie
         between = np.zeros((len(arm.links) + 1, 6))
         T = alternative.links @ np.linalg.inv(arm.links)
         between[:-1, :3], between[:-1, 3:] = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
         column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
-        share, std = (float(n[0]) for n in estimated(arm, physics_columns(arm, skip=("links",)), column, options))
-        clear = std < options.share_std or theirs.scale < options.table_ratio * arm.scale
-        at_alternative = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
+        share, std = (float(n[0]) for n in estimated(arm, physics_columns(arm, skip=("links",)), column))
+        clear = std < _SHARE_STD or theirs.scale < _TABLE_RATIO * arm.scale
+        at_alternative = abs(share - 1) < _SHARE_TOLERANCE + 4 * std and share > _SHARE_SIGMAS * std
         decided = bool(clear and at_alternative)
         likelier = bool(theirs.scale < arm.scale)
         vague = bool(np.isinf(std))
         numbers |= {"decided": decided} | ({"share": share, "share_std": std} if np.isfinite(std) else {})
     else:
-        ours = _with_table(arm, arm.arm).fitted(options.most_fitted)
+        ours = _with_table(arm, arm.arm).fitted(MOST_FITTED)
         more = len(arm.unknown) - len(theirs.unknown)
         fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
-        required = max(fitted, ours.log_likelihood(arm.scale) + options.prior.cost("nominal_table"))
+        required = max(fitted, ours.log_likelihood(arm.scale) + state.prior.cost("nominal_table"))
         decided = bool(theirs.log_likelihood(arm.scale) > required)
         likelier = False
         ratios = {"declared_ratio": ours.scale / arm.scale, "table_ratio": theirs.scale / arm.scale}

@@ -15,12 +15,19 @@ from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm
 from lite6jax.calibration.start import frames_from_poses
 from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, median_distance
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, SUSPECT_REACH
 from lite6jax.recordings import Recording
 from lite6jax.recordings.placeholders import Mark, possible_marks
 
 Array = NDArray[np.floating]
+
+_MISSES = 10.0
+"""Median errors by which the nominal arm misses a placeholder; outliers are nearer."""
+_APART = 0.1
+"""Share of the spread over which one value is seen; noise is far below."""
+_MOST_BEYOND = 0.5
+"""Share of the rows beyond limits below which these are placeholders; of more the limits are wrong."""
 Rows = NDArray[np.bool_]
 
 _POSES = ("joint_position", "position")
@@ -34,7 +41,7 @@ def leave_out_placeholders(state: Screened) -> Screened:
     candidates = [mark for mark in possible_marks(recording) if mark.array in _POSES]
     if not candidates:
         return state
-    evidence = _evidence(recording, state.arm, state.options)
+    evidence = _evidence(recording, state.arm)
     lost = np.zeros(recording.samples, bool)
     for mark in candidates:
         rows = mark.samples[~lost[mark.samples]]
@@ -56,13 +63,11 @@ class _Evidence(NamedTuple):
         recording: of poses.
         missed: `(sample,)`, whether the nominal arm misses the pose grossly; None where it misses most of them.
         beyond: `(sample, joint)`, whether a joint is beyond its limits.
-        options: the thresholds.
     """
 
     recording: Recording
     missed: Rows | None
     beyond: Rows
-    options: ScreeningOptions
 
     def convicts(self, mark: Mark, rows: NDArray[np.integer]) -> Rows:
         """Which of the rows of a mark hold no measurement."""
@@ -70,7 +75,7 @@ class _Evidence(NamedTuple):
         none = np.zeros(len(rows), bool)
         if mark.array == "joint_position":
             column = slice(None) if mark.column is None else mark.column
-            usual = np.mean(self.beyond[:, column]) < self.options.most_placeholders
+            usual = np.mean(self.beyond[:, column]) < _MOST_BEYOND
             if mark.value is not None and usual and self.beyond[rows][:, column].all() and len(rows) > 1:
                 return all_rows
         if self.missed is not None:
@@ -89,21 +94,21 @@ class _Evidence(NamedTuple):
         counterpart = self.recording.position if joints else self.recording.joint_position
         assert counterpart is not None
         apart = np.linalg.norm(counterpart[rows] - np.median(counterpart[rows], axis=0), axis=1)
-        return float(apart.max()) > self.options.placeholder_apart * median_distance(counterpart)
+        return float(apart.max()) > _APART * median_distance(counterpart)
 
 
-def _evidence(recording: Recording, arm: Arm | None, options: ScreeningOptions) -> _Evidence:
+def _evidence(recording: Recording, arm: Arm | None) -> _Evidence:
     nominal = arm or declared_arm(recording.settings, Path(recording.source).parent)
     beyond = np.zeros(recording.joint_position.shape, bool)
     if nominal is None or nominal.dof != recording.dof:
-        return _Evidence(recording, None, beyond, options)
+        return _Evidence(recording, None, beyond)
     low, high = nominal.joint_limits.T
-    beyond = recording.joint_position < low - options.limit_slack_rad
-    beyond |= recording.joint_position > high + options.limit_slack_rad
-    return _Evidence(recording, _missed(recording, nominal, options), beyond, options)
+    beyond = recording.joint_position < low - LIMIT_SLACK_RAD
+    beyond |= recording.joint_position > high + LIMIT_SLACK_RAD
+    return _Evidence(recording, _missed(recording, nominal), beyond)
 
 
-def _missed(recording: Recording, arm: Arm, options: ScreeningOptions) -> Rows | None:
+def _missed(recording: Recording, arm: Arm) -> Rows | None:
     """`(sample,)`, whether the nominal arm misses a pose grossly; None where it agrees with too few of them."""
     position = recording.position
     assert position is not None
@@ -115,4 +120,4 @@ def _missed(recording: Recording, arm: Arm, options: ScreeningOptions) -> Rows |
     usual = float(np.median(error))
     if usual > CLOSE * median_distance(position):
         return None
-    return error > max(options.placeholder_misses * usual, options.suspect_reach * arm.reach)
+    return error > max(_MISSES * usual, SUSPECT_REACH * arm.reach)

@@ -7,12 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.estimation.options import DEFAULTS
+from lite6jax.domains.pose.screening.thresholds import OBSERVABLE_SHARE
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
+from lite6jax.estimation.thresholds import EIGENVALUE_ROUNDING
 from lite6jax.recordings.sequence import differentiate, run_segments
 
 Array = NDArray[np.floating]
+
+_HUBER_SIGMAS = 4.0
+"""Deviations per number beyond which a sample counts less; one normal one in 16 000 does."""
+_CONVERGED = 0.1
+"""Standard deviations of the last step of a correction: below what the correction is known to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,25 +27,23 @@ class Projected:
     Attributes:
         arm: fitted.
         nuisance: `(number, row, sample)`, beside the arm's own unknowns.
-        options: the thresholds.
     """
 
     arm: RigidArm
     nuisance: Array
-    options: ScreeningOptions
 
     @cached_property
     def weight(self) -> Array:
         """`(sample,)` square root of Huber's."""
         length = np.sqrt(self.arm.squares / self.arm.rows) / self.arm.scale
-        return np.sqrt(np.minimum(1.0, self.options.huber_sigmas / np.maximum(length, 1e-300)))
+        return np.sqrt(np.minimum(1.0, _HUBER_SIGMAS / np.maximum(length, 1e-300)))
 
     @cached_property
     def basis(self) -> Array:
         """`(rank, row sample)`, orthonormal, of the known columns."""
         columns = np.concatenate([self.arm.frame_columns, self.nuisance]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
-        return orthonormal(unit_rows(flat), DEFAULTS.rounding)
+        return orthonormal(unit_rows(flat), EIGENVALUE_ROUNDING)
 
     @cached_property
     def residual(self) -> Array:
@@ -65,7 +68,7 @@ class Projected:
         X = self.without(columns)
         size = np.linalg.norm((columns * self.weight).reshape(len(columns), -1), axis=1)
         G = X @ X.T
-        confounded = np.sqrt(np.diagonal(G)) <= np.sqrt(self.options.observable_share) * size
+        confounded = np.sqrt(np.diagonal(G)) <= np.sqrt(OBSERVABLE_SHARE) * size
         G[confounded, confounded] = np.maximum(G[confounded, confounded], size[confounded] ** 2 * 1e9 + 1e300)
         inverse = np.zeros_like(G) if confounded.all() else np.linalg.inv(G)
         inverse[confounded] = inverse[:, confounded] = 0.0
@@ -81,16 +84,16 @@ class Projected:
         return values, covariance, explained / max(float(remainder @ remainder) / max(self.freedom - len(X), 1), 1e-300)
 
 
-def estimated(arm: RigidArm, nuisance: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
+def estimated(arm: RigidArm, nuisance: Array, columns: Array) -> tuple[Array, Array]:
     """The numbers of `columns` `(number, row, sample)` and their standard deviations, beside the known ones."""
-    values, covariance, _ = Projected(arm, nuisance, options).regression(columns)
+    values, covariance, _ = Projected(arm, nuisance).regression(columns)
     return values, np.sqrt(np.diagonal(covariance))
 
 
-def next_step(arm: RigidArm, nuisance: Array, columns: Array, options: ScreeningOptions) -> Array | None:
+def next_step(arm: RigidArm, nuisance: Array, columns: Array) -> Array | None:
     """What a correction by `columns` still lacks, `(number,)`; None where that is little beside its deviations."""
-    values, std = estimated(arm, nuisance, columns, options)
-    if np.all(np.abs(values) < options.converged * std):
+    values, std = estimated(arm, nuisance, columns)
+    if np.all(np.abs(values) < _CONVERGED * std):
         return None
     return np.where(np.isfinite(std), values, 0.0)
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, MOST_FITTED
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.recordings.fault import DataFault
 
@@ -25,26 +26,21 @@ def free_constant(state: Screened) -> Screened:
         return state
     if decision is False:
         return state
-    options = state.options
     freed = replace(recording, settings=replace(settings, distance_offset="unknown"))
     free = rigid_arm(freed, state.rigid_arm.arm, state.geometry, state.factory)
-    fitted = free.fitted(options.most_fitted)
-    constant, std = _constant(fitted)
+    fitted = free.fitted(MOST_FITTED)
+    J = fitted.frame_columns.reshape(len(fitted.unknown), -1) / fitted.scale
+    covariance = scaled_inverse(J @ J.T + np.diag(fitted.precision))
+    constant = float(fitted.measured.constant[0])  # type: ignore[attr-defined]
+    std = float(np.sqrt(covariance[-1, -1]))
     if not decision:
-        plain = state.rigid_arm.fitted(options.most_fitted)
+        plain = state.rigid_arm.fitted(MOST_FITTED)
         scale = min(fitted.scale, plain.scale)
         gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)
-        price = 0.5 * np.log(recording.samples) + options.prior.cost("distance_constant")
+        price = 0.5 * np.log(recording.samples) + state.prior.cost("distance_constant")
         declared = settings.distance_noise_m
-        noisy = fitted.scale * fitted.noise[0] > options.as_noise_ratio * declared if declared else False
+        noisy = fitted.scale * fitted.noise[0] > AS_NOISE_RATIO * declared if declared else False
         if gain < price or noisy:
             return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
     numbers = {"constant_m": constant, "std_m": std}
     return state.corrected(DataFault("distance_offset", (), numbers), rigid=fitted)
-
-
-def _constant(arm: RigidArm) -> tuple[float, float]:
-    """m, the constant of the distances with the arm fitted, and its standard deviation."""
-    J = arm.frame_columns.reshape(len(arm.unknown), -1) / arm.scale
-    covariance = scaled_inverse(J @ J.T + np.diag(arm.precision))
-    return float(arm.measured.constant[0]), float(np.sqrt(covariance[-1, -1]))  # type: ignore[attr-defined]

@@ -36,14 +36,34 @@ from lite6jax.domains.pose.screening import (
     settling,
     stations,
 )
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED
 from lite6jax.errors import InputError
+from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording, repeated_rows, require_radians, require_samples, time_disorder
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
 
 Array = NDArray[np.floating]
+
+_CLUSTER_DISTANCES = 5.0
+"""Median distances within which a row lies in its right unit; in mm it is 1000 times as far."""
+_SUSPECT_DISTANCES = 10.0
+"""Median distances beyond which a row may be in mm; no pose is so far."""
+_NEAR_SHARE = 0.005
+"""Share of the median distance below which a row may be a thousand times too near; few poses are so near."""
+_NEAR_DISTANCES = 2.0
+"""Median distances within which such a row lies in its right unit; most origins lie beside the poses."""
+_MOST_IN_ANOTHER_UNIT = 0.5
+"""Share of the rows that may be too near; the rest shows the right unit."""
+_COMPUTED_RAD = 1e-5
+"""rad to which a table gives computed orientations: columns have five decimals."""
+_GRID_TOLERANCE_RAD = 6e-7
+"""rad from a grid of commanded positions: radians have six decimals."""
+_GRID_SMALLEST_RAD = 1e-3
+"""rad below which positions are left out, as they are near every grid."""
+_GRID_POSITIONS = 20
+"""Distinct positions that must all lie on a grid; fewer do so by chance."""
 
 _GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
 """Spacing of commands in rad, and the unit in which it is round."""
@@ -81,7 +101,7 @@ def convert_positions(state: Screened) -> Screened:
     farthest: list[tuple[float, float]] = []
     for station in np.unique(recording.station):  # each in a frame of its own
         rows = recording.station == station
-        factor[rows], largest, size = _factors(position[rows], state.options)
+        factor[rows], largest, size = _factors(position[rows])
         farthest.append((largest, size))
     if (factor == 1).all():
         largest, size = max(farthest, key=lambda distances: distances[0] / distances[1])
@@ -91,7 +111,7 @@ def convert_positions(state: Screened) -> Screened:
     return state.corrected(fault, replace(recording, position=position * (1 / factor)[:, None]))
 
 
-def _factors(position: Array, options: ScreeningOptions) -> tuple[Array, float, float]:
+def _factors(position: Array) -> tuple[Array, float, float]:
     """By how much each position is too large `(sample,)`; and the largest and the median distance from their middle."""
     middle = np.median(position, axis=0)
     size = max(median_distance(position), 1e-6)
@@ -99,30 +119,29 @@ def _factors(position: Array, options: ScreeningOptions) -> tuple[Array, float, 
     def distance(points: Array) -> Array:
         return np.linalg.norm(points - middle, axis=1)
 
-    far = distance(position) > options.suspect_distances * size
-    far &= distance(position / 1000) < options.cluster_distances * size
-    near = np.linalg.norm(position, axis=1) < options.near_share * size
-    near &= distance(position * 1000) < options.near_distances * size
-    near &= np.mean(near) < options.most_in_another_unit  # positions of one point are near themselves in any unit
+    far = distance(position) > _SUSPECT_DISTANCES * size
+    far &= distance(position / 1000) < _CLUSTER_DISTANCES * size
+    near = np.linalg.norm(position, axis=1) < _NEAR_SHARE * size
+    near &= distance(position * 1000) < _NEAR_DISTANCES * size
+    near &= np.mean(near) < _MOST_IN_ANOTHER_UNIT  # positions of one point are near themselves in any unit
     return np.where(far, 1e3, np.where(near, 1e-3, 1.0)), float(distance(position).max()), size
 
 
 def note_commanded(state: Screened) -> Screened:
     """As it is, where joints are round numbers: they were commanded."""
     recording = state.recording
-    options = state.options
     if recording.settings.joint_source == "commanded":
         return state.rule_out("commanded_joints", reason="declared")
     values = np.unique(np.abs(recording.joint_position))
-    values = values[values > options.grid_smallest_rad]
+    values = values[values > _GRID_SMALLEST_RAD]
 
     def share(grid: float) -> float:
-        on_grid = np.abs(values - np.round(values / grid) * grid) < options.grid_tolerance_rad
+        on_grid = np.abs(values - np.round(values / grid) * grid) < _GRID_TOLERANCE_RAD
         return float(np.mean(on_grid)) if values.size else 0.0
 
     largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
     grid_numbers = {"grid_rad": grid, "grid_unit": unit}
-    if values.size >= options.grid_positions and largest == 1.0:
+    if values.size >= _GRID_POSITIONS and largest == 1.0:
         numbers = {"distinct_positions": int(values.size), **grid_numbers}
         return state.corrected(DataFault("commanded_joints", (), numbers))
     return state.rule_out("commanded_joints", reason="not_round", share=largest, **grid_numbers)
@@ -131,18 +150,17 @@ def note_commanded(state: Screened) -> Screened:
 def drop_computed_orientations(state: Screened) -> Screened:
     """Positions alone, where a table reproduces the orientations to rounding and not the positions: two sources."""
     recording = state.recording
-    options = state.options
     if recording.quaternion is None or recording.readings is not None:
         return state
     if recording.settings.pose_source == "controller_fk":
         return state.rule_out("computed_orientation", reason="declared")
-    limit = options.computed_rad + min(angle_step(recording.joint_position) * recording.dof**0.5, options.computed_rad)
+    limit = _COMPUTED_RAD + min(angle_step(recording.joint_position) * recording.dof**0.5, _COMPUTED_RAD)
     nominal, fitted = orientations.reproduced(state.rigid_arm)
     if min(nominal, fitted) > limit:
         return state.rule_out("computed_orientation", reason="measured", error_rad=min(nominal, fitted))
     alone = replace(recording, quaternion=None)
     arm = rigid_arm(alone, state.rigid_arm.arm, state.geometry, state.factory)
-    positions = arm.fitted(options.most_fitted)
+    positions = arm.fitted(MOST_FITTED)
     if _is_computed(positions):
         return state.rule_out("computed_orientation", reason="positions")
     table = "factory" if state.rigid_arm.exact else "nominal"
@@ -159,7 +177,6 @@ def note_computed(state: Screened) -> Screened:
     """As it is, where a table, or one that is fitted, reproduces the poses to rounding: a controller computed them."""
     arm = state.rigid_arm
     recording = state.recording
-    options = state.options
     if recording.settings.pose_source == "controller_fk":
         return state.rule_out("computed_pose", reason="declared")
     declared = rigid_arm(recording, arm.arm, state.geometry, state.factory)
@@ -168,11 +185,11 @@ def note_computed(state: Screened) -> Screened:
     assert position is not None
     computed = computed_by_controller(error, position, recording.joint_position)
     computed &= recording.samples >= FEWEST  # frame and tool reproduce the poses of very few rows
-    if computed and float(np.median(declared.turn)) <= options.computed_rad:
+    if computed and float(np.median(declared.turn)) <= _COMPUTED_RAD:
         numbers = {"median_error_m": error, "chain": "factory" if declared.exact else "nominal"}
         return state.corrected(DataFault("computed_pose", (), numbers))
     error = float(np.median(arm.distance))
-    if _is_computed(arm) and float(np.median(arm.turn)) <= options.computed_rad:
+    if _is_computed(arm) and float(np.median(arm.turn)) <= _COMPUTED_RAD:
         return state.corrected(DataFault("computed_pose", (), {"median_error_m": error, "chain": "fitted"}))
     return state.rule_out("computed_pose", reason="measured", median_error_m=error)
 
@@ -191,7 +208,7 @@ def _is_computed(fitted: RigidArm) -> bool:
 def remove_turns(state: Screened) -> Screened:
     """Joints without whole turns, where they wrap round in a trajectory or are beyond their limits by such turns."""
     recording = state.recording
-    slack = state.options.limit_slack_rad
+    slack = LIMIT_SLACK_RAD
     limits = state.rigid_arm.arm.joint_limits
     q = without_turns(recording, limits, slack)
     changed = np.abs(q - recording.joint_position) > 1.0
@@ -270,7 +287,7 @@ def screen(
     recording: Recording,
     arm: Arm | None = None,
     geometry: Geometry = "declared",
-    options: ScreeningOptions | None = None,
+    prior: Prior = PRIOR,
     corrections: Corrections | None = None,
     factory: FactoryCalibration | None = None,
     allow_undecided: bool = False,
@@ -282,7 +299,7 @@ def screen(
         recording: measured poses.
         arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
-        options: the thresholds.
+        prior: the probabilities of explanations; those of the sidecar take their place.
         corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
         allow_undecided: whether poses may miss the arm grossly for one of several reasons that fit alike.
@@ -293,9 +310,8 @@ def screen(
             poses of another arm, or as `recording_problem`.
     """
     require_samples(recording, 1)
-    options = options or ScreeningOptions()
-    options = replace(options, prior=options.prior.given(recording.settings.prior or {}))
-    state = Screened(recording, arm, geometry, corrections or Corrections(), options, factory=factory)
+    prior = prior.given(recording.settings.prior or {})
+    state = Screened(recording, arm, geometry, corrections or Corrections(), prior, factory=factory)
     fitted = False
     for entry in SCREENS:
         if (coarse and entry.needs == "fit") or (recording.touches is not None and not entry.of_touches):
@@ -305,7 +321,7 @@ def screen(
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
-            state = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted))
+            state = replace(state, rigid=state.rigid_arm.fitted(MOST_FITTED))
             fitted = True
         state = entry.run(state)
         if state.count("other_arm") and not allow_undecided:
@@ -326,10 +342,10 @@ def screen(
     return state
 
 
-def screen_rows(recording: Recording, options: ScreeningOptions, arm: Arm | None = None) -> Screened:
+def screen_rows(recording: Recording, arm: Arm | None = None) -> Screened:
     """The recording without placeholders, in order, each row once and positions in m: the screens of rows."""
     require_samples(recording, 1)
-    state = Screened(recording, arm, "declared", Corrections(), options)
+    state = Screened(recording, arm, "declared", Corrections())
     for entry in SCREENS:
         if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
             state = entry.run(state)

@@ -8,7 +8,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 
@@ -19,7 +19,7 @@ class Corrections:
     """Which of the faults that resemble physics are corrected.
 
     Attributes:
-        jumps: frame jumps at most; None for as many as the options allow.
+        jumps: frame jumps at most; None for as many as are corrected at most.
         beside_physics: whether a jump is estimated jointly with columns of all physics, or without any.
         table: the nominal table to be used where the data leave it open.
         known_jumps: row of the file and frame ("base" or "tool") of each jump, where these have been decided; then
@@ -46,7 +46,7 @@ class Screened:
         arm: the nominal arm; None until it has been read from the sidecar.
         geometry: what is known of it, as in `fit`.
         corrections: which of the faults that resemble physics are corrected.
-        options: the thresholds.
+        prior: the probabilities of explanations before any data: what a correction must gain is its cost.
         found: the faults, in the order in which they were corrected.
         ruled_out: faults that were tested for and not found.
         rigid: the rigid arm with this recording, from the first screen on that needs it.
@@ -58,7 +58,7 @@ class Screened:
     arm: Arm | None
     geometry: Geometry
     corrections: Corrections
-    options: ScreeningOptions
+    prior: Prior = PRIOR
     found: tuple[DataFault, ...] = ()
     ruled_out: tuple[DataFault, ...] = ()
     rigid: RigidArm | None = None

@@ -8,14 +8,29 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.thresholds import JUMP_LEVEL, MOST_FITTED, MOST_SAMPLES, REFINEMENTS
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments, spread_rows
 
 Array = NDArray[np.floating]
+
+_LEVEL = 1e-4
+"""Chance of the best shape, and of a joint's number; three shapes are tested."""
+_SHARE = 0.01
+"""Share of the freedom that read-outs must explain; poses in an order mimic less."""
+_SEPARATE_SHARE = 0.03
+"""Share that joints must explain beyond a common number, set on simulated equal servos."""
+_NEXT_MOVE_SHARE = 0.1
+"""Share that the next move explains beyond the last, from which poses are ordered."""
+_NUMBERS_PER_PIECE = 10
+"""Measured numbers for each piece of a curve; each is then known to a third."""
+_FEWEST_PIECES = 4
+"""Fewest pieces of a curve beside the moves; fewer are in the harmonics."""
+_MOST_PIECES = 16
+"""Most pieces of a curve; finer ones only take time."""
 
 Shape = Literal["move", "velocity", "constant"]
 
@@ -45,11 +60,11 @@ def settle_joints(state: Screened) -> Screened:
         return state.rule_out("unsettled_readouts", reason="moving", samples=samples)
     if not state.corrections.settling:
         return state
-    unsettled, ruled_out = seek_unsettled(state.rigid_arm, state.options)
+    unsettled, ruled_out = seek_unsettled(state.rigid_arm)
     if unsettled is None:
         return state.rule_out("unsettled_readouts", samples=samples, **ruled_out)
     joints = [j + 1 for j in unsettled.joints]
-    arm, unsettled = settled(state.rigid_arm, unsettled, state.options)
+    arm, unsettled = settled(state.rigid_arm, unsettled)
     largest = int(np.argmax(np.abs(unsettled.remainder)))
     correction = _rests(state.recording)[unsettled.shape] * unsettled.remainder
     numbers = {
@@ -75,7 +90,7 @@ def count_numbers(fault: DataFault) -> int:
     return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
 
 
-def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled | None, dict[str, Any]]:
+def seek_unsettled(arm: RigidArm) -> tuple[Unsettled | None, dict[str, Any]]:
     """Whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
@@ -88,21 +103,21 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     too_few = {"reason": "too_few_rows"}
     if arm.samples < 3:
         return None, too_few
-    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    sampled_rows = spread_rows(arm.samples, MOST_SAMPLES)
     shapes: dict[Shape, Array] = {name: shape[sampled_rows] for name, shape in _rests(recording).items()}
     arm = arm.select(sampled_rows)
     # from where each joint is in the row after; zero in the last row of a run
     future = np.where(np.diff(run_segments(recording.run), prepend=-1)[:, None] != 0, 0.0, -moves(recording))
     future = np.roll(future, -1, axis=0)[sampled_rows]
     columns: dict[Shape, Array] = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
-    nuisance = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
+    nuisance = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm)])
     tests = len(shapes) * (1 + dof)
     smallest_p = 1.0
     ordered = False
     candidates: list[tuple[float, Unsettled]] = []
     for name, tested in columns.items():
         rival_columns = [columns[rival] for rival in columns if rival != name]
-        projected = Projected(arm, np.concatenate([nuisance, *rival_columns]), options)
+        projected = Projected(arm, np.concatenate([nuisance, *rival_columns]))
         if projected.freedom < arm.samples:
             return None, too_few
         per_joint, covariance, separate = projected.regression(tested)
@@ -111,11 +126,11 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
         p_one = float(ndtr(-shared[0] / np.sqrt(variance[0, 0]))) * tests
         p_each = ndtr(-per_joint / std) * tests
         smallest_p = min(smallest_p, p_one, float(p_each.min()))
-        if min(p_one, float(p_each.min())) > options.settling_level:
+        if min(p_one, float(p_each.min())) > _LEVEL:
             continue
-        chance = chdtri(max(dof - 1, 1), options.settling_level)
-        if p_one > options.settling_level or separate - common > max(chance, options.separate_share * separate):
-            concerned = p_each < options.settling_level
+        chance = chdtri(max(dof - 1, 1), _LEVEL)
+        if p_one > _LEVEL or separate - common > max(chance, _SEPARATE_SHARE * separate):
+            concerned = p_each < _LEVEL
             remainder = np.where(concerned, per_joint, 0.0)
             explained = float(np.sum((remainder / std) ** 2))
         else:
@@ -123,13 +138,13 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
             std = np.full(dof, np.sqrt(variance[0, 0]))
             concerned = np.ones(dof, bool)
             explained = common
-        if explained < options.settling_share * projected.freedom:
+        if explained < _SHARE * projected.freedom:
             continue
         if name != "velocity":
             after = future if name == "move" else np.sign(future)
             with_next = projected.regression(np.concatenate([tested, arm.joints * after.T[:, None]]))[2]
-            chance = chdtri(len(tested), options.jump_level)
-            if with_next - separate > max(chance, options.next_move_share * separate):
+            chance = chdtri(len(tested), JUMP_LEVEL)
+            if with_next - separate > max(chance, _NEXT_MOVE_SHARE * separate):
                 ordered = True
                 continue
         joints = tuple(int(j) for j in np.flatnonzero(concerned))
@@ -140,25 +155,25 @@ def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> tuple[Unsettled 
     return None, {"reason": "ordered_poses" if ordered else "chance", "p_value": min(smallest_p, 1.0)}
 
 
-def settled(arm: RigidArm, unsettled: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
+def settled(arm: RigidArm, unsettled: Unsettled) -> tuple[RigidArm, Unsettled]:
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
     remainder = np.zeros(len(unsettled.remainder))
     concerned = np.isin(np.arange(len(unsettled.remainder)), unsettled.joints)
     common = np.ptp(unsettled.remainder) == 0
-    sampled_rows = spread_rows(arm.samples, options.most_samples)
+    sampled_rows = spread_rows(arm.samples, MOST_SAMPLES)
     step = unsettled.remainder
     start = arm.recording
     shape = _rests(arm.recording)[unsettled.shape]
-    for _ in range(options.refinements):
+    for _ in range(REFINEMENTS):
         remainder = remainder + step
         moved = replace(start, joint_position=start.joint_position + shape * remainder)
-        arm = arm.with_poses(moved).fitted(options.most_fitted)
+        arm = arm.with_poses(moved).fitted(MOST_FITTED)
         part = arm.select(sampled_rows)
         columns = part.joints * shape[sampled_rows].T[:, None]
         physics = physics_columns(part, skip=("direction",) if unsettled.shape == "constant" else ())
-        nuisance = np.concatenate([physics, _curves(part, options)])
+        nuisance = np.concatenate([physics, _curves(part)])
         group = columns.sum(0, keepdims=True) if common else columns[concerned]
-        if (more := next_step(part, nuisance, group, options)) is None:
+        if (more := next_step(part, nuisance, group)) is None:
             break
         step = np.zeros_like(remainder)
         step[concerned] = more
@@ -180,14 +195,14 @@ def moves(recording: Recording) -> Array:
     return np.where(first[:, None], recording.joint_position, moved)
 
 
-def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
+def _curves(arm: RigidArm) -> Array:
     """`(number, row, sample)` of any curve over each joint's position, piecewise linear: in a sweep to and fro, the
     moves depend on where they lead."""
     dof = arm.recording.dof
-    pieces = min(arm.rows * arm.samples // (options.numbers_per_piece * dof), options.most_pieces)
+    pieces = min(arm.rows * arm.samples // (_NUMBERS_PER_PIECE * dof), _MOST_PIECES)
     out = [np.zeros((0, arm.rows, arm.samples))]
     for column, q in zip(arm.joints, arm.recording.joint_position.T, strict=True):
         knots = np.unique(np.quantile(q, np.linspace(0, 1, max(pieces, 2)), method="nearest"))
-        if pieces >= options.fewest_pieces and len(knots) > 1:
+        if pieces >= _FEWEST_PIECES and len(knots) > 1:
             out.append(column * np.stack([np.interp(q, knots, hat) for hat in np.eye(len(knots))])[:, None])
     return np.concatenate(out)
