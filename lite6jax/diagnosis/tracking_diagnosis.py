@@ -27,6 +27,7 @@ from lite6jax.domains.tracking.problem import (
     RolloutCache,
     TrackingProblem,
     diagnosed_servos,
+    along_rollout,
     follows_as_described,
     tracking_problem,
     with_likely_grip,
@@ -251,11 +252,11 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
 
     Where no joint follows as described, it is that beside the names that are found.
     """
-    likely = with_likely_grip(problem)
-    if likely is problem or follows_as_described(likely):
+    likely = along_rollout(with_likely_grip(problem), Terms(), np.zeros(0))
+    if not problem.data.coupled or follows_as_described(likely):
         return likely
     fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
-    return with_likely_grip(problem, fit.terms, fit.values)
+    return along_rollout(with_likely_grip(problem, fit.terms, fit.values), fit.terms, fit.values)
 
 
 def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:

@@ -11,7 +11,8 @@ which a process may depend.
    less likely by 2 at most.
 5. Then exchange each term for whatever is likelier in its place.
 
-Autocorrelated noise takes the place of processes where that is likelier, and terms its place where that is clearly so.
+Autocorrelated noise takes the place of processes where that is likelier. Names take its place where they are likelier,
+processes where they are clearly so.
 
 A site has one process, at one or more components, and may have the spectrum of its gear beside it: further processes
 could not be told apart from these. A term is rejected if independent noise at the same component explains more.
@@ -77,7 +78,9 @@ class Selector:
             # terms of what varies slowly make rows autocorrelated too
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
-            clearly = instead.fit.noise.white and not grown.fit.noise.white
+            # functions of any form may follow what wanders by itself; a name says more than that it does
+            whitened = instead.fit.noise.white and not grown.fit.noise.white
+            clearly = whitened and any(one.term.nonparametric for one in instead.tested)
             if instead.evidence > grown.evidence + (self.options.close if clearly else 0.0):
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
