@@ -26,12 +26,13 @@ from lite6jax.domains.tracking.predict import DiagnosedServos, run_ends
 from lite6jax.domains.tracking.problem import (
     RolloutCache,
     TrackingProblem,
+    along_rollout,
     diagnosed_servos,
     follows_as_described,
     tracking_problem,
     with_likely_grip,
 )
-from lite6jax.domains.tracking.rows import COARSE
+from lite6jax.domains.tracking.rows import COARSE, INEXACT
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
 from lite6jax.effects.dynamic import UnnamedTorque
@@ -252,11 +253,11 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
 
     Where no joint follows as described, it is that beside the names that are found.
     """
-    likely = with_likely_grip(problem)
-    if likely is problem or follows_as_described(likely):
+    likely = along_rollout(with_likely_grip(problem), Terms(), np.zeros(0))
+    if not problem.data.coupled or follows_as_described(likely):
         return likely
     fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
-    return with_likely_grip(problem, fit.terms, fit.values)
+    return along_rollout(with_likely_grip(problem, fit.terms, fit.values), fit.terms, fit.values)
 
 
 def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
@@ -351,7 +352,7 @@ def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Sele
 
 
 def _without_negligible(selection: Selection, options: EngineOptions) -> Selection:
-    """The selection without effects that move no joint by more than descriptions of others may be wrong.
+    """The selection without effects that move no joint by more than rollouts, or descriptions of others, may be wrong.
 
     Nor has it nonparametric effects that hardly change any joint beside what is left there.
     """
@@ -366,11 +367,10 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     before = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
     significant = []
     for tested in state.tested:
-        if not (problem.unknowns or tested.term.nonparametric):
-            significant.append(tested)
-            continue
         others = fit.terms.part(fit.values, [term != tested.term for term in terms])
         moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
+        if np.all(np.sqrt(moved) * problem.noise < INEXACT):
+            continue
         if problem.unknowns and np.all(moved < _DISCREPANCY**2 * before):
             continue
         if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:

@@ -110,7 +110,7 @@ class Marginal:
         freedom = counts * fit.training.sum() * self.test.freedom / max(problem.rows * fit.training.sum(), 1)
         freedom = np.maximum(freedom, 1.0)
         if problem.floored:
-            squares = np.maximum(squares, freedom / self.test.scale**2)
+            squares = np.maximum(squares, freedom * (fit.noise.least_scales(1.0) / self.test.scale) ** 2)
         declared = _DECLARED * problem.declared
         return squares + declared / self.test.scale**2, freedom + declared
 

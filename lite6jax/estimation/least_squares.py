@@ -469,17 +469,17 @@ def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) 
         rows: `(row, sample)`, over the declared noise.
         noise: their model.
         training: `(sample,)`.
-        least: that a scale is: 1 where the noise is not less than declared.
+        least: that the white part of the noise is: 1 where that is not less than declared.
     """
     innovations = noise.whitened(rows)
     groups = noise.groups
-    scale = np.empty(len(noise.models))
+    scale = noise.least_scales(least)
     weight = np.empty((len(noise.models), rows.shape[1]))
     for group in range(len(scale)):
         part = innovations[groups == group]
         squares = np.sum(part**2, 0)
         shown = t_scale(squares[training], len(part), FREEDOM) / gaussian_t_scale(len(part), FREEDOM)
-        scale[group] = max(shown, least)
+        scale[group] = max(shown, scale[group])
         weight[group] = (FREEDOM + len(part)) / (FREEDOM + squares / scale[group] ** 2)
     return Residuals(rows, innovations, scale, weight, groups)
 

@@ -36,6 +36,8 @@ _FORGOTTEN = 10.0
 _SCALINGS = 3
 """Estimates of the variance, each with the numbers that the last one determines."""
 _SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
+_LEAST_WHITE = 1e-3
+"""Share of the variance that counts as white at least where the white part has a least size."""
 
 
 @final
@@ -152,6 +154,14 @@ class NoiseModel:
         """Whether no group is autocorrelated."""
         return not any(model.share for model in self.models)
 
+    def least_scales(self, declared: float) -> Array:
+        """The least scale of each group `(group,)` at which the white part of its noise is not less than declared.
+
+        What is autocorrelated comes on top of what a read-out does from sample to sample.
+        """
+        white_shares = np.array([1 - model.share for model in self.models])
+        return declared / np.sqrt(np.maximum(white_shares, _LEAST_WHITE))
+
     def transposed(self, rows: Array) -> Array:
         """The transpose of `whitened`, of rows `(…, row, sample)`."""
         if self.white:
@@ -196,6 +206,7 @@ def noise_model(
     run: Integers,
     options: EngineOptions,
     start: NoiseModel | None = None,
+    declared: Array | None = None,
 ) -> NoiseModel:
     """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
 
@@ -210,6 +221,8 @@ def noise_model(
         run: `(sample,)`, changes where a sample is independent of those before it.
         options: thresholds.
         start: of a similar fit: where a group is autocorrelated there, its model is improved, and no other is tried.
+        declared: `(group,)`, in the unit of the residuals, what the white part of the noise has at least; zero where
+            not given.
     """
     models = []
     for group in range(int(groups.max(initial=0)) + 1):
@@ -218,16 +231,23 @@ def noise_model(
         group_columns = columns[:, in_group, samples]
         acting = group_columns.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
         before = UNCORRELATED if start is None else start.models[group]
+        least = 0.0 if declared is None else float(declared[group])
         models.append(
             _autocorrelation(
-                rows[in_group, samples], group_columns[acting], prior[acting], run[samples], options, before
+                rows[in_group, samples], group_columns[acting], prior[acting], run[samples], options, before, least
             )
         )
     return NoiseModel(tuple(models), groups, run_starts(run))
 
 
 def _autocorrelation(
-    rows: Array, columns: Array, prior: Array, run: Integers, options: EngineOptions, before: Autocorrelation
+    rows: Array,
+    columns: Array,
+    prior: Array,
+    run: Integers,
+    options: EngineOptions,
+    before: Autocorrelation,
+    declared: float,
 ) -> Autocorrelation:
     starts = run_starts(run)
     if not _suspicious(rows) or len(starts) * _LEAST_IN_RUN > rows.shape[1]:
@@ -240,7 +260,8 @@ def _autocorrelation(
         y = model.whitened(rows, starts).ravel()
         measured = X @ X.T
         target = X @ y
-        scale = float(y @ y) / rows.size
+        least = declared**2 / max(1 - model.share, _LEAST_WHITE)
+        scale = max(float(y @ y) / rows.size, least)
         filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
         log_likelihood = -np.inf
         for _ in range(_SCALINGS):
@@ -252,7 +273,7 @@ def _autocorrelation(
             log_likelihood = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * residual_sum / scale + filtered
             # tr measured G⁻¹: the numbers that are determined, less what of them the prior is
             determined = T.shape[1] - scale * float(prior**2 @ np.sum(T**2, 1))
-            scale = residual_sum / max(rows.size - determined, 1.0)
+            scale = max(residual_sum / max(rows.size - determined, 1.0), least)
         return log_likelihood
 
     coefficient_grid = coefficients(min(rows.shape[1], _FORGOTTEN * options.longest_memory))

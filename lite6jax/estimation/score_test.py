@@ -616,8 +616,9 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     columns = linear_columns(linearised_at(problem, fit.nuisance), fit.terms, fit.values)
     columns /= fit.scale[fit.residuals.groups, None]
     columns, precision, _ = _determined(problem, fit.terms, columns[..., training], 1.0)
+    declared = float(problem.floored) / fit.scale
     model = noise_model(
-        rows[:, training], columns, np.sqrt(precision), problem.groups, run[training], options, fit.noise
+        rows[:, training], columns, np.sqrt(precision), problem.groups, run[training], options, fit.noise, declared
     )
     return model if model.white else replace(model, starts=run_starts(run))
 

@@ -11,7 +11,8 @@ which a process may depend.
    less likely by 2 at most.
 5. Then exchange each term for whatever is likelier in its place.
 
-Autocorrelated noise takes the place of processes where that is likelier, and terms its place where that is clearly so.
+Autocorrelated noise takes the place of processes where that is likelier. Names take its place where they are likelier,
+processes where they are clearly so.
 
 A site has one process, at one or more components, and may have the spectrum of its gear beside it: further processes
 could not be told apart from these. A term is rejected if independent noise at the same component explains more.
@@ -87,7 +88,9 @@ class Selector:
             # terms of what varies slowly make rows autocorrelated too
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
-            clearly = instead.fit.noise.white and not grown.fit.noise.white
+            # functions of any form may follow what wanders by itself; a name says more than that it does
+            whitened = instead.fit.noise.white and not grown.fit.noise.white
+            clearly = whitened and any(one.term.nonparametric for one in instead.tested)
             if instead.evidence > grown.evidence + (CLOSE if clearly else 0.0):
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
@@ -746,8 +749,11 @@ class Selector:
         return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
 
     def _noise_chosen_again(self, state: State) -> State:
-        """In noise that was white it stays so: `selected` asks for another."""
-        return state if state.fit.noise.white else replace(state, fit=self.in_likeliest_noise(state.fit))
+        """In noise that was white it stays so: `selected` asks for another. In other noise terms are weighed anew."""
+        if state.fit.noise.white:
+            return state
+        again = replace(state, fit=self.in_likeliest_noise(state.fit))
+        return again if again.fit.noise.models == state.fit.noise.models else self.weighed(again)
 
     def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""

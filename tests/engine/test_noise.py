@@ -7,6 +7,7 @@ from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.estimation.least_squares import weighed
 from lite6jax.estimation.noise import (
     UNCORRELATED,
     Autocorrelation,
@@ -106,6 +107,32 @@ def test_white_noise_is_white():
     assert all(model.white for model in models)
     rows = rng.normal(size=(2, 5))
     assert UNCORRELATED.whitened(rows, (0,)) is rows
+
+
+def test_what_is_autocorrelated_comes_on_top_of_the_declared_noise():
+    """White noise of the standard deviation 1 under a slow part of 3; read-outs of 0.4 that are declared to be of 1."""
+    rng = np.random.default_rng(6)
+    nothing = np.zeros((0, 1, 1500)), np.zeros(0)
+    alone = np.zeros(1, int), np.zeros(1500, int), OPTIONS
+    slow = np.sqrt(10) * noise(rng, 0.97, 0.9, 1, 1500)
+    (free,) = noise_model(slow, *nothing, *alone).models
+    (limited,) = noise_model(slow, *nothing, *alone, declared=np.ones(1)).models
+    assert (limited.coefficient, limited.share) == (free.coefficient, free.share)
+    assert free.share == pytest.approx(0.9, abs=0.05)
+
+    fine = 0.4 * noise(rng, 0.9, 0.4, 1, 1500)
+    assert noise_model(fine, *nothing, *alone).models[0].share > 0
+    assert noise_model(fine, *nothing, *alone, declared=np.ones(1)).white
+
+
+def test_a_scale_is_no_less_than_the_declared_noise_over_the_white_share():
+    rng = np.random.default_rng(7)
+    rows = 0.2 * rng.normal(size=(2, 400))
+    groups = np.array([0, 1])
+    models = NoiseModel((UNCORRELATED, Autocorrelation(0.9, 0.75)), groups)
+    used = np.ones(400, bool)
+    np.testing.assert_allclose(weighed(rows, models, used, 1.0).scale, [1.0, 2.0])
+    assert (weighed(rows, models, used).scale < 0.3).all()
 
 
 @pytest.mark.parametrize("samples", [8, 15, 19, 30])

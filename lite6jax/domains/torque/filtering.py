@@ -293,19 +293,21 @@ def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
     return run_segments(run_segments(recording.run) * (1 + len(gaps)) + np.cumsum(gaps))
 
 
-def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
+def smoothed(recording: Recording, chosen: LowPass, cutoff: float | None = None) -> Smoothed:
     """The motion low-passed up to where its velocities exceed their noise, with accelerations.
 
     Args:
         recording: a trajectory with times and velocities.
         chosen: the filter of torques, far above which there is no need of velocities.
+        cutoff: Hz, of the low pass; by the noise of the velocities where not given.
     """
     rate = chosen.rate
     runs = chosen.runs
     q = recording.joint_position.T
     v = np.asarray(recording.velocities()).T
-    cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
-    cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
+    if cutoff is None:
+        cutoff = 1.5 * max(_signal_band(row, runs, rate, chosen.cutoff) for row in v)
+        cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
     recorded_acceleration = recording.joint_acceleration
     if recorded_acceleration is not None:

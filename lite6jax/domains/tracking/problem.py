@@ -591,6 +591,18 @@ def follows_as_described(problem: TrackingProblem) -> bool:
     return bool(np.min(np.mean(residual**2, 1)) < _FOLLOWS**2)
 
 
+def along_rollout(problem: TrackingProblem, terms: Terms, values: Array) -> TrackingProblem:
+    """The problem whose drivers are those along a rollout, and along what read-outs clearly show beside it.
+
+    Args:
+        problem: of a recording.
+        terms: what is known to be there.
+        values: `(terms.size,)`.
+    """
+    rolled = problem.readouts(np.zeros(len(problem.unknowns)), terms, values)
+    return replace(problem, data=replace(problem.data, rolled=rolled), known=RolloutCache(loads=problem.known.loads))
+
+
 def with_likely_grip(
     problem: TrackingProblem, terms: Terms | None = None, values: Array | None = None
 ) -> TrackingProblem:

@@ -46,10 +46,10 @@ def commands_of(samples, seed=1):
     return np.round(sines + 0.1 * (np.floor(t / 0.9) % 2), 6)
 
 
-def record(command, servo, run=None, **changed):
-    """A recording of the oracle, with encoders that scatter by 20 µrad."""
+def record(command, servo, run=None, sigma=2e-5, **changed):
+    """A recording of the oracle, with encoders that scatter by 20 µrad, or by `sigma`."""
     q = follow(command, PERIOD, **(TRUE | changed))
-    noise = np.random.default_rng(5).normal(0.0, 2e-5, len(q))
+    noise = np.random.default_rng(5).normal(0.0, sigma, len(q))
     return Recording.from_arrays(
         (q + noise)[:, None],
         arm=PENDULUM,
@@ -57,7 +57,7 @@ def record(command, servo, run=None, **changed):
         commanded_position=command[:, None],
         run=run,
         motion="trajectory",
-        joint_noise_rad=2e-5,
+        joint_noise_rad=max(sigma, 2e-5),
         payload_com_m=(0.0, -0.1, 0.0),
         servo=servo,
     )

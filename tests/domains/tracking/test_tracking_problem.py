@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lite6jax import diagnose
-from lite6jax.domains.tracking.problem import tracking_problem
+from lite6jax.domains.tracking.problem import along_rollout, tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.dynamic import CoulombFriction
 from lite6jax.effects.servo import RateLimit
@@ -23,6 +23,25 @@ SAMPLES = 600
 @pytest.fixture(scope="module")
 def problem():
     return tracking_problem(tracking_rows(record(commands_of(SAMPLES), SERVO), PENDULUM))
+
+
+def test_accelerations_beside_a_rollout_are_free_of_the_noise_of_encoders():
+    """In a motion of steps, whose band is wide, against the motion without noise."""
+    command = np.repeat([0.0, 0.4, -0.3, 0.5, 0.1], SAMPLES // 5)
+    quiet = tracking_rows(record(command, SERVO, sigma=0.0), PENDULUM)
+    noisy = tracking_rows(record(command, SERVO, sigma=1e-3), PENDULUM)
+    beside = along_rollout(tracking_problem(noisy), Terms(), np.zeros(0)).data
+    true, measured, rolled = (np.asarray(data.motion.joint_acceleration) for data in (quiet, noisy, beside))
+    assert np.std(measured - true) > 5 * np.std(rolled - true)
+
+
+def test_a_motion_beside_a_rollout_has_what_the_rollout_lacks():
+    """A servo that is late by 60 ms: read-outs clearly show what a rollout without that lacks."""
+    command = commands_of(SAMPLES)
+    late = tracking_rows(record(command, SERVO, delay=0.06), PENDULUM)
+    moved = along_rollout(tracking_problem(late), Terms(), np.zeros(0)).data
+    both = (np.asarray(data.motion.joint_position)[0] for data in (late, moved))
+    np.testing.assert_allclose(*both, atol=0.02 * np.std(late.measured))
 
 
 def slope(problem, effect, k, step, beside=(), values=()):
