@@ -28,11 +28,10 @@ TORQUE_NOISE = 0.05
 
 
 def smooth_commands():
-    """Sines that begin slowly, and round steps, `(sample,)` rad."""
+    """Sines that begin slowly, `(sample,)` rad."""
     t = PERIOD * np.arange(SAMPLES)
     begun = 1 - np.exp(-((t / 0.5) ** 2))
-    steps = sum(0.1 * np.tanh((t - instant) / 0.06) * sign for instant, sign in ((1.0, 1), (2.3, -1), (3.6, 1)))
-    return begun * (0.5 * np.sin(2 * np.pi * 0.4 * t) + 0.15 * np.sin(2 * np.pi * 0.9 * t)) + steps
+    return begun * sum(size * np.sin(2 * np.pi * rate * t) for size, rate in ((0.5, 0.4), (0.15, 0.9), (0.08, 1.7)))
 
 
 def torques_of(joint):
@@ -47,7 +46,7 @@ def folder(tmp_path_factory):
     """Of a log of a servo that is softer than declared and has more friction, and of its diagnosis."""
     place = tmp_path_factory.mktemp("both")
     command = smooth_commands()
-    columns = columns_of(command, NOISE, kp=GAIN, coulomb=FRICTION)
+    columns = columns_of(command, 0.5 * NOISE, kp=GAIN, coulomb=FRICTION)
     joint = follow(command, PERIOD, **(TRUE | {"kp": GAIN, "coulomb": FRICTION}))
     noise = np.random.default_rng(1).normal(0.0, TORQUE_NOISE, SAMPLES)
     log = write_log(place, columns | {"tau1_Nm": torques_of(joint) + noise}, noise=NOISE)
