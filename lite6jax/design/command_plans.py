@@ -1,7 +1,7 @@
 """Commands that tell effects on how servos follow apart: motions chosen one after the other for their information.
 
-Each is the one that adds most to the sum of logarithms of squared distances for its duration, which is a D-optimal
-design for each pair of explanations.
+Each is the one that adds most, for its duration, to the sum of the logarithms of squared distances between pairs of
+explanations, which are those of T-optimality (A. C. Atkinson, V. V. Fedorov, Biometrika 62, 1975).
 """
 
 from collections.abc import Sequence
