@@ -104,6 +104,10 @@ def test_rtde_with_currents_names_both_diagnoses(tmp_path, capsys):
         f"follow them, with joint_noise_rad in the sidecar: lite6jax diagnose {path} --tracking --out tracking.json"
     )
     assert domains_of(is_tracked(path, u, y, t)) == ("torques",)
+    assert refused(capsys, "diagnose", path) == (
+        f"{path}: has motor currents without torque constants; declare torque_constant_Nm_per_A in the sidecar, one "
+        "number per joint, or diagnose its commands alone (--tracking or domain='tracking')"
+    )
 
 
 def test_libfranka(tmp_path, capsys):

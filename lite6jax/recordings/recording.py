@@ -336,9 +336,12 @@ class Recording(PublicResult):
             )
         constants = self.settings.torque_constant_Nm_per_A
         if constants is None:
+            commands = ""
+            if self.commanded_position is not None:
+                commands = ", or diagnose its commands alone (--tracking or domain='tracking')"
             raise InputError(
                 f"{self.source}: has motor currents without torque constants; declare torque_constant_Nm_per_A in the "
-                "sidecar, one number per joint"
+                f"sidecar, one number per joint{commands}"
             )
         return self.motor_current * np.array(constants)
 
