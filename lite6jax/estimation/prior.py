@@ -26,7 +26,7 @@ class Prior:
     """
 
     # physics, of a term that a model lacks
-    named: float = option(0.25, "a term is an effect with a name, any of them", "the kinds are equally probable")
+    named: float = option(0.25, "a term is an effect with a name, any of them", "four kinds, equally probable")
     wave: float = option(0.25, "it is a wave of a turn, of any order", "as above")
     process: float = option(0.25, "it is a function of one driver, at any component", "as above")
     product: float = option(0.25, "it is a function of two drivers, at any component", "as above")
