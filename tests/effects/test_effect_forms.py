@@ -370,6 +370,7 @@ def test_drivers_and_processes_that_are_not(make, message):
         Unnamed("link1", "gravity torque of joint 2 and position of joint 1", -1.0, 1.0, "cubic*wave", "ry",
                 (-1.0, 2.0)),
         Unnamed("joint1", "position of joint 1", -1.0, 1.0, "spectrum", spread=1e-4, rolloff=(8.0, 2.0)),
+        Unnamed("joint1", "position of joint 1", -1.0, 1.0, "repeat", spread=1e-4, rolloff=(7.854, 2.0)),
         Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, "play"),
         Unnamed("sensor", "measured position's distance", 0.0, 2.0, "cubic", "scale"),
     ],
