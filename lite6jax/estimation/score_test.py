@@ -21,6 +21,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, contribution, linearised_at, prior_precision
 from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.whitening import Whitened, weighed_columns
 
 Array = NDArray[np.floating]
 
@@ -91,6 +92,7 @@ class ScoreTest:
         table: what was computed of candidates beside this model, by what they are; `beside` and `extend` change it.
         grams: products of candidates with themselves in each group of noise of unit variance, by what they are: those
             of all models of one linearisation.
+        whitened_model: the columns of all models of one linearisation.
     """
 
     problem: Problem
@@ -107,6 +109,7 @@ class ScoreTest:
     whole: "ScoreTest | None" = None
     table: dict[Hashable, Any] = field(default_factory=dict)
     grams: dict[Hashable, Array] = field(default_factory=dict)
+    whitened_model: Whitened = field(default_factory=Whitened)
 
     @property
     def basis(self) -> Array:
@@ -152,7 +155,7 @@ class ScoreTest:
             spanned = Spanned(span, place[self.owners[stay]], self.acting[stay])
             whole = None if span.whole is not self.span.whole else self.whole or self
         else:
-            spanned = _spanned(self.problem, part, self.scale, self.options)
+            spanned = _spanned(self.problem, part, self.scale, self.options, self.whitened_model)
             whole = None
         return replace(self, fit=part, residual=residual, whole=whole, table={}, **spanned._asdict())
 
@@ -469,7 +472,11 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
 
 
 def score_test(
-    problem: Problem, fit: Fit, options: EngineOptions, grams: dict[Hashable, Array] | None = None
+    problem: Problem,
+    fit: Fit,
+    options: EngineOptions,
+    grams: dict[Hashable, Array] | None = None,
+    whitened: Whitened | None = None,
 ) -> ScoreTest:
     """The score test against a fitted model.
 
@@ -478,6 +485,7 @@ def score_test(
         fit: the model.
         options: thresholds.
         grams: what tests of other models of this problem know of candidates, and to which this one adds.
+        whitened: columns of other models of this problem, to which this one adds.
 
     Returns:
         the test, of the problem whose columns are those at the fit.
@@ -505,9 +513,10 @@ def score_test(
     stated = _stated(problem)
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
     blocks = _blocks(problem.samples, time, options)
-    spanned = _spanned(problem, fit, scale, options)
+    whitened = whitened or Whitened()
+    spanned = _spanned(problem, fit, scale, options, whitened)
     freedom = n - fit.parameters
-    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned)
+    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned, whitened_model=whitened)
     return test if grams is None else replace(test, grams=grams)
 
 
@@ -524,7 +533,7 @@ def _stated(problem: Problem) -> NDArray[np.integer]:
     return np.flatnonzero((problem.precision > 0) & problem.informative)
 
 
-def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -> Spanned:
+def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions, whitened: Whitened) -> Spanned:
     """The columns of a model, with the readings of priors after those of the measurements: those that are stated first.
 
     Args:
@@ -532,8 +541,14 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions) -
         fit: of the model.
         scale: `(group,)`, of the noise.
         options: thresholds.
+        whitened: columns of other models.
     """
-    columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale)
+    if fit.noise.white:
+        parts = [linear_columns(problem, fit.terms, fit.values)]
+    else:
+        parts = whitened.columns(problem, fit.terms, fit.values, fit.noise)
+    out = np.empty((sum(map(len, parts)), problem.rows, problem.samples))
+    columns = weighed_columns(parts, (scale[0] / scale)[fit.residuals.groups, None] * fit.training, out)
     columns, precision, owners = _determined(problem, fit.terms, columns, fit.scale[0])
     acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
