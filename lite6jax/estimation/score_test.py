@@ -148,15 +148,10 @@ class ScoreTest:
             residual = residual.copy()
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
         part = f.part(kept)
-        if self._alike(part):
-            stay = np.append(kept, True)[self.owners]
-            place = np.append(np.cumsum(kept) - 1, -1)
-            span = self.span.part(stay, self.options.rounding)
-            spanned = Spanned(span, place[self.owners[stay]], self.acting[stay])
-            whole = None if span.whole is not self.span.whole else self.whole or self
-        else:
+        spanned = self._changed(part, kept)
+        if spanned is None:
             spanned = _spanned(self.problem, part, self.scale, self.options, self.whitened_model)
-            whole = None
+        whole = None if spanned.span.whole is not self.span.whole else self.whole or self
         return replace(self, fit=part, residual=residual, whole=whole, table={}, **spanned._asdict())
 
     def extend(self, columns: Array) -> "ScoreTest":
@@ -173,16 +168,45 @@ class ScoreTest:
             table={},
         )
 
-    def _alike(self, part: Fit) -> bool:
-        """Whether the columns of a part of the model are the same as in the whole: masses act through what gives way.
+    def _changed(self, part: Fit, kept: Sequence[bool]) -> Spanned | None:
+        """The columns of a part of the model, as changes of this span; None where more of them differ than a few.
 
-        Those of processes always are.
+        Masses act through what gives way: without it their columns go, and those beside the rest come. Columns of
+        processes are always the same.
+
+        Args:
+            part: of the model.
+            kept: as of `beside`.
         """
         before, whole_columns = self._named
         nuisance, part_columns = _named_columns(self.problem, part)
-        return np.array_equal(before, nuisance) and all(
-            np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns
+        if not all(np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns):
+            return None
+        stay = np.append(kept, True)[self.owners]
+        place = np.append(np.cumsum(kept) - 1, -1)
+        changed = (before != nuisance).any((1, 2))
+        if not changed.any():
+            span = self.span.part(stay, self.options.rounding)
+            return Spanned(span, place[self.owners[stay]], self.acting[stay])
+        acted, acts = (columns[..., self.fit.training].any((1, 2)) for columns in (before, nuisance))
+        of_nuisance = np.flatnonzero(self.owners < 0)
+        precision = self.problem.precision
+        if len(self.span.changes) or len(of_nuisance) != acted.sum() or not precision[changed].all():
+            return None
+        stay[of_nuisance[changed[acted]]] = False
+        numbers = np.flatnonzero(changed & acts)
+        flat = self._flat(nuisance[numbers])
+        readings = _with_readings(self.problem, precision)
+        measured = self.problem.rows * self.problem.samples
+        flat[:, measured : measured + len(readings)] = np.where(
+            numbers[:, None] == readings, np.sqrt(precision[readings]) * self.fit.scale[0], 0.0
         )
+        shorter = self.span.part(stay, self.options.rounding)
+        span = shorter.extended(flat, self.options.rounding)
+        if len(span.changes) - len(shorter.changes) != len(numbers):
+            return None
+        owners = np.append(place[self.owners[stay]], np.full(len(numbers), -1))
+        return Spanned(span, owners, np.concatenate([self.acting[stay], _acting(self.problem, nuisance[numbers])]))
 
     @cached_property
     def _named(self) -> "tuple[Array, dict[Term, Array]]":
@@ -381,7 +405,8 @@ class ScoreTest:
         """Columns `(number, row, sample)` as readings of the span: whitened, zero of held-out samples and priors."""
         flat = np.zeros((len(columns), self.span.whole.shape[1]))
         white = _white(self.fit, columns, self.scale)
-        flat[:, : self.problem.rows * self.problem.samples] = white.reshape(len(columns), -1)
+        measured = self.problem.rows * self.problem.samples
+        flat[:, :measured] = white.reshape(len(columns), measured)
         return flat
 
     def _by_block(self, products: Array) -> Array:
@@ -533,6 +558,17 @@ def _stated(problem: Problem) -> NDArray[np.integer]:
     return np.flatnonzero((problem.precision > 0) & problem.informative)
 
 
+def _with_readings(problem: Problem, precision: Array) -> NDArray[np.integer]:
+    """The numbers of a model whose priors are readings, in the order of these: first those that are stated.
+
+    Args:
+        problem: the data.
+        precision: `(number,)`, of the priors, the nuisance first.
+    """
+    stated = _stated(problem)
+    return np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
+
+
 def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions, whitened: Whitened) -> Spanned:
     """The columns of a model, with the readings of priors after those of the measurements: those that are stated first.
 
@@ -552,8 +588,7 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, options: EngineOptions, w
     columns, precision, owners = _determined(problem, fit.terms, columns, fit.scale[0])
     acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
-    stated = _stated(problem)
-    with_prior = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
+    with_prior = _with_readings(problem, precision)
     prior = np.zeros((len(columns), len(with_prior)))
     prior[with_prior, np.arange(len(with_prior))] = np.sqrt(precision[with_prior]) * fit.scale[0]
     is_nonzero = np.any(columns, 1)
