@@ -15,6 +15,7 @@ from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solv
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 from lite6jax.estimation.thresholds import CONFOUNDED
+from lite6jax.estimation.whitening import Whitened, weighed_columns
 
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
@@ -163,6 +164,7 @@ def fit(
     training: Mask | None = None,
     noise: NoiseModel | None = None,
     exact: bool = False,
+    whitened: Whitened | None = None,
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
@@ -185,20 +187,21 @@ def fit(
         noise: the noise model; white where not given.
         exact: whether derivatives are taken at the current estimate, by differences; a step then evaluates the
             residuals once for each number.
+        whitened: columns of other models of this problem, to which this one adds.
 
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
     following = options.fit.relinearisations and not exact and len(problem.precision)
     first = replace(options, fit=replace(options.fit, steps=_FIRST_STEPS)) if following else options
-    found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False)[1]
+    found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False, whitened)[1]
     if found.converged or exact:
         return found
     if following:
         found = _followed(problem, found, first)
     if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
         return found
-    again = _fitted(problem, terms, options, None, None, training, noise, False, False)[1]
+    again = _fitted(problem, terms, options, None, None, training, noise, False, False, whitened)[1]
     return again if again.gain_over(found) > 0 else found
 
 
@@ -252,6 +255,7 @@ def _fitted(
     noise: NoiseModel | None,
     exact: bool,
     moving: bool,
+    whitened: Whitened | None = None,
 ) -> tuple[P, Fit]:
     """The problem, relinearised at every step if `moving`, and the fit."""
     k = len(problem.precision)
@@ -262,6 +266,8 @@ def _fitted(
     noise = white_noise(problem.groups) if noise is None else noise
     precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
     rounding = _EXACT_ROUNDING if exact else ROUNDING
+    of_models = whitened or Whitened()
+    buffer = np.zeros((0, problem.rows, problem.samples))
 
     def residual(where: P, numbers: Array) -> Array:
         return where.residual(numbers[:k], terms, numbers[k:])
@@ -275,7 +281,7 @@ def _fitted(
         near = linearised_at(where, numbers[:k])
         if noise.white:
             return _parts(near, terms, numbers[k:])
-        return [noise.whitened(linear_columns(near, terms, numbers[k:]))]
+        return of_models.columns(near, terms, numbers[k:], noise)
 
     def differs(where: P, numbers: Array, others: Array) -> bool:
         """Whether columns at some numbers differ from those at others by the nuisance."""
@@ -303,7 +309,13 @@ def _fitted(
             converged = True
             break
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
-        parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
+        dense = [part for part in columns if not isinstance(part, Factored)]
+        if len(dense) == len(columns):
+            if len(buffer) != len(at):  # written at every step: new memory takes as long as the products
+                buffer = np.empty((len(at), problem.rows, problem.samples))
+            parts: list[Array | Factored] = [weighed_columns(dense, root, buffer)]
+        else:
+            parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
         H = gram(parts)
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision

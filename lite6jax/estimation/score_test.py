@@ -22,6 +22,7 @@ from lite6jax.estimation.problem import Problem, contribution, linearised_at, pr
 from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.estimation.thresholds import CONFOUNDED, EIGENVALUE_ROUNDING
+from lite6jax.estimation.whitening import Whitened, weighed_columns
 
 Array = NDArray[np.floating]
 
@@ -103,6 +104,7 @@ class ScoreTest:
         table: what was computed of candidates beside this model, by what they are; `beside` and `extend` change it.
         grams: products of candidates with themselves in each group of noise of unit variance, by what they are: those
             of all models of one linearisation.
+        whitened_model: the columns of all models of one linearisation.
     """
 
     problem: Problem
@@ -119,6 +121,7 @@ class ScoreTest:
     whole: "ScoreTest | None" = None
     table: dict[Hashable, Any] = field(default_factory=dict)
     grams: dict[Hashable, Array] = field(default_factory=dict)
+    whitened_model: Whitened = field(default_factory=Whitened)
 
     @property
     def basis(self) -> Array:
@@ -157,15 +160,10 @@ class ScoreTest:
             residual = residual.copy()
             residual[: added.size] -= _white(f, added, self.scale).ravel() / self.scale[0]
         part = f.part(kept)
-        if self._alike(part):
-            stay = np.append(kept, True)[self.owners]
-            place = np.append(np.cumsum(kept) - 1, -1)
-            span = self.span.part(stay, EIGENVALUE_ROUNDING)
-            spanned = Spanned(span, place[self.owners[stay]], self.acting[stay])
-            whole = None if span.whole is not self.span.whole else self.whole or self
-        else:
-            spanned = _spanned(self.problem, part, self.scale)
-            whole = None
+        spanned = self._changed(part, kept)
+        if spanned is None:
+            spanned = _spanned(self.problem, part, self.scale, self.whitened_model)
+        whole = None if spanned.span.whole is not self.span.whole else self.whole or self
         return replace(self, fit=part, residual=residual, whole=whole, table={}, **spanned._asdict())
 
     def extend(self, columns: Array) -> "ScoreTest":
@@ -182,16 +180,45 @@ class ScoreTest:
             table={},
         )
 
-    def _alike(self, part: Fit) -> bool:
-        """Whether the columns of a part of the model are the same as in the whole: masses act through what gives way.
+    def _changed(self, part: Fit, kept: Sequence[bool]) -> Spanned | None:
+        """The columns of a part of the model, as changes of this span; None where more of them differ than a few.
 
-        Those of processes always are.
+        Masses act through what gives way: without it their columns go, and those beside the rest come. Columns of
+        processes are always the same.
+
+        Args:
+            part: of the model.
+            kept: as of `beside`.
         """
         before, whole_columns = self._named
         nuisance, part_columns = _named_columns(self.problem, part)
-        return np.array_equal(before, nuisance) and all(
-            np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns
+        if not all(np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns):
+            return None
+        stay = np.append(kept, True)[self.owners]
+        place = np.append(np.cumsum(kept) - 1, -1)
+        changed = (before != nuisance).any((1, 2))
+        if not changed.any():
+            span = self.span.part(stay, EIGENVALUE_ROUNDING)
+            return Spanned(span, place[self.owners[stay]], self.acting[stay])
+        acted, acts = (columns[..., self.fit.training].any((1, 2)) for columns in (before, nuisance))
+        of_nuisance = np.flatnonzero(self.owners < 0)
+        precision = self.problem.precision
+        if len(self.span.changes) or len(of_nuisance) != acted.sum() or not precision[changed].all():
+            return None
+        stay[of_nuisance[changed[acted]]] = False
+        numbers = np.flatnonzero(changed & acts)
+        flat = self._flat(nuisance[numbers])
+        readings = _with_readings(self.problem, precision)
+        measured = self.problem.rows * self.problem.samples
+        flat[:, measured : measured + len(readings)] = np.where(
+            numbers[:, None] == readings, np.sqrt(precision[readings]) * self.fit.scale[0], 0.0
         )
+        shorter = self.span.part(stay, EIGENVALUE_ROUNDING)
+        span = shorter.extended(flat, EIGENVALUE_ROUNDING)
+        if len(span.changes) - len(shorter.changes) != len(numbers):
+            return None
+        owners = np.append(place[self.owners[stay]], np.full(len(numbers), -1))
+        return Spanned(span, owners, np.concatenate([self.acting[stay], _acting(self.problem, nuisance[numbers])]))
 
     @cached_property
     def _named(self) -> "tuple[Array, dict[Term, Array]]":
@@ -390,7 +417,8 @@ class ScoreTest:
         """Columns `(number, row, sample)` as readings of the span: whitened, zero of held-out samples and priors."""
         flat = np.zeros((len(columns), self.span.whole.shape[1]))
         white = _white(self.fit, columns, self.scale)
-        flat[:, : self.problem.rows * self.problem.samples] = white.reshape(len(columns), -1)
+        measured = self.problem.rows * self.problem.samples
+        flat[:, :measured] = white.reshape(len(columns), measured)
         return flat
 
     def _by_block(self, products: Array) -> Array:
@@ -480,7 +508,11 @@ def block_covariance(columns: Array, per_block: Array, values: Array, by_block: 
 
 
 def score_test(
-    problem: Problem, fit: Fit, options: EngineOptions, grams: dict[Hashable, Array] | None = None
+    problem: Problem,
+    fit: Fit,
+    options: EngineOptions,
+    grams: dict[Hashable, Array] | None = None,
+    whitened: Whitened | None = None,
 ) -> ScoreTest:
     """The score test against a fitted model.
 
@@ -489,6 +521,7 @@ def score_test(
         fit: the model.
         options: thresholds.
         grams: what tests of other models of this problem know of candidates, and to which this one adds.
+        whitened: columns of other models of this problem, to which this one adds.
 
     Returns:
         the test, of the problem whose columns are those at the fit.
@@ -516,9 +549,10 @@ def score_test(
     stated = _stated(problem)
     residual = np.concatenate([residual, np.sqrt(problem.precision[stated]) * off[stated]])
     blocks = _blocks(problem.samples, time)
-    spanned = _spanned(problem, fit, scale)
+    whitened = whitened or Whitened()
+    spanned = _spanned(problem, fit, scale, whitened)
     freedom = n - fit.parameters
-    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned)
+    test = ScoreTest(problem, fit, options, residual, blocks, freedom, time, scale, *spanned, whitened_model=whitened)
     return test if grams is None else replace(test, grams=grams)
 
 
@@ -535,7 +569,18 @@ def _stated(problem: Problem) -> NDArray[np.integer]:
     return np.flatnonzero((problem.precision > 0) & problem.informative)
 
 
-def _spanned(problem: Problem, fit: Fit, scale: Array) -> Spanned:
+def _with_readings(problem: Problem, precision: Array) -> NDArray[np.integer]:
+    """The numbers of a model whose priors are readings, in the order of these: first those that are stated.
+
+    Args:
+        problem: the data.
+        precision: `(number,)`, of the priors, the nuisance first.
+    """
+    stated = _stated(problem)
+    return np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
+
+
+def _spanned(problem: Problem, fit: Fit, scale: Array, whitened: Whitened) -> Spanned:
     """The columns of a model, with the readings of priors after those of the measurements: those that are stated first.
 
     Args:
@@ -543,13 +588,18 @@ def _spanned(problem: Problem, fit: Fit, scale: Array) -> Spanned:
         fit: of the model.
         scale: `(group,)`, of the noise.
         options: thresholds.
+        whitened: columns of other models.
     """
-    columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale)
+    if fit.noise.white:
+        parts = [linear_columns(problem, fit.terms, fit.values)]
+    else:
+        parts = whitened.columns(problem, fit.terms, fit.values, fit.noise)
+    out = np.empty((sum(map(len, parts)), problem.rows, problem.samples))
+    columns = weighed_columns(parts, (scale[0] / scale)[fit.residuals.groups, None] * fit.training, out)
     columns, precision, owners = _determined(problem, fit.terms, columns, fit.scale[0])
     acting = _acting(problem, columns)
     columns = columns.reshape(len(columns), problem.rows * problem.samples)
-    stated = _stated(problem)
-    with_prior = np.concatenate([stated, np.setdiff1d(np.flatnonzero(precision), stated)])
+    with_prior = _with_readings(problem, precision)
     prior = np.zeros((len(columns), len(with_prior)))
     prior[with_prior, np.arange(len(with_prior))] = np.sqrt(precision[with_prior]) * fit.scale[0]
     is_nonzero = np.any(columns, 1)

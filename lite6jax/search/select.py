@@ -32,6 +32,7 @@ from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contr
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
+from lite6jax.estimation.whitening import Whitened
 from lite6jax.search.scan import NEARLY, Considered, ModelScan, Pair, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
@@ -67,6 +68,7 @@ class Selector:
         self._preset = problem.preset[0].terms
         self._latest: ScoreTest | None = None
         self._grams: dict[Hashable, Array] = {}
+        self._whitened = Whitened()
         self._known: dict[tuple[int, int], tuple[Fit, list[Ranked]]] = {}
 
     # -------------------------------------------------------------- the search
@@ -300,11 +302,14 @@ class Selector:
         new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
         included = {term for one in new for term in one.term.includes}
         kept = [one for one in state.tested if one.term not in included]
-        return refitted(self.problem, state, [*kept, *new], self.options)
+        return self._refitted(state, [*kept, *new])
+
+    def _refitted(self, state: State, tested: Sequence[SelectedTerm]) -> State:
+        return refitted(self.problem, state, tested, self.options, self._whitened)
 
     def _left_out(self, state: State, k: int) -> State:
         """Without the k-th term, refitted."""
-        return refitted(self.problem, state, [*state.tested[:k], *state.tested[k + 1 :]], self.options)
+        return self._refitted(state, [*state.tested[:k], *state.tested[k + 1 :]])
 
     # -------------------------------------------------------------- each term beside the others
 
@@ -317,7 +322,7 @@ class Selector:
         if self._latest is None or self._latest.fit is not state.fit:
             if sum(parts.size for parts in self._grams.values()) > _PRODUCTS:  # those of earlier noise are among them
                 self._grams.clear()
-            self._latest = score_test(self.problem, state.fit, self.options, self._grams)
+            self._latest = score_test(self.problem, state.fit, self.options, self._grams, self._whitened)
         return self._latest
 
     def _estimated(self, state: State) -> State:
@@ -334,7 +339,7 @@ class Selector:
             moved = [k for k in open_ if tested[k].term != state.tested[k].term]
             if not moved:
                 return replace(state, tested=tuple(tested))
-            state = refitted(self.problem, state, tested, self.options)
+            state = self._refitted(state, tested)
             open_ = [k for k in moved if not tested[k].term.nonparametric]
         return state
 
@@ -395,7 +400,7 @@ class Selector:
             if self.problem.curved:
                 least = {int(order[0])}
             rest = [one for k, one in enumerate(tested) if k not in least]
-            without = refitted(self.problem, state, rest, self.options)
+            without = self._refitted(state, rest)
             if self.problem.curved and without.evidence < state.evidence - MARGIN:
                 return state
             state = without
@@ -543,7 +548,7 @@ class Selector:
             test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
             likeliest = self._processes(test, component, [tuple(together)])
             if likeliest and likeliest[0].net >= MARGIN:
-                bare = refitted(self.problem, state, rest, self.options)
+                bare = self._refitted(state, rest)
                 return self._settled(self._estimated(self._with(bare, likeliest[0])))
         return None
 
@@ -760,7 +765,8 @@ class Selector:
         noise = remaining_noise_model(self.problem, fitted, self.options)
         if noise.white and fitted.noise.white:
             return fitted
-        return fit(self.problem, fitted.terms, self.options, fitted.values, fitted.nuisance, fitted.training, noise)
+        start = fitted.values, fitted.nuisance, fitted.training
+        return fit(self.problem, fitted.terms, self.options, *start, noise, whitened=self._whitened)
 
 
 def _phrases(term: Term) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.terms import Term, Terms, join
+from lite6jax.estimation.whitening import Whitened
 
 
 @final
@@ -89,19 +90,32 @@ class State:
         return self.fit.own_likelihood - self.fit.volume - names - sum(test.cost for test in self.tested)
 
 
-def refitted(problem: Problem, state: State, tested: Sequence[SelectedTerm], options: EngineOptions) -> State:
-    """The state with other terms, fitted from the numbers that it has of them, in its noise."""
+def refitted(
+    problem: Problem,
+    state: State,
+    tested: Sequence[SelectedTerm],
+    options: EngineOptions,
+    whitened: Whitened | None = None,
+) -> State:
+    """The state with other terms, fitted from the numbers that it has of them, in its noise.
+
+    Args:
+        problem: of the state.
+        state: to start from.
+        tested: the terms.
+        options: thresholds.
+        whitened: as of `fit`.
+    """
     f = state.fit
     terms = Terms(tuple(test.term for test in tested))
     if not tested:  # from the nuisance alone: from that beside a term, another, lower maximum may be reached
         nuisance = state.baseline.nuisance_about(problem)
-        bare = fit(problem, terms, options, None, nuisance, f.training, f.noise)
+        bare = fit(problem, terms, options, None, nuisance, f.training, f.noise, whitened=whitened)
         return replace(state, fit=bare, tested=())
     values_by_term = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
     start = join([values_by_term.get(term, np.zeros(term.size)) for term in terms.terms])
-    return replace(
-        state, fit=fit(problem, terms, options, start, f.nuisance, f.training, f.noise), tested=tuple(tested)
-    )
+    again = fit(problem, terms, options, start, f.nuisance, f.training, f.noise, whitened=whitened)
+    return replace(state, fit=again, tested=tuple(tested))
 
 
 def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:

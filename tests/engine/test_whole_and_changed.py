@@ -1,15 +1,16 @@
 """What is weighed beside a model without a term, or with more, is what is weighed when nothing of the whole is used."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Decay, Process, Wave, linear_problem
+from engine.linear_problem import Column, Decay, LinearProblem, Process, Wave, linear_problem
 
 from lite6jax.estimation.evidence import Marginal
-from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.least_squares import fit, linear_columns
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import prior_precision
 from lite6jax.estimation.projection import Span
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
@@ -25,6 +26,57 @@ def computed_anew(test):
     basis = test.span.basis
     span = Span(basis, np.eye(len(basis)), np.zeros((0, basis.shape[1])), np.zeros(0))
     return replace(test, span=span, whole=None, table={}, grams={})
+
+
+class WithMasses(LinearProblem):
+    """A problem with two masses more, known by a prior, that act through what the name u2 and a wave give way."""
+
+    precision = property(lambda self: np.array([0.0, 0.0, 4.0, 1.0]))
+    informative = property(lambda self: np.array([False, False, True, False]))
+
+    def __post_init__(self):
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        object.__setattr__(self, "plain", LinearProblem(**plain | {"offset": 0.0}))
+        object.__setattr__(self, "offset", np.zeros(4))
+        self.data["every_run"] = self.every_run
+
+    def nuisance_columns(self, terms, values):
+        sizes = {term: values[part].sum() for term, part in zip(terms.terms, terms.slices, strict=True)}
+        through = np.stack([self.data["u1"] + self.data["angle"], self.data["u3"] * self.data["u1"]])
+        moved = sizes.get(Column("u2"), 0.0) * through + sizes.get(Wave(2.0), 0.0) * through**2
+        return np.concatenate([self.levels, 0.3 * moved[:, None] * np.array(self.shares)[:, None] ** 2])
+
+    def residual(self, nuisance, terms, values):
+        masses = np.tensordot(nuisance[2:], self.nuisance_columns(terms, values)[2:], 1)
+        return self.plain.residual(nuisance[:2], terms, values) + masses
+
+
+@pytest.fixture(scope="module", params=["white", "autocorrelated"])
+def with_masses(request):
+    """A test of a model with a name through which masses act, as `whole`."""
+    planted = lambda d: 0.8 * d["u2"] + np.tanh(3 * d["u3"]) + 0.4 * d["u5"] ** 2 + 0.5 * np.sin(3 * d["angle"])  # noqa: E731
+    plain = linear_problem(np.random.default_rng(6), 160, planted)
+    problem = WithMasses(**{field.name: getattr(plain, field.name) for field in fields(plain)})
+    third = problem.quantities[2]
+    process = Process("x", (third.driver,), third.bounds, "cubic", 1.0)
+    noise = None
+    if request.param != "white":
+        noise = NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+    fitted = fit(problem, Terms((Column("u2"), Wave(2.0), process)), OPTIONS, noise=noise)
+    return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
+
+
+def projection_on(problem, test):
+    """The projection on the columns of a model with the readings of their priors, those that are stated first."""
+    fitted = test.fit
+    columns = fitted.noise.whitened(linear_columns(problem, fitted.terms, fitted.values))
+    columns = (columns * (test.scale[0] / test.scale)[:, None]).reshape(len(columns), -1)
+    precision = np.append(problem.precision, prior_precision(problem, fitted.terms.terms))
+    order = np.argsort(~np.append(problem.informative, np.zeros(fitted.terms.size, bool)), kind="stable")
+    rows = np.concatenate([columns, (np.diag(np.sqrt(precision)) * fitted.scale[0])[:, order]], 1)
+    rows = rows[columns.any(1)]
+    read = len(test.residual)
+    return rows[:, :read].T @ np.linalg.pinv(rows @ rows.T, hermitian=True) @ rows[:, :read]
 
 
 def assert_close(some, others, tolerance=1e-9):
@@ -105,6 +157,19 @@ def test_information_and_pull_are_those_computed_anew_to_nine_digits(whole):
             exactly = changed_marginal.dense(component.column, functions[0], (component.site, component.name, "exact"))
             for one, other in zip(exactly, marginal.dense(component.column, functions[0]), strict=True):
                 assert_close(one, other)
+
+
+@pytest.mark.parametrize("stay", [(False, True, True), (True, False, True), (False, False, True)])
+def test_beside_a_model_without_what_masses_act_through_their_columns_are_others(with_masses, stay):
+    problem, scan, test = with_masses
+    part = test.beside(stay)
+    assert part.whole is test
+    assert_close(part.basis.T @ part.basis, projection_on(problem, part))
+    expected = all_weighed(scan, computed_anew(part))
+    odds_by_name = all_weighed(scan, part)
+    assert odds_by_name.keys() == expected.keys()
+    for key, odds in expected.items():
+        assert odds_by_name[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
 
 
 def test_a_part_of_a_part_is_that_part_of_the_whole(whole):
