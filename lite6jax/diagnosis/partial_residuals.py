@@ -155,7 +155,9 @@ def _movements(diagnosis: Diagnosis, effect: Bending, k: int, used: Mask) -> Ite
 def _site(field: str, i: int, dimensions: int) -> Site:
     if dimensions == 3:
         return (field, *divmod(i, 6))
-    return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
+    if field in ("base", "tool", "sensor"):
+        return (field, 0, i)
+    return (field, i, 0)
 
 
 def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
@@ -231,7 +233,9 @@ def _displacement_curve(diagnosis: Diagnosis, k: int, used: Mask) -> FindingCurv
 
 
 def _correlation(a: Array, b: Array) -> float:
-    return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return 0.0
+    return float(abs(np.corrcoef(a, b)[0, 1]))
 
 
 # ------------------------------------------------------------------ of torques
@@ -290,7 +294,9 @@ def _process_curve(
     effect: Any = finding.effect
     if effect.hysteretic or len(drivers) > 1:
         return _curve(diagnosis, k, "driver", effect.drivers[0], x, of, scattered=True)
-    highest = orders_of(effect.bounds)[-1] if effect.kernel == "spectrum" else 0.0
+    highest = 0.0
+    if effect.kernel == "spectrum":
+        highest = orders_of(effect.bounds)[-1]
     periods = max(highest * np.ptp(x) / (2 * np.pi), 1.0)
     at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
     functions = np.asarray(effect.functions_at(at[None])) - np.reshape(mean, (-1, 1))

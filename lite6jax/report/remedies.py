@@ -81,7 +81,9 @@ def _exerted(entry: Entry) -> str:
     in_metres = any(name.endswith(("_m", "_m_per_N")) for name in entry.get("parameters", ()))
     if entry["effect"].startswith("joint_") and (in_metres or "slide position" in str(entry.get("driver"))):
         return "force"
-    return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
+    if "moves_rms_N" in entry and "moves_rms_Nm" not in entry:
+        return "force"
+    return "torque"
 
 
 def _places(entry: Entry) -> list[str]:
@@ -98,7 +100,9 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
     """
     rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
     distinct = []
-    driver_sets = [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
+    driver_sets = []
+    if finding["effect"] == "unnamed":
+        driver_sets = [set(drivers_of(finding))]
     for rival in rivals:
         if rival["effect"] == "unnamed":
             drivers = set(drivers_of(rival))
@@ -170,18 +174,24 @@ def detail(entry: Entry) -> str:
 def component(where: Entry) -> str:
     """Along or about which axis an effect acts that is at no joint."""
     at_joint = where.get("where", where.get("site", "joint")).startswith("joint")
-    return "" if at_joint or "component" not in where else f" ({where['component']})"
+    if at_joint or "component" not in where:
+        return ""
+    return f" ({where['component']})"
 
 
 def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
-    two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
+    two = "a surface"
+    if "direction of motion" in where["driver"]:
+        two = "a curve in each direction"
     return _SHAPES.get(where.get("kernel", "smooth"), two)
 
 
 def drivers_of(entry: Entry) -> Sequence[str]:
     """The phrases of what an effect depends on."""
-    return [] if entry["driver"] == "none" else entry["driver"].split(" and ")
+    if entry["driver"] == "none":
+        return []
+    return entry["driver"].split(" and ")
 
 
 def with_articles(driver: str) -> str:
