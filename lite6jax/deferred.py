@@ -123,7 +123,9 @@ class _LazyLoader(Loader):
         self.loader = loader
 
     def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
-        finders = [finder for finder in sys.meta_path if finder is not self] if name.startswith("lite6jax.") else []
+        finders = []
+        if name.startswith("lite6jax."):
+            finders = [finder for finder in sys.meta_path if finder is not self]
         spec = next((located for finder in finders if (located := finder.find_spec(name, path, target))), None)
         if spec is not None and spec.loader is not None:
             spec.loader = _LazyLoader(spec.loader)

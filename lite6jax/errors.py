@@ -72,4 +72,6 @@ def require_type(argument: str, argument_value: object, kinds: type | UnionType,
 def command_line(*arguments: object) -> str:
     """A command `lite6jax …` as the shell takes it, names with spaces quoted."""
     words = ["lite6jax", *map(str, arguments)]
-    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
+    if os.name == "nt":
+        return subprocess.list2cmdline(words)
+    return shlex.join(words)

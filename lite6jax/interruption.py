@@ -55,7 +55,9 @@ def undo() -> None:
 
 def _end(number: int, frame: FrameType | None) -> None:
     undo()
-    outcome = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    outcome = "interrupted"
+    if number != signal.SIGINT:
+        outcome = f"ended by {signal.Signals(number).name}"
     # progress bars have hidden the cursor of a terminal
     shown = "\r\x1b[K\x1b[?25h" if os.isatty(2) else ""
     with suppress(OSError):

@@ -144,7 +144,9 @@ def predict_frames_with(
         joint = joint_motion(chain, motion.joint_position)
         moving = motion.joint_velocity, motion.joint_acceleration
         loaded = physics.loaded
-        statics = loads(chain, model.geometry, joint, motion.payload, inertia, *moving) if loaded else None
+        statics = None
+        if loaded:
+            statics = loads(chain, model.geometry, joint, motion.payload, inertia, *moving)
     return predict_bent(chain, model, motion.joint_position, physics.deflect(values, motion, statics))
 
 

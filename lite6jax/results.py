@@ -108,7 +108,9 @@ class PublicResult:
     def _repr_html_(self) -> str:
         """The sentences and the notes, each an entry of a list, without styles, scripts or links."""
         title, sentences, notes = self._description
-        more = [f"{len(notes) - MOST_NOTES} more notes"] if len(notes) > MOST_NOTES else []
+        more = []
+        if len(notes) > MOST_NOTES:
+            more = [f"{len(notes) - MOST_NOTES} more notes"]
         lists = (sentences, [*notes[:MOST_NOTES], *more])
         shown = ("".join(f"<li>{escape(line)}</li>" for line in lines) for lines in lists if lines)
         return f"<p><b>{escape(title)}</b></p>" + "".join(f"<ul>{entries}</ul>" for entries in shown)

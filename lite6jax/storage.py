@@ -235,7 +235,9 @@ def parse_yaml(text: str, path: str | Path) -> Any:
     try:
         return _construct(path, text)
     except yaml.YAMLError as error:
-        mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
+        mark = None
+        if isinstance(error, yaml.MarkedYAMLError):
+            mark = error.problem_mark
         where = f" line {mark.line + 1}:" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours

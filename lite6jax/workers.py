@@ -321,7 +321,9 @@ class _Process:
         self._resident = 0
         # it inherits a blocked Ctrl-C, which is this process's to answer
         blocks = hasattr(signal, "pthread_sigmask")
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
+        before = ()
+        if blocks:
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             self._process.start()
         finally:

@@ -34,7 +34,9 @@ def joint_unit(text: str, slides: bool) -> str:
 
     Nm·s/rad is N·s/m, and `viscous_Nm_s_per_rad` is `viscous_N_s_per_m`.
     """
-    return _WORD.sub(lambda match: _OF_SLIDE[match.group()][0], text) if slides else text
+    if slides:
+        return _WORD.sub(lambda match: _OF_SLIDE[match.group()][0], text)
+    return text
 
 
 def joint_size(value: float, unit: str, slides: bool) -> float:

@@ -188,11 +188,15 @@ class HayatiForm:
                 return tuple(name for name in BASE if name not in (along, about))
             return ("pitch", "roll") if parallel else ("yaw", "roll")
         if joint + 1 in self.sliding:
-            return ("alpha", "beta") if parallel else ("theta_off", "alpha")
+            if parallel:
+                return ("alpha", "beta")
+            return ("theta_off", "alpha")
         if last and slides:
             return "theta_off", "d", "a", "b"
         if parallel:
-            return ("a", "b", "alpha", "beta") if slides else ("theta_off", "beta", "a", "alpha")
+            if slides:
+                return ("a", "b", "alpha", "beta")
+            return ("theta_off", "beta", "a", "alpha")
         return "theta_off", "d", "a", "alpha"
 
     @cached_property
@@ -395,7 +399,9 @@ def sweep(
         )
     of_base, steps = _in_order(form, parameters)
     frame, twists = form.apply_base(start, of_base)
-    of_frame = [] if emit is None else [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
+    of_frame = []
+    if emit is not None:
+        of_frame = [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
 
     def walk(frame: Frame, at: tuple[Array, Array, Turn, Bend]) -> tuple[Frame, tuple[Any, ...]]:
         values, flag, motion, bent = at

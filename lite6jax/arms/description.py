@@ -108,7 +108,9 @@ FRANKA_JOINTS = 7
 
 def is_franka(content: Any) -> bool:
     """Whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
-    entries_of_joints = content.values() if isinstance(content, Mapping) else ()
+    entries_of_joints = ()
+    if isinstance(content, Mapping):
+        entries_of_joints = content.values()
     return bool(entries_of_joints) and all(
         isinstance(entry, Mapping) and set(entry) == {"kinematic"} for entry in entries_of_joints
     )
@@ -173,7 +175,9 @@ def _inertial(value: Any, where: str, joints: int) -> dict[str, Array]:
             raise InputError(f"{place}: com_m is {centers[-1]}, beyond any arm, so it seems to be in millimetres")
         if "inertia_kg_m2" in link:
             tensors.append(entries.numbers(link["inertia_kg_m2"], f"{place}: inertia_kg_m2", 6))
-            gyration = np.sqrt(max(map(abs, tensors[-1])) / masses[-1]) if masses[-1] > 0 else 0.0
+            gyration = 0.0
+            if masses[-1] > 0:
+                gyration = np.sqrt(max(map(abs, tensors[-1])) / masses[-1])
             if gyration > entries.LENGTH_LIMIT:
                 raise InputError(
                     f"{place}: inertia_kg_m2 has a radius of gyration of {gyration:.3g} m, beyond any arm, so it seems"
@@ -259,7 +263,9 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     }
     content["joint_limits" if arm.sliding else "joint_limits_rad"] = arm.joint_limits.tolist()
     if arm.mass is not None and arm.center_of_mass is not None:
-        tensors = {} if arm.inertia is None else {"inertia_kg_m2": frames.six_entries(arm.inertia)}
+        tensors = {}
+        if arm.inertia is not None:
+            tensors = {"inertia_kg_m2": frames.six_entries(arm.inertia)}
         columns = {"mass_kg": arm.mass, "com_m": arm.center_of_mass} | tensors
         content["inertial"] = {
             f"link{i + 1}": {key: column[i].tolist() for key, column in columns.items()} for i in range(arm.dof)

@@ -385,7 +385,8 @@ def _plain(value: Decimal) -> str:
     """A decimal in JSON with its point, so that every reader reads it as a float."""
     value = value.normalize(_EXACT)
     mantissa, _, power = (format(value, "f") if -7 <= value.adjusted() < 16 else str(value)).partition("E")
-    mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
+    if "." not in mantissa:
+        mantissa = f"{mantissa}.0"
     return f"{mantissa}e{power}" if power else mantissa
 
 
@@ -436,7 +437,9 @@ def _decimal(value: Any, where: str) -> Decimal:
 
 def _reader(units: Any, where: str) -> _Read:
     """How the numbers of a table are read, by words such as `mm and deg`, `mm,deg` or `m, rad`."""
-    words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", units.strip().lower()) if isinstance(units, str) else []
+    words = []
+    if isinstance(units, str):
+        words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", units.strip().lower())
     lengths, angles = ([unit for word in words for unit, of in _UNITS[kind].items() if word in of] for kind in (0, 1))
     if (len(words), len(lengths), len(angles)) != (2, 1, 1):
         raise InputError(f"{where} is {str(units)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")

@@ -532,7 +532,9 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
         multiplier = multiplier + length * turn
         if length == 1.0 and np.linalg.norm(step) < 1e-9 * np.linalg.norm(y):
             break
-    return y if np.linalg.norm(C @ y - d) <= 1e-12 * (1 + np.linalg.norm(d)) else None
+    if np.linalg.norm(C @ y - d) <= 1e-12 * (1 + np.linalg.norm(d)):
+        return y
+    return None
 
 
 def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:

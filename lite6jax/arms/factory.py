@@ -95,7 +95,9 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
     content = entries.mapping(content, f"{path}:", ("kinematics",))
     kinematics, names, _ = entries.kinematics(content["kinematics"], str(path))
     calibration = _recognise(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
-    return _align(calibration) if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT else calibration
+    if np.abs(kinematics[:, :3]).max() > entries.LENGTH_LIMIT:
+        return _align(calibration)
+    return calibration
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:
@@ -308,7 +310,9 @@ def _published_dh(arm: Arm) -> Array | None:
     if arm.dh is not None:
         return arm.dh
     base, links = arm.form.unpack(arm.hayati)
-    return links[:, DH_COLUMNS] if max(np.abs(base).max(), np.abs(links[:, 5]).max()) < 1e-6 else None
+    if max(np.abs(base).max(), np.abs(links[:, 5]).max()) < 1e-6:
+        return links[:, DH_COLUMNS]
+    return None
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:

@@ -235,7 +235,9 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     if form not in WHOLE_ARM and not calibrated:
         bodies = ""
         if arm.mass is not None:
-            bodies = " and masses" if arm.inertia is None else ", masses and inertia"
+            bodies = ", masses and inertia"
+            if arm.inertia is None:
+                bodies = " and masses"
         drives = [term for field, term in JOINT_TERMS.items() if field in arm.drives]
         phrases += [f"joint limits{bodies}", *drives]
     if form in ("vendor", "ur") and arm.sliding:

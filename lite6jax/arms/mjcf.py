@@ -142,7 +142,9 @@ def _joint(model: Any, j: int, parent: str, child: str, T: Array) -> Joint:
         widest = 1.0
     row = frames.row_from_transform(T @ R @ frames.transform_from_row(reference) @ R.T)
     lower, upper = model.jnt_range[j] if model.jnt_limited[j] else (-widest, widest)
-    refused = "" if kind else "is neither hinge nor slide, which an arm here is made of;"
+    refused = "is neither hinge nor slide, which an arm here is made of;"
+    if kind:
+        refused = ""
     axis = np.array(model.jnt_axis[j])
     return Joint(model.joint(j).name, kind, parent, child, row, axis, (float(lower), float(upper)), refused)
 

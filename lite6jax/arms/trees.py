@@ -202,7 +202,8 @@ def jaw(path: str | Path, tree: Tree) -> tuple[str, str]:
     while arm and (arm[-1].refused or _JAW_JOINT.search(arm[-1].name) or _JAW_LINK.search(arm[-1].child)):
         arm.pop()
     jaw_recognised = len(arm) < len(moving)
-    arm = arm if jaw_recognised else arm[:-1]
+    if not jaw_recognised:
+        arm = arm[:-1]
     if not arm:
         return "", ""
     first = moving[len(arm)]

@@ -169,7 +169,9 @@ def _drives(path: str | Path, robot: ET.Element, moving: list[Joint]) -> dict[st
     elements = _joint_elements(robot)
     for joint in moving:
         entry = elements[joint.child].find("dynamics")
-        attributes = {} if entry is None else {field: entry.get(key) for field, key in _DYNAMICS.items()}
+        attributes = {}
+        if entry is not None:
+            attributes = {field: entry.get(key) for field, key in _DYNAMICS.items()}
         for extension in _extensions(robot, elements[joint.child]):
             attributes |= {field: e.text for field, tag in _SPRINGS.items() for e in extension.findall(tag)}
         dynamics.append(attributes)
@@ -398,7 +400,8 @@ def _set_limits(joint: ET.Element, limits: Mapping[LimitKey, Array] | None, i: i
     for key, values in (limits or {}).items():
         if np.isfinite(values[i]):
             entry = joint.find("limit")
-            entry = ET.SubElement(joint, "limit") if entry is None else entry
+            if entry is None:
+                entry = ET.SubElement(joint, "limit")
             entry.set(key, repr(float(values[i])))
 
 
@@ -412,7 +415,8 @@ def _set_drive(robot: ET.Element, joint: ET.Element, arm: Arm, i: int) -> None:
             continue
         value = repr(float(drives[field][i]))
         if field in _DYNAMICS:
-            entry = ET.SubElement(joint, "dynamics") if entry is None else entry
+            if entry is None:
+                entry = ET.SubElement(joint, "dynamics")
             entry.set(key, value)
             continue
         spring = next((spring_entry for e in extensions if (spring_entry := e.find(key)) is not None), None)

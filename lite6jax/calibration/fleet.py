@@ -182,7 +182,9 @@ def fit_fleet_calibrations(
 
 def _load_type(nominal: Arm | str | None) -> Arm:
     require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
-    return description.load_bundled(nominal) if isinstance(nominal, str) else cast(Arm, nominal)
+    if isinstance(nominal, str):
+        return description.load_bundled(nominal)
+    return cast(Arm, nominal)
 
 
 def _chain_poses(kinematics: NDArray, joint_position: Array, sliding: tuple[int, ...]) -> jax.Array:

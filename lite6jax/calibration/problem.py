@@ -88,8 +88,11 @@ class CalibrationProblem:
         if self.spread is not None:  # what the noise is more than declared was added to it
             variance = np.maximum(variance - np.square(np.array(self.declared_noise, float)), 0.0)
         sensor = np.diag(np.repeat(variance, 3)[: self.rows])
-        sensor = sensor if self.spread is None else sensor + self.spread
-        return sensor if self.by_joints is None else sensor + self.by_joints
+        if self.spread is not None:
+            sensor = sensor + self.spread
+        if self.by_joints is None:
+            return sensor
+        return sensor + self.by_joints
 
     @cached_property
     def whitener(self) -> Array:

@@ -123,7 +123,9 @@ def quality_of_calibration(distance: Array) -> Quality:
 
 def upper_quartile(distance: Array) -> float:
     """The distance that three quarters of `(sample,)` do not exceed; infinite where one is not finite."""
-    return float(np.percentile(distance, _QUARTILE)) if np.isfinite(distance).all() else float("inf")
+    if np.isfinite(distance).all():
+        return float(np.percentile(distance, _QUARTILE))
+    return float("inf")
 
 
 def spread_of(position: Array) -> float:

@@ -80,7 +80,8 @@ def observe(
 
     count = weight.shape[0] // block
     position, rotation = (pose[:, :3, 3], blocked(pose[:, :3, :3])) if pose.ndim == 3 else (pose, None)
-    rotation = jnp.zeros((count, 3, 3, 0)) if rotation is None else rotation
+    if rotation is None:
+        rotation = jnp.zeros((count, 3, 3, 0))
     whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
     joint = joint_turn(blocked(q), form.chain.sliding)
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
@@ -204,7 +205,8 @@ def linearise(
     W = observed.whitener
     if W.ndim == 1:  # two products, without the zeros
         curvature = W[0] ** 2 * product(shift)
-        curvature = curvature if torque is None else curvature.at[np.ix_(at, at)].add(W[1] ** 2 * product(turn))
+        if torque is not None:
+            curvature = curvature.at[np.ix_(at, at)].add(W[1] ** 2 * product(turn))
     else:
         rows = jnp.sum(W[:, :3] * shift[:, None], 2)
         if torque is not None:

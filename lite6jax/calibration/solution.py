@@ -43,7 +43,9 @@ class Errors:
 
     def select(self, samples: slice | NDArray) -> "Errors":
         """Those of some samples."""
-        orientation = None if self.orientation is None else self.orientation[samples]
+        orientation = None
+        if self.orientation is not None:
+            orientation = self.orientation[samples]
         return Errors(self.position[samples], orientation, self.joint_position[samples])
 
     @property
@@ -205,7 +207,9 @@ class Solution(PublicResult):
     @cached_property
     def standard_deviation(self) -> Array | None:
         """`(size,)` in m and rad; zero where held."""
-        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
+        if self.covariance is None:
+            return None
+        return np.sqrt(np.diagonal(self.covariance))
 
     @property
     def prior_share(self) -> Array:

@@ -166,7 +166,9 @@ def fit_chunks(
     def part(array: np.ndarray, first: int) -> np.ndarray:
         """A chunk's arms of an array; the last chunk is filled up with its last arm."""
         arms = array[first : first + chunk]
-        return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
+        if len(arms) == chunk:
+            return arms
+        return np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
 
     def solve(first: int) -> Fits:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
@@ -397,8 +399,10 @@ def solve(
     form = problem.form
     count = len(problem.pose)
     solve_one = _solve_one_of_few if count <= _FEW else _solve_one
-    free = problem.movable if free is None else free
-    weight = np.ones(count) if weight is None else weight
+    if free is None:
+        free = problem.movable
+    if weight is None:
+        weight = np.ones(count)
     size, block = padded_size(count)
     leaves = [problem.joint_position, problem.pose, weight]
     leaves += [problem.whitener] if problem.whitener.ndim > 1 else []
@@ -423,13 +427,16 @@ def solve(
         robust = Robust(np.asarray(freedom or _GAUSSIAN), np.asarray(scale))  # type: ignore[arg-type]
         # Student's loss curves less than its weighted squares, by a share that the residuals show
         scaled = squares[weight > 0] / scale**2
-        share = 1.0 if freedom is None else max(curvature_share(scaled, problem.rows, freedom), _LEAST_CURVED)
+        share = 1.0
+        if freedom is not None:
+            share = max(curvature_share(scaled, problem.rows, freedom), _LEAST_CURVED)
         prior = prior._replace(robust=robust, share=share)
         if solver == "levenberg_marquardt" and max_steps:
             solved = _solve_of_record(form, max_steps, model, observed, prior)
             model, cost, good, more = jax.tree.map(np.asarray, solved)
             result = Result.CONVERGED if good else Result.STEPS_EXHAUSTED
-            result = result if np.isfinite(cost) else Result.NOT_FINITE
+            if not np.isfinite(cost):
+                result = Result.NOT_FINITE
         else:
             solved = jax.tree.map(np.asarray, solve_one(form, model, observed, max_steps, prior))
             model = solved.model

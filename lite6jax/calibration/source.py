@@ -98,7 +98,9 @@ def read_source(
         limits = _widest_limits(bundled)
         reach = max(arm.reach for arm in bundled)
         check_scale(recording, limits, reach, degrees=assume_degrees, millimetres=assume_millimetres)
-    return recording if not recording.numbers_per_sample else with_arm(recording, warn=True)
+    if not recording.numbers_per_sample:
+        return recording
+    return with_arm(recording, warn=True)
 
 
 def arm_of(recording: Recording) -> Arm:
@@ -171,7 +173,9 @@ def matches(recording: Recording) -> list[Match]:
     bundled = bundled_of(recording.dof)
     if bundled:  # a wrong unit is no reason to find no arm
         require_radians(recording.joint_position, _widest_limits(bundled), f"{recording.source}: joint_position")
-    tool = None if recording.settings.tool == "unknown" else declared_tool(recording)
+    tool = None
+    if recording.settings.tool != "unknown":
+        tool = declared_tool(recording)
     position = recording.position
     arm_errors = []
     assert position is not None

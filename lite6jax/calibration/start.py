@@ -67,7 +67,9 @@ def measured_rotations(recording: "Recording") -> Array | None:
 def declared_tool(recording: "Recording") -> Array:
     """`T_flange_tool` `(4, 4)` as the settings declare it, the identity where they declare none."""
     tool = recording.settings.tool
-    return np.eye(4) if isinstance(tool, str) else frames.transform_from_row(tool)
+    if isinstance(tool, str):
+        return np.eye(4)
+    return frames.transform_from_row(tool)
 
 
 def frames_from_recording(recording: "Recording", flange: Array, tool: Array | None) -> tuple[Array, Array]:

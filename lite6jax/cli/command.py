@@ -118,7 +118,9 @@ def load_own_effects(file: Path | None) -> "tuple[Effect, ...]":
 def name_arm(arm: str, file: Path) -> str:
     """How a sidecar, or what stands in its folder, names an arm: a bundled one by its name, a file by its relative
     path."""
-    return arm if arm in description.bundled_arms() else relative_path(arm, file)
+    if arm in description.bundled_arms():
+        return arm
+    return relative_path(arm, file)
 
 
 def relative_path(path: str | Path, file: Path) -> str:
@@ -185,13 +187,19 @@ def find_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
     """
     sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] in ("arm", "simulator")}
     recording = find_recording(document, diagnosis)
-    declared = None if recording is None else sidecar_settings.sidecar_path(recording)
+    declared = None
+    if recording is not None:
+        declared = sidecar_settings.sidecar_path(recording)
     if declared is None or not sums or not exists(declared):
         return None
     settings = sidecar_settings.read_settings(declared)
-    reference = str(settings.arm_reference(declared.parent)) if settings.arm_is_file else ""
+    reference = ""
+    if settings.arm_is_file:
+        reference = str(settings.arm_reference(declared.parent))
     file = Path(reference.partition("#")[0])
-    return reference if reference and file.is_file() and file_sha256(file) in sums else None
+    if reference and file.is_file() and file_sha256(file) in sums:
+        return reference
+    return None
 
 
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
@@ -274,7 +282,9 @@ def save_figures(
     folder: Path | None, names: Sequence[str], draw: "Callable[[], Iterable[Figure]]", overwrite: bool
 ) -> list[Path]:
     """Draws figures and writes them by these names, as far as there are some, where a folder is given."""
-    return [] if folder is None else figures.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
+    if folder is None:
+        return []
+    return figures.save(dict(zip(names, draw(), strict=False)), folder, overwrite)
 
 
 def present(

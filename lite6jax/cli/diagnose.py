@@ -189,7 +189,9 @@ class DiagnoseCommand:
             return "torques"
         if self.tracking or self.simulator:
             return "tracking"
-        return "poses" if self.poses or (self.fleet and recording.numbers_per_sample) else None
+        if self.poses or (self.fleet and recording.numbers_per_sample):
+            return "poses"
+        return None
 
     def _prepare(self) -> "tuple[recordings.Recording, Callable[..., Found]]":
         """The recording, and the search, which takes `progress`.
@@ -235,7 +237,9 @@ class DiagnoseCommand:
 
     def write(self, found: "Found", document: Any) -> list[Path]:
         """Writes the document, the figures and the page where there are places for them."""
-        written = [diagnosis_file.write_document(document, self.out, self.force)] if self.out else []
+        written = []
+        if self.out:
+            written = [diagnosis_file.write_document(document, self.out, self.force)]
         if not (self.report or self.figures):
             return written
         drawn = {}
@@ -261,7 +265,9 @@ class DiagnoseCommand:
 
     def _diagnose_folder(self) -> int:
         """Diagnoses every recording, writes documents and table, and with --fleet pools them into fleet.json."""
-        reason = "--fleet pools many" if self.fleet else f"{self.source} is a folder"
+        reason = "--fleet pools many"
+        if not self.fleet:
+            reason = f"{self.source} is a folder"
         of_one_recording = {
             "reference": self.reference,
             "simulator": self.simulator,
@@ -391,7 +397,9 @@ class ReportCommand:
             else:
                 stated_document = statements.with_statements(document)
                 recording = command.find_recording(document, self.diagnosis)
-                files = None if recording is None else ranking.Files(recording, self.diagnosis)
+                files = None
+                if recording is not None:
+                    files = ranking.Files(recording, self.diagnosis)
                 page = list(sections.diagnosis_report(stated_document, str(self.diagnosis), files, self.details))
                 if self.certificate:
                     itself = {"role": "diagnosis", "file": self.diagnosis.name, "sha256": file_sha256(self.diagnosis)}
@@ -515,7 +523,9 @@ class PredictCommand:
             print(said_frame)
         screen.show(screen.notes(recording.notes))
         if empty := int(prediction.empty.sum()):
-            why = "the clock offset reaches beyond the ends" if of_poses else "there is a gap of its times"
+            why = "there is a gap of its times"
+            if of_poses:
+                why = "the clock offset reaches beyond the ends"
             print(f"{empty} rows are empty: there, {why} of the motion.")
         if prediction.outside is None:
             print(f"{self.diagnosis}: {compensations.NO_BARS}", file=sys.stderr)

@@ -162,7 +162,9 @@ class FitCommand:
             raise refusal
         if fitted.result.name != "CONVERGED" or (verification is not None and not verification.passed):
             return command.NOT_REACHED
-        return command.BAD_FIT if fitted.quality.verdict == "bad" else command.DONE
+        if fitted.quality.verdict == "bad":
+            return command.BAD_FIT
+        return command.DONE
 
 
 @dataclass(frozen=True)

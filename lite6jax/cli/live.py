@@ -109,7 +109,9 @@ class RecordCommand:
         address = connection.parse_address(self.ip)
         arm = files.read_arm(self.arm or "lite6")
         limits = arm.joint_limits
-        poses = recordings.read_recording(self.poses, arm=arm, joint_limits=limits) if self.poses else None
+        poses = None
+        if self.poses:
+            poses = recordings.read_recording(self.poses, arm=arm, joint_limits=limits)
         with _stop_on_interrupt() as stop:
             arm_station = station.read_station(address, arm, self.arm or "lite6")
             options: dict[str, Any] = {"overwrite": self.force, "stop": stop}
@@ -141,7 +143,9 @@ def _stop_on_interrupt() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
 
     # handlers can be set in the main thread only
-    handled_signals = list_signals() if threading.current_thread() is threading.main_thread() else []
+    handled_signals = []
+    if threading.current_thread() is threading.main_thread():
+        handled_signals = list_signals()
     before = {number: signal.signal(number, handle) for number in handled_signals}
     try:
         yield stop

@@ -180,7 +180,9 @@ def _describe_options(command: Any) -> None:
 def _describe_default(default: str) -> str:
     if default in ("None", "False", ""):
         return ""
-    return "(default: on)" if default == "True" else f"(default: {default})"
+    if default == "True":
+        return "(default: on)"
+    return f"(default: {default})"
 
 
 class _Wrapping:

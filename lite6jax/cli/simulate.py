@@ -326,7 +326,8 @@ class SimulateCommand:
         """What was simulated, with which numbers, and how far the effects displace the measured point."""
         recording = measured.recording
         kind = "positions" if recording.quaternion is None else "poses"
-        kind = fits.what_is_measured(recording) if recording.readings is not None else kind
+        if recording.readings is not None:
+            kind = fits.what_is_measured(recording)
         yield sentences.simulated_poses(recording, kind, arm.name, self.runs)
         yield sentences.simulated_geometry(self._declared_model(), recording.settings)
         yield sentences.simulated_noise(recording, self.joint_noise)

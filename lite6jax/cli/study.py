@@ -487,7 +487,9 @@ class DesignCommand:
 
     def _design_poses(self, arm: "arms.Arm") -> Designed:
         experiment = self.setup.experiment(arm)
-        recorded = None if self.recorded is None else source.load_recording(self.recorded, arm).joint_position
+        recorded = None
+        if self.recorded is not None:
+            recorded = source.load_recording(self.recorded, arm).joint_position
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
         if self.setup.reads:
@@ -547,7 +549,9 @@ class DesignCommand:
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.link_radius != 0:
-            radius = None if self.link_radius is None else self.link_radius / 1e3
+            radius = None
+            if self.link_radius is not None:
+                radius = self.link_radius / 1e3
             apart = candidates.self_collision(arm, candidates.chain_capsules(arm, radius, at))
             disabled = apart.disabled
             filters.append(candidates.clear_of_itself(apart))

@@ -24,7 +24,9 @@ class Address:
     port: int = protocol.CONTROL_PORT
 
     def __str__(self) -> str:
-        return self.host if self.port == protocol.CONTROL_PORT else f"{self.host}:{self.port}"
+        if self.port == protocol.CONTROL_PORT:
+            return self.host
+        return f"{self.host}:{self.port}"
 
 
 def parse_address(text: str) -> Address:
@@ -36,7 +38,8 @@ def parse_address(text: str) -> Address:
         InputError: not an IPv4 address, or an invalid port.
     """
     host, colon, port = text.strip().partition(":")
-    host = "127.0.0.1" if host == "localhost" else host
+    if host == "localhost":
+        host = "127.0.0.1"
     try:
         ipaddress.IPv4Address(host)
         if colon and not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):

@@ -255,7 +255,8 @@ def report_layout(port: int, length: int | None = None) -> np.dtype:
     Raises:
         MalformedError: the length is too short for the fields that every report of the port has.
     """
-    length = LENGTHS[port] if length is None else length
+    if length is None:
+        length = LENGTHS[port]
     fields = [(name, np.dtype(kind), offset) for name, (offset, kind) in _FIELDS[port].items()]
     fields = [field for field in fields if field[2] + field[1].itemsize <= length]
     if ("pose" if port == REALTIME else "torque") not in [name for name, *_ in fields]:

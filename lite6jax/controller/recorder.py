@@ -234,7 +234,9 @@ class LiveRecording:
 
 def list_targets(out: Path, factory: bool = True, live: bool = True) -> list[Path]:
     """The files that a recording of this name writes: of an arm in motion if `live`, else of computed poses."""
-    growing = [growing_path(out)] if live and out.suffix.lower() == suffixes.PARQUET else []
+    growing = []
+    if live and out.suffix.lower() == suffixes.PARQUET:
+        growing = [growing_path(out)]
     return [out, *growing, sidecar_path(out), *([factory_path(out)] if factory else [])]
 
 

@@ -104,7 +104,9 @@ class Rows:
     @property
     def rate(self) -> float:
         """Hz, the rate of rows within runs, by the controller's clock."""
-        return 1e6 * self._steps / self._elapsed_us if self._elapsed_us else 0.0
+        if self._elapsed_us:
+            return 1e6 * self._steps / self._elapsed_us
+        return 0.0
 
     def take(self, event: Reports) -> dict[str, NDArray] | None:
         """The columns of new reports; None if all are duplicates."""

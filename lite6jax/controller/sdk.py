@@ -127,7 +127,9 @@ class Sdk:
         if code in (-1, 3, 8):
             raise self._failure(f"says: {_CODES[code]}")
         if code != 0:
-            return str(pose) if code is None else _CODES.get(code, f"code {code}")
+            if code is None:
+                return str(pose)
+            return _CODES.get(code, f"code {code}")
         if not isinstance(pose, list) or len(pose) != 6 or not all(isinstance(v, float | int) for v in pose):
             return f"{pose!r:.40} for a pose"
         if not all(map(math.isfinite, pose)):
@@ -308,7 +310,9 @@ def verify(
         for candidate in map(load_bundled, bundled_arms()):
             if candidate.dof == arm.dof and other_chain is None:
                 poses = frames.chain(candidate.links, q_sent) @ tools[tool]
-                other_chain = candidate.name if _agree(*compare_transforms(poses, computed)) else None
+                other_chain = None
+                if _agree(*compare_transforms(poses, computed)):
+                    other_chain = candidate.name
     return KinematicsCheck(
         q,
         position,
@@ -331,7 +335,9 @@ def find_offset(expected: Array, computed: Array) -> Array | None:
     mean = (np.linalg.inv(expected) @ computed).mean(axis=0)
     U, _, Vt = np.linalg.svd(mean[:3, :3])
     mean[:3, :3] = U @ Vt
-    return protocol.encode_pose(mean) if _agree(*compare_transforms(expected @ mean, computed)) else None
+    if _agree(*compare_transforms(expected @ mean, computed)):
+        return protocol.encode_pose(mean)
+    return None
 
 
 def _agree(position: Array, orientation: Array) -> bool:

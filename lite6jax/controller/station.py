@@ -122,7 +122,9 @@ def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.flo
     model = _MODELS.get((content.dof, content.type), f"xarm{content.dof}")
     if not 5 <= content.dof <= JOINTS:
         raise _invalid(where, f"{content.dof} joints of type {content.type}", content.encode())
-    expected = nominal.name if nominal.name in ("lite6", "uf850", "xarm5", "xarm6", "xarm7") else None
+    expected = None
+    if nominal.name in ("lite6", "uf850", "xarm5", "xarm6", "xarm7"):
+        expected = nominal.name
     if content.dof != nominal.dof or (expected and model != expected):
         raise InputError(
             f"{where}: is an arm of {content.dof} joints, type {content.type} ({model}), not a {nominal.name}; check "
@@ -266,7 +268,9 @@ def read_condition(address: Address, seconds: float = 3.0) -> Condition:
             event = f"{port.place}: no report within {seconds:g} s"
     if isinstance(event, Reports):
         return parse_condition(event.reports[-1], port.place)
-    remedy = "" if ";" in event else "; check that the controller has finished starting, and try again"
+    remedy = "; check that the controller has finished starting, and try again"
+    if ";" in event:
+        remedy = ""
     raise InputError(event + remedy)
 
 

@@ -124,7 +124,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @property
     def left_out(self) -> Mask:
         """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
-        return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
+        if self.findings:
+            return self.problem.valid & ~self.fit.training
+        return np.zeros(self.problem.samples, bool)
 
     @property
     def estimated_noise(self) -> float:
@@ -152,7 +154,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         full_residual = problem.residual(fit.nuisance, fit.terms, fit.values)
 
         def rms(vectors: Array) -> float:
-            return float(np.sqrt(np.mean(np.sum(vectors**2, 0)))) if vectors.shape[1] else 0.0
+            if vectors.shape[1]:
+                return float(np.sqrt(np.mean(np.sum(vectors**2, 0))))
+            return 0.0
 
         moves = []
         for k in range(len(fit.terms.terms)):
@@ -164,7 +168,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
                 H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
                 moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
             displaced = unwhitened(moved, problem.measured.whitener)[:, inliers]
-            turned = {"moves_rms_rad": rms(displaced[3:])} if problem.rows == 6 else {}
+            turned = {}
+            if problem.rows == 6:
+                turned = {"moves_rms_rad": rms(displaced[3:])}
             moves.append({"moves_rms_m": rms(displaced[:3]), **turned})
         return tuple(moves)
 
@@ -310,7 +316,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
         position, orientation = self.problem.declared_noise
-        turned = {"orientation_rad": orientation} if self.problem.rows == 6 else {}
+        turned = {}
+        if self.problem.rows == 6:
+            turned = {"orientation_rad": orientation}
         return {"position_m": position, **turned}, {"position_m": self.estimated_noise}
 
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
@@ -327,7 +335,9 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             return "separable"
         if effect.periodic and labels[0] == labels[1]:
             return "undecided"  # another order of the same wave
-        return "undecided" if _differ(self.selection, k, effect) else "equivalent"
+        if _differ(self.selection, k, effect):
+            return "undecided"
+        return "equivalent"
 
     def _own_parts(self) -> dict[str, Any]:
         problem = self.problem
@@ -374,7 +384,8 @@ def diagnose_poses(
         return replace(diagnosis, against=comparison)
     options = (options or Options()).of(recording.settings)
     with followed(progress):
-        recording = recording if arm is not None else with_arm(recording)
+        if arm is None:
+            recording = with_arm(recording)
         rows = screen_rows(recording, arm)
         # what cannot be read at all ends here, before any process has begun
         begun = screen(rows.recording, arm, geometry, options.prior, factory=factory, coarse=True)

@@ -68,7 +68,9 @@ def _require_known(read: Document[Any], effects: Sequence[Effect], source: str) 
     name = read.unknown_effect(effects)
     if name is None:
         return
-    reason = "the file that was given has none of this name" if effects else "the catalogue has none of this name"
+    reason = "the catalogue has none of this name"
+    if effects:
+        reason = "the file that was given has none of this name"
     raise InputError(
         f"{source}: its model has the effect {name[:60]!r}, and {reason}; give the file of effects with which it "
         "was diagnosed, --effects FILE.py (in Python effects=load_effects(FILE))"

@@ -161,7 +161,9 @@ def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosi
 
 def _function(effect: Effect) -> tuple[object, ...]:
     """What two findings have in common that are compared: the name, or the driver of a function without one."""
-    return (effect.site, effect.drivers) if effect.nonparametric else (effect.label,)
+    if effect.nonparametric:
+        return (effect.site, effect.drivers)
+    return (effect.label,)
 
 
 def _curves(

@@ -104,7 +104,9 @@ def stages(found: Diagnosis) -> list[tuple[PoseProblem, Fit]]:
     reference = found.selection.reference
     assert isinstance(reference, PoseProblem)
     before = [(reference, found.selection.state.baseline)]
-    return [*before, (found.problem, found.fit)] if found.findings else before
+    if found.findings:
+        return [*before, (found.problem, found.fit)]
+    return before
 
 
 def explained_shares(found: Diagnosis) -> ExplainedShares:
@@ -192,7 +194,9 @@ def _column(site: str, driver: Driver) -> str:
     """The column of a driver: what it is; of a joint's position, whether it is that of the joint itself."""
     kind = _KINDS.get(driver.generalised, driver.generalised)
     is_own_joint = site in (f"joint{driver.place}", f"link{driver.place}")
-    return kind if kind != "position" or is_own_joint else "other positions"
+    if kind != "position" or is_own_joint:
+        return kind
+    return "other positions"
 
 
 def joint_spectra(found: Diagnosis) -> list[JointSpectra]:

@@ -203,9 +203,13 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     """
     bent = isinstance(effect, ViscousFriction) and effect.fixed_number is not None
     if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia) and not bent:
-        transition = effect.transition_rad_per_s if isinstance(effect, CoulombFriction) else 0.0
+        transition = 0.0
+        if isinstance(effect, CoulombFriction):
+            transition = effect.transition_rad_per_s
         unit = "m/s" if effect.of_slide else "rad/s"
-        phrase = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}" if transition else ""
+        phrase = ""
+        if transition:
+            phrase = f"the transition of Coulomb friction at {effect.site}, {transition:.2g} {unit}"
         return {type(effect): float(values[0])}, phrase
     if not isinstance(effect, Friction | UnnamedTorque) or not effect.follows_own_motion:
         return {}, ""
@@ -227,7 +231,9 @@ def _held(effect: Term, values: np.ndarray, model: DiagnosedMotors) -> tuple[dic
     columns = np.stack([speed, np.sign(speed)], 1)
     numbers, _ = nnls(columns, torque - torque.mean())
     residual = float(np.std(torque - columns @ numbers))
-    curve = f" with the exponent {effect.exponent:.2g}" if isinstance(effect, ViscousFriction) else ""
+    curve = ""
+    if isinstance(effect, ViscousFriction):
+        curve = f" with the exponent {effect.exponent:.2g}"
     friction_label = f"{effect.name.replace('_', ' ')} at {effect.site}{curve}"
     unit = "N" if effect.of_slide else "Nm"
     return (

@@ -155,7 +155,9 @@ def _movements(diagnosis: Diagnosis, effect: Bending, k: int, used: Mask) -> Ite
 def _site(field: str, i: int, dimensions: int) -> Site:
     if dimensions == 3:
         return (field, *divmod(i, 6))
-    return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
+    if field in ("base", "tool", "sensor"):
+        return (field, 0, i)
+    return (field, i, 0)
 
 
 def _driver_curve(diagnosis: Diagnosis, k: int, of: _Samples) -> FindingCurve | None:
@@ -231,7 +233,9 @@ def _displacement_curve(diagnosis: Diagnosis, k: int, used: Mask) -> FindingCurv
 
 
 def _correlation(a: Array, b: Array) -> float:
-    return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        return 0.0
+    return float(abs(np.corrcoef(a, b)[0, 1]))
 
 
 # ------------------------------------------------------------------ of torques

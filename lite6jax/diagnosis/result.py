@@ -495,7 +495,9 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         if alternative.gap >= CLOSE:
             status = "rejected"
         else:
-            status = "found" if effect in self.fit.terms.terms else self._distinction(k, effect)
+            status = "found"
+            if effect not in self.fit.terms.terms:
+                status = self._distinction(k, effect)
         numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
         stated_numbers = {name: value for name, value in numbers.items() if value is not None}
         if "period_m" in stated_numbers:  # what an order is of a prismatic joint

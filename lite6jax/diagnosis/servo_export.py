@@ -175,7 +175,9 @@ def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
     if name == "spring":
         return (servo.spring != 0) | (servo.spring_torque != 0)
     values = np.asarray(servo._asdict()[name], float)
-    return values < UNLIMITED if name in ("rate_limit", "torque_limit") else values != 0
+    if name in ("rate_limit", "torque_limit"):
+        return values < UNLIMITED
+    return values != 0
 
 
 def _beyond(servo: Servo, name: str, form: files.FileForm) -> NDArray[np.bool_]:
@@ -247,7 +249,9 @@ def _write_mjcf(model: DiagnosedServos, target: Path, overwrite: bool, source: s
 
 def _gravity(model: DiagnosedServos) -> Array:
     """`(3,)` m/s², with a tilt of the base that was found."""
-    return model.gravity if model.compensated else model.model.bodies.gravity
+    if model.compensated:
+        return model.gravity
+    return model.model.bodies.gravity
 
 
 def _dampings(servo: Servo) -> tuple[Array, Array]:
@@ -385,7 +389,9 @@ def _driver_of(effect: TorqueEffect) -> str:
         return ""
     if set(effect.drivers) == {effect.own_driver("position")}:
         return "position"
-    return "velocity" if effect.drivers and effect.follows_own_motion else ""
+    if effect.drivers and effect.follows_own_motion:
+        return "velocity"
+    return ""
 
 
 def _tables(model: DiagnosedServos) -> list[tuple[int, str, Array, Array]]:

@@ -69,7 +69,9 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
     def confounded(self) -> tuple[Effect, ...]:
         """Effects that are confounded with the inertial numbers that are fitted."""
         problem = self.problem
-        fitted = torque_catalogue(problem.rows, problem.data.arm.sliding) if len(problem.precision) else ()
+        fitted = ()
+        if len(problem.precision):
+            fitted = torque_catalogue(problem.rows, problem.data.arm.sliding)
         return (*super().confounded, *(effect for effect in fitted if isinstance(effect, FITTED)))
 
     @cached_property
@@ -190,7 +192,8 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     """
     if not len(problem.directions):
         return problem
-    training = problem.valid if training is None else training
+    if training is None:
+        training = problem.valid
     return problem.relinearised(fit_numbers(problem, _everywhere(problem), options, training=training).nuisance)
 
 
@@ -310,7 +313,8 @@ def _diagnose_alone(
             problem = linearised(unlinearised, options.engine)
             pushed, events = contacts(problem, options.engine)
             problem = replace(problem, valid=problem.valid & ~pushed)
-            problem = linearised(problem, options.engine, problem.valid) if pushed.any() else problem
+            if pushed.any():
+                problem = linearised(problem, options.engine, problem.valid)
             selection = search(problem, options.engine)
             problem = selection.problem
             assert isinstance(problem, TorqueProblem)

@@ -94,7 +94,9 @@ def uncertainty_of_poses(
         spacing=_spacing(q, measured, rows, folds),
         drivers=_ranges(change.driver_values(), usable_rows),
     )
-    usual = typical if kept.any() and np.isfinite(typical).all() and typical.min() > 0 else None
+    usual = None
+    if kept.any() and np.isfinite(typical).all() and typical.min() > 0:
+        usual = typical
     return Uncertainty(sites, C, model_error, unseen, noise, recorded, usual)
 
 
@@ -240,7 +242,9 @@ def _spacing(q: Array, rows: Rows, kept_rows: Rows, folds: Iterable[Mask]) -> fl
         other_rows = kept_rows[~fold[kept_rows]]
         if fold_rows.size and other_rows.size:
             distances.append(distance_to(q[other_rows], q[fold_rows]))
-    return float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0
+    if distances:
+        return float(np.quantile(np.concatenate(distances), _LEVEL))
+    return 0.0
 
 
 def _ranges(drivers: Mapping[str, Any], rows: Rows) -> dict[str, tuple[float, float]]:

@@ -135,7 +135,9 @@ class Document(msgspec.Struct, Generic[M], kw_only=True):
     @property
     def origin(self) -> ReferenceOrigin | None:
         """The reference that the model is relative to; None where it contains all that the recording shows."""
-        return None if self.against is None or self.against.basis == "effects" else self.against
+        if self.against is None or self.against.basis == "effects":
+            return None
+        return self.against
 
     def unknown_effect(self, effects: Sequence[Effect]) -> str | None:
         """The name of an effect of the model that is neither in the catalogue nor among a user's `effects`; or None."""

@@ -118,7 +118,9 @@ class Uncertainty:
 
 def freed(effect: Effect) -> Effect:
     """The effect with the order that was found for it as its last number, unless that is whole and so exact."""
-    return effect.released() if effect.chosen is not None and effect.chosen % 1 else effect
+    if effect.chosen is not None and effect.chosen % 1:
+        return effect.released()
+    return effect
 
 
 def independent_directions(covariance: Array) -> Array:

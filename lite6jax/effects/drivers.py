@@ -37,7 +37,9 @@ def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
 
 
 def _tool_moment(axis: int, _: Motion, loads: Loads | None) -> Array | None:
-    return None if loads is None or loads.payload_moment is None else loads.payload_moment[axis]
+    if loads is None or loads.payload_moment is None:
+        return None
+    return loads.payload_moment[axis]
 
 
 def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | None], Array | None]:
@@ -45,13 +47,17 @@ def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | 
 
     def values(motion: Motion, _: Loads | None) -> Array | None:
         position = motion.measured_position
-        return None if position is None else read(library_of(position), position)
+        if position is None:
+            return None
+        return read(library_of(position), position)
 
     return values
 
 
 def _speed(motion: Motion, _: Loads | None) -> Array | None:
-    return None if motion.joint_velocity is None else abs(motion.joint_velocity)
+    if motion.joint_velocity is None:
+        return None
+    return abs(motion.joint_velocity)
 
 
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
@@ -152,7 +158,9 @@ class Driver:
     def phrase(self) -> str:
         """The driver in words, such as "gravity torque of joint 2"."""
         kind = _SOURCES[self.quantity].place
-        return f"{self.quantity} of {kind} {self.place}" if kind else self.quantity
+        if kind:
+            return f"{self.quantity} of {kind} {self.place}"
+        return self.quantity
 
     @property
     def unit(self) -> str:

@@ -88,7 +88,9 @@ class Dynamics(NamedTuple):
 
     def change(self, joint: int) -> Array | float:
         """`(sample,)` rad/s, or m/s, by which the velocity of a joint changes within the time of a sample."""
-        return self.period * np.asarray(self.motion.joint_acceleration)[joint - 1] if self.period else 0.0
+        if self.period:
+            return self.period * np.asarray(self.motion.joint_acceleration)[joint - 1]
+        return 0.0
 
 
 def direction(
@@ -110,7 +112,9 @@ def direction(
     """
 
     def scaled(speed: Array) -> Array:
-        return speed / transition if transition else as_revolute(speed, "rad/s", slides) / DIRECTION_SPEED
+        if transition:
+            return speed / transition
+        return as_revolute(speed, "rad/s", slides) / DIRECTION_SPEED
 
     x = scaled(velocity)
     if not np.any(change):
@@ -776,7 +780,9 @@ class UnnamedTorque(Process, JointTorque):
 
     def values_in(self, dynamics: Dynamics) -> Array:
         """The values of the drivers, `(driver, sample)`."""
-        loads = dynamics.loads if any(driver.loaded for driver in self.drivers) else None
+        loads = None
+        if any(driver.loaded for driver in self.drivers):
+            loads = dynamics.loads
         return np.asarray(self.values_at(dynamics.motion, loads))
 
     def functions_of(self, dynamics: Dynamics) -> Array:

@@ -120,7 +120,9 @@ class Effect(ABC):
         number = self._fixed_value if self.searched else None
         if number is None or number == self.plain or 0 < number < np.inf or (self.may_be_zero and number == 0):
             return
-        accepted = "zero or a positive number" if self.may_be_zero else "a positive number"
+        accepted = "a positive number"
+        if self.may_be_zero:
+            accepted = "zero or a positive number"
         raise InputError(f"{self.label}: {self.own(self.fixed or '')} is {number:g}; give {accepted}")
 
     @property
@@ -142,7 +144,9 @@ class Effect(ABC):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The numbers that a fit moves."""
         free = (number for number in self.numbers if getattr(self, number.name, None) is None)
-        return tuple(number.at_slide() for number in free) if slides(self) else tuple(free)
+        if slides(self):
+            return tuple(number.at_slide() for number in free)
+        return tuple(free)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -229,7 +233,9 @@ class Effect(ABC):
     def parameters(self) -> tuple[str, ...]:
         """The names of the parameters that people read: the coordinates and the fixed number, if nothing else."""
         names = tuple(coordinate.name for coordinate in self.coordinates)
-        return names if self.fixed_number is None else (*names, self.own(self.fixed or ""))
+        if self.fixed_number is None:
+            return names
+        return (*names, self.own(self.fixed or ""))
 
     def to_parameters(self, values: NDArray) -> tuple[NDArray, NDArray]:
         """The parameters of `values` `(coordinate,)`, and their derivatives `(parameter, coordinate)`."""

@@ -238,7 +238,9 @@ class JointBacklash(JointEffect):
         torque = self.own_driver("gravity torque")
         if self.friction_torque_Nm is None:
             return (direction,)
-        return (torque, direction) if self.friction_torque_Nm else (torque,)
+        if self.friction_torque_Nm:
+            return (torque, direction)
+        return (torque,)
 
     def released(self) -> Effect:
         """With the friction as its last number."""

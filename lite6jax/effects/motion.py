@@ -154,7 +154,9 @@ def motion_of(
     rise = None if temperature is None else temperature - reference_temperature
 
     def stored(array: np.ndarray | None) -> Array | None:
-        return None if array is None else jnp.asarray(np.ascontiguousarray(array.T))
+        if array is None:
+            return None
+        return jnp.asarray(np.ascontiguousarray(array.T))
 
     return Motion(
         joint_position=jnp.asarray(np.ascontiguousarray(q.T)),

@@ -46,7 +46,9 @@ def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[
     hints = typing.get_type_hints(kind)
 
     def accepted(hint: Any) -> tuple[type, ...]:
-        return (tuple,) if typing.get_origin(hint) is tuple else typing.get_args(hint) or (hint,)
+        if typing.get_origin(hint) is tuple:
+            return (tuple,)
+        return typing.get_args(hint) or (hint,)
 
     return {joint_unit(field.name, of_slide): accepted(hints[field.name]) for field in fields(kind)}  # type: ignore[arg-type]
 

@@ -119,7 +119,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     except Exception as error:
         line = error.lineno if isinstance(error, SyntaxError) else None
         for entry in traceback.extract_tb(error.__traceback__):
-            line = entry.lineno if entry.filename == str(path) else line
+            if entry.filename == str(path):
+                line = entry.lineno
         raise InputError(
             f"{path}: line {line}: {type(error).__name__}: {_one_line(error)}; correct the file"
         ) from error

@@ -112,7 +112,9 @@ def parse_faults(texts: Iterable[str]) -> Faults:
         key = kinds[name].name
         if colon and not kind["value"]:
             raise InputError(f"fault {name}: takes no value; leave {value!r} out")
-        parsed = _parse_value(name, value or kind["given"], *kind["bounds"]) if kind["value"] else True
+        parsed = True
+        if kind["value"]:
+            parsed = _parse_value(name, value or kind["given"], *kind["bounds"])
         if isinstance(parsed, frozenset):
             parsed |= field_values(faults)[key]
         faults = replace(faults, **{key: parsed})
@@ -218,12 +220,16 @@ class Core:
         """Whether the arm moves, has moved, or neither did nor can."""
         if self.path is None or self.stopped < np.inf:
             return ControllerState.STOPPED
-        return ControllerState.MOVING if self.time < self.path.duration else ControllerState.READY
+        if self.time < self.path.duration:
+            return ControllerState.MOVING
+        return ControllerState.READY
 
     @property
     def enabled(self) -> int:
         """The motors that are on, a bit each: all of an arm that can move, else none."""
-        return 0 if self.state == ControllerState.STOPPED else (1 << self.body.arm.dof) - 1
+        if self.state == ControllerState.STOPPED:
+            return 0
+        return (1 << self.body.arm.dof) - 1
 
     @property
     def identity(self) -> protocol.Identity:
@@ -341,7 +347,8 @@ def _read(core: Core, request: Message) -> bytes | Array:
             valid = core.faults.calibrated
             identity = core.identity
             rows = core.body.kinematics if valid else np.zeros((0, 6))
-            rows = rows * np.nan if "calibration" in core.faults.nan else rows
+            if "calibration" in core.faults.nan:
+                rows = rows * np.nan
             return protocol.Calibration(int(valid), identity.dof, identity.type, rows).encode()
         case Register.STATE:
             return bytes([core.state])

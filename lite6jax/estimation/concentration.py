@@ -41,7 +41,9 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         fit: the model.
         options: thresholds.
     """
-    stride = max(fit.training.size // options.most_samples, 1) if fit.noise.white else 1
+    stride = 1
+    if fit.noise.white:
+        stride = max(fit.training.size // options.most_samples, 1)
     if stride > 1:
         problem = problem.thinned(stride)
         fit = fit.thinned(stride)

@@ -134,7 +134,9 @@ class Marginal:
     @cached_property
     def _whole(self) -> "Marginal":
         """That of the model from which this one differs by a few directions; itself where that is this one."""
-        return self if self.test.whole is None else Marginal(self.test.whole)
+        if self.test.whole is None:
+            return self
+        return Marginal(self.test.whole)
 
     def _beside(
         self, keys: Sequence[Hashable], of_whole: Callable[["Marginal", Sequence[int]], Array], inside: Array
@@ -155,7 +157,9 @@ class Marginal:
         new = dict(zip(missing, of_whole(whole, missing) if missing else (), strict=True))
         table.update((keys[k], information) for k, information in new.items() if keys[k] is not None)
         information = np.stack([new[k] if k in new else table[key] for k, key in enumerate(keys)])
-        return information if whole is self else information - (inside * self.test.span.sign) @ inside.swapaxes(-1, -2)
+        if whole is self:
+            return information
+        return information - (inside * self.test.span.sign) @ inside.swapaxes(-1, -2)
 
     def sums(self, column: Array) -> Sums:
         """Of a site's column `(row, sample)`; computed once."""

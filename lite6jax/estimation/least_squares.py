@@ -222,7 +222,9 @@ def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -
         f = replace(again, converged=again.converged or gain < _LEAST_GAIN)
         if f.converged:
             break
-    return f if f is fitted else replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
+    if f is fitted:
+        return f
+    return replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
 
 
 def _may_jump(terms: Terms) -> bool:
@@ -262,8 +264,10 @@ def _fitted(
     at = np.concatenate(
         [np.zeros(k) if nuisance is None else nuisance, np.zeros(terms.size) if values is None else values]
     )
-    training = np.ones(problem.samples, bool) if training is None else training
-    noise = white_noise(problem.groups) if noise is None else noise
+    if training is None:
+        training = np.ones(problem.samples, bool)
+    if noise is None:
+        noise = white_noise(problem.groups)
     precision = np.concatenate([problem.precision, prior_precision(problem, terms.terms)])
     rounding = _EXACT_ROUNDING if exact else ROUNDING
     of_models = whitened or Whitened()
@@ -337,7 +341,8 @@ def _fitted(
             rows = residual(there, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
             if cost <= before + 1e-9 * abs(before):
-                damped = damping if fresh else damped
+                if fresh:
+                    damped = damping
                 break
         else:
             if fresh:
@@ -355,7 +360,9 @@ def _fitted(
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
-    effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
+    effective = 0.0
+    if len(H):
+        effective = float(len(H) - np.sum(precision * np.diagonal(inverse)))
     penalty = _square(precision, prior(problem, at))
     volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, CONFOUNDED)
     rest = covariance, state, training, effective, converged, noise, penalty, volume
@@ -511,7 +518,9 @@ def _parts(problem: LinearisedProblem, terms: Terms, values: Array) -> list[Arra
 def linear_columns(problem: LinearisedProblem, terms: Terms, values: Array) -> Array:
     """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`, new."""
     base = problem.nuisance_columns(terms, values)
-    return np.concatenate([base, problem.columns(terms.terms, values)]) if terms.size else base.copy()
+    if terms.size:
+        return np.concatenate([base, problem.columns(terms.terms, values)])
+    return base.copy()
 
 
 def _cost(innovations: Array, at: Residuals, training: Mask) -> float:

@@ -99,7 +99,9 @@ class Autocorrelation:
 
     def log_volume(self, samples: int, runs: int) -> float:
         """The logarithm of the determinant of the whitening filter of a row."""
-        return -(samples - runs) * float(np.log(self._innovation[1])) if self.share else 0.0
+        if self.share:
+            return -(samples - runs) * float(np.log(self._innovation[1]))
+        return 0.0
 
     @property
     def time(self) -> float:
@@ -286,7 +288,9 @@ def _autocorrelation(
         near = [(neighbour, share) for neighbour in _near(coefficient_grid, coefficient)]
         near += [(coefficient, neighbour) for neighbour in _near(_SHARES, share)]
         best_pair = max(near, key=likelihood)
-    return Autocorrelation(*best_pair) if likelihood(best_pair) > likelihood((0.0, 0.0)) + CLOSE else UNCORRELATED
+    if likelihood(best_pair) > likelihood((0.0, 0.0)) + CLOSE:
+        return Autocorrelation(*best_pair)
+    return UNCORRELATED
 
 
 def coefficients(samples: float) -> Sequence[float]:

@@ -145,7 +145,9 @@ class Span:
     def outside(self, columns: Array) -> Array:
         """Columns `(number, reading)` less their projection on it."""
         beside = outside(columns, self.whole)
-        return beside - ((columns @ self.changes.T) * self.sign) @ self.changes if len(self.changes) else beside
+        if len(self.changes):
+            return beside - ((columns @ self.changes.T) * self.sign) @ self.changes
+        return beside
 
 
 def scaled_solve(H: Array, b: Array, rounding: float = ROUNDING) -> Array:
@@ -190,7 +192,9 @@ def _cholesky(C: Array, regular: float) -> Array | None:
     if len(C) <= _MANY:
         return None
     factor, singular = _potrf(C, lower=True, clean=False)
-    return factor if not singular and np.diagonal(factor).min() ** 2 > regular else None
+    if not singular and np.diagonal(factor).min() ** 2 > regular:
+        return factor
+    return None
 
 
 def _scales(H: Array) -> Array:

@@ -50,7 +50,9 @@ def gaussian_t_scale(rows: int, freedom: float) -> float:
 
 def weights_left(scaled: Array, freedom: float | None) -> Array:
     """The weight of each sample under the robust loss, 1 at a zero residual, towards 0 for outliers."""
-    return np.ones_like(scaled) if freedom is None else freedom / (freedom + scaled)
+    if freedom is None:
+        return np.ones_like(scaled)
+    return freedom / (freedom + scaled)
 
 
 def curvature_share(scaled: Array, rows: int, freedom: float) -> float:

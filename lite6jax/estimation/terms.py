@@ -175,7 +175,9 @@ def pulled(parts: Sequence[Array | Factored], rows: Array) -> Array:
 
 def _products(first: Array | Factored, second: Array | Factored) -> Array:
     if isinstance(first, Factored):
-        return first.with_others(second) if isinstance(second, Factored) else first.with_rows(second).T
+        if isinstance(second, Factored):
+            return first.with_others(second)
+        return first.with_rows(second).T
     if isinstance(second, Factored):
         return second.with_rows(first)
     flat = first.reshape(len(first), -1)

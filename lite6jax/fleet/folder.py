@@ -199,7 +199,9 @@ def _fitted(
     errors: Iterable[float | None],
 ) -> Row:  # fmt: skip
     """What was fitted of an arm, as part of a row; `errors` are the `STATISTICS` of each of `ERRORS`."""
-    misfit = "; but the model does not describe the data" if quality.verdict == "bad" else ""
+    misfit = ""
+    if quality.verdict == "bad":
+        misfit = "; but the model does not describe the data"
     row: Row = {"result": int(result), "quality": quality.verdict, "message": result.message + misfit}
     row |= {"arm": arm.name, "joints": arm.dof}
     row |= zip((f"{part}_{name}" for part in ERRORS for name in STATISTICS), errors, strict=True)

@@ -128,7 +128,9 @@ class Hierarchy:
         shown = values > 0
         separate_statistic = float(np.sum(along[shown] ** 2 / values[shown]))
         freedom = int(shown.sum()) - int(determined)
-        return float(chdtrc(freedom, max(separate_statistic - float(mean @ M @ mean), 0.0))) if freedom > 0 else 1.0
+        if freedom > 0:
+            return float(chdtrc(freedom, max(separate_statistic - float(mean @ M @ mean), 0.0)))
+        return 1.0
 
     def shrunken(self) -> tuple[Array, Array]:
         """The estimate of each arm `(arm, number)` and its covariance `(arm, number, number)`, by empirical Bayes.
@@ -182,7 +184,9 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
     refined: Any = minimize_scalar(
         lambda log: -arms.solved(float(np.exp(log)))[3], bounds=tuple(near), method="bounded", options={"xatol": 1e-6}
     )
-    tau = float(np.exp(refined.x)) if -refined.fun > arms.solved(0.0)[3] + 1e-9 else 0.0
+    tau = 0.0
+    if -refined.fun > arms.solved(0.0)[3] + 1e-9:
+        tau = float(np.exp(refined.x))
     mean, M, *_ = arms.solved(tau)
     D = arms.typical
     residual = along - values * (mean @ U)

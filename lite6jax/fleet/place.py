@@ -28,7 +28,9 @@ T = TypeVar("T")
 
 def guess_kind(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
-    return "calibration" if _suffix(name) in suffixes.CALIBRATIONS else "recording"
+    if _suffix(name) in suffixes.CALIBRATIONS:
+        return "calibration"
+    return "recording"
 
 
 def restore_url(path: str | Path) -> str | None:
@@ -81,7 +83,9 @@ class StorageFolder:
         if url is not None:
             return cls(url.rstrip("/"), url.rstrip("/"), True)
         if not os.path.isdir(folder):
-            problem = "is not a folder" if storage.exists(folder) else "no such folder"
+            problem = "no such folder"
+            if storage.exists(folder):
+                problem = "is not a folder"
             raise InputError(f"{folder}: {problem}; name one")
         return cls(str(folder), str(Path(folder).absolute()), False)
 
@@ -201,7 +205,9 @@ def _suffix(name: str | Path) -> str:
 
 
 def _stem(name: str) -> str:
-    return name.removesuffix(sidecar.GROWING) if name.endswith(sidecar.GROWING) else os.path.splitext(name)[0]
+    if name.endswith(sidecar.GROWING):
+        return name.removesuffix(sidecar.GROWING)
+    return os.path.splitext(name)[0]
 
 
 def _without_growing(names: Sequence[str]) -> list[str]:

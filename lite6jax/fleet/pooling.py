@@ -448,7 +448,9 @@ class Search:
         )
 
     def _measured(self, requests: Sequence[Asked]) -> list[PooledEvidence]:
-        columns = zip(*self._reduced.evidence(requests), strict=True) if requests else ()
+        columns = ()
+        if requests:
+            columns = zip(*self._reduced.evidence(requests), strict=True)
         return [self._weighed(term, column) for (term, _), column in zip(requests, columns, strict=True)]
 
     def _weighed(self, term: Tested, evidence: Sequence[RecordingEvidence | None]) -> PooledEvidence:

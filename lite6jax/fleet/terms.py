@@ -210,7 +210,9 @@ class Tried:
         """A term as a report names it."""
         if isinstance(term, FleetProcess):
             return term.candidate
-        return self.families[term.key] if term.order is not None else self.named[term.key]
+        if term.order is not None:
+            return self.families[term.key]
+        return self.named[term.key]
 
     def cost(self, term: Tested) -> float:
         """−ln of the prior probability of a term, as in the search of one recording."""

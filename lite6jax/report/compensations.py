@@ -107,10 +107,14 @@ def _missed(compensation: Compensation, rows: NDArray) -> str:
     largest = []
     errors = (compensation.position_error, compensation.orientation_error)
     for error, (scale, unit), tolerance in zip(errors, SCREEN.values(), REACHED, strict=True):
-        worst = 0.0 if error is None else float(np.nan_to_num(error[rows]).max())
+        worst = 0.0
+        if error is not None:
+            worst = float(np.nan_to_num(error[rows]).max())
         if worst > tolerance:
             largest.append(f"{number(scale * worst)} {unit}")
-    return f", with errors up to {' and '.join(largest)}" if largest else ""
+    if largest:
+        return f", with errors up to {' and '.join(largest)}"
+    return ""
 
 
 def corrected_sentences(found: CorrectedCommands) -> list[str]:

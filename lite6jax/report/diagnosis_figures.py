@@ -345,7 +345,8 @@ def finding_figure(
         chosen: places of findings, from 0; all where not given.
         order: places of all findings in the order in which they are numbered; theirs where not given.
     """
-    order = range(len(diagnosis.findings)) if order is None else order
+    if order is None:
+        order = range(len(diagnosis.findings))
     places = order if chosen is None else chosen
     curves = [curve for k in places for curve in partial_residuals.finding_curves(diagnosis, k)]
     figure, panels = panels_in_rows(len(curves), wide=True)
@@ -354,7 +355,9 @@ def finding_figure(
         effect = diagnosis.findings[curve.finding].effect
         binned |= _draw(panel, curve, isinstance(effect, Unnamed))
         number = order.index(curve.finding) + 1
-        name = "unnamed effect" if effect.nonparametric else effect_name(effect.name)
+        name = "unnamed effect"
+        if not effect.nonparametric:
+            name = effect_name(effect.name)
         panel.set_title(f"{number}. {name}, {effect.site}", fontsize=13)
     panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
     if not all(curve.scattered for curve in curves):
@@ -392,7 +395,8 @@ def _draw(panel: Axes, curve: FindingCurve, unnamed: bool = False) -> bool:
         crowded = bins > BINS
         panel.plot(at, fitted, color=AFTER, linewidth=1.5 if crowded else 2.5, zorder=4)
         centre, middle, error = medians(x, partial, 3 if discrete else bins)
-        centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
+        if discrete and len(x):
+            centre = np.linspace(x.min(), x.max(), 3)
         size, cap = (3, 0) if crowded else (5, 3)
         panel.errorbar(centre, middle, error, fmt="o", color="black", markersize=size, capsize=cap, zorder=5)
         binned = bool(np.isfinite(middle).any())
@@ -414,7 +418,9 @@ def _across(curve: FindingCurve) -> tuple[float, str, bool]:
         return 1.0, "row of the recording", False
     if curve.over == "displacement":
         scale, unit = _DEFLECTIONS[curve.unit]
-        moved = "displacement of the measured pose" if curve.site is None else _at_motor(curve)
+        moved = "displacement of the measured pose"
+        if curve.site is not None:
+            moved = _at_motor(curve)
         return scale, f"fitted {moved} ({unit})", False
     assert curve.quantity is not None
     if curve.over == "phase":

@@ -37,7 +37,9 @@ from lite6jax.report.words import STATISTICS
 
 def text(content: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
     """A document as JSON, with the files that the command wrote, or None; a number that is not finite is null."""
-    files = {} if written is None else {"written": [str(path) for path in written]}
+    files = {}
+    if written is not None:
+        files = {"written": [str(path) for path in written]}
     return json.dumps(_plain({**content, **files}), indent=1, allow_nan=False)
 
 
@@ -250,4 +252,6 @@ def _plain(value: Any) -> Any:
         return [_plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)

@@ -67,8 +67,12 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
     yield from ("", sentences.fitted(solution, recorded=recording is not None))
     yield from filter(None, [quality_statement(solution.quality.to_dict())])
     yield ""
-    checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
-    start = "factory calibration" if recording and recording.settings.factory_calibration else "nominal arm"
+    checked = "held-out blocks"
+    if recording is None:
+        checked = f"{len(solution.checked.position)} fresh samples"
+    start = "nominal arm"
+    if recording and recording.settings.factory_calibration:
+        start = "factory calibration"
     rows = [(start, solution.nominal_errors), (checked, solution.checked)]
     if recording is not None:
         rows.insert(1, ("fitted rows", solution.errors))
@@ -150,10 +154,14 @@ def _hayati_tables(solution: Solution, form: HayatiForm) -> Iterator[RenderableT
         deviation = f"±{plus_minus(scale * below[i])}" if free[i] else "held"
         return f"{value}\n{deviation if determined[i] or not free[i] else f'({deviation})'}"
 
-    under = "its standard deviation" if measured else "its difference from nominal"
+    under = "its difference from nominal"
+    if measured:
+        under = "its standard deviation"
     yield from (f"Effective model (mm, deg); below each number {under}", "")
     yield from parameter_tables(form, cell)
-    prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN] if (free & ~determined).any() else None
+    prior = None
+    if (free & ~determined).any():
+        prior = [SCREEN[unit][0] * TOLERANCE[unit] for unit in SCREEN]
     yield from (*sentences.hayati_remarks(form, prior), "")
 
 
@@ -220,10 +228,14 @@ def _remarks(solution: Solution, recording: Recording) -> Iterator[str]:
     if groups:
         yield "Held at their start, because these data do not identify them:"
     for carried_by, names in groups.items():
-        reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
+        reason = "no residual depends on them"
+        if carried_by:
+            reason = f"confounded with {', '.join(carried_by)}"
         yield f"  {', '.join(names)}: {reason}"
     if (noise := solution.noise) is not None:
-        declared_noise = [] if noise.declared is None else zip(noise.declared, SCREEN.values(), strict=True)
+        declared_noise = []
+        if noise.declared is not None:
+            declared_noise = zip(noise.declared, SCREEN.values(), strict=True)
         declared = ", ".join(
             f"{number(scale * value)} {unit}" for value, (scale, unit) in declared_noise if value is not None
         )

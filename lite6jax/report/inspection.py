@@ -272,7 +272,9 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     q, tau, current, position = map(inspection.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
     timed = inspection.of("time") is not None or any(name.startswith("time") for name in inspection.given.values())
-    noises = list(_NOISES["tau"]) if tau is not None or current is not None else []
+    noises = []
+    if tau is not None or current is not None:
+        noises = list(_NOISES["tau"])
     for measured in ("position", "rotation") if position is not None and not inspection.computed else ():
         noises += _NOISES[measured] if inspection.of(measured) is not None else ()
     noises += [key for kind in inspection.readings for key in _NOISES[kind]]
@@ -334,7 +336,9 @@ def _named_time(unused: Sequence[str]) -> str:
     """How to name a column of times: one whose name has a unit of time, or the first that means nothing."""
     timed = {name: unit for name in unused if (unit := unit_of(name)) in units_allowed("time")}
     name, unit = next(iter(timed.items()), (next(iter(unused), None), "s"))
-    return "record them" if name is None else f"say in the sidecar which it is, such as `{name}: time_{unit}`"
+    if name is None:
+        return "record them"
+    return f"say in the sidecar which it is, such as `{name}: time_{unit}`"
 
 
 # ------------------------------------------------------------------ what was joined to one table

@@ -157,7 +157,9 @@ def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]
                 continue
             errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
             cells = ("–" if error is None else number(scale * error) for error in errors)
-            name = row["file"] if domain == "poses" or row["verdict"] is None else ""
+            name = ""
+            if domain == "poses" or row["verdict"] is None:
+                name = row["file"]
             table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
         if row["findings"]:
             findings.append(

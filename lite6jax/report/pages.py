@@ -60,8 +60,10 @@ def diagnosis_page(
     recorded = diagnosis.recording.source
     if source is None and storage.exists(recorded):
         files = files or Files(Path(recorded))
-    source = recorded if source is None else source
-    figures = dict(drawings(diagnosis, Path(source).name, document)) if figures is None else figures
+    if source is None:
+        source = recorded
+    if figures is None:
+        figures = dict(drawings(diagnosis, Path(source).name, document))
     pictures = [_pictures(diagnosis, document, figures)]
     for other in diagnosis.beside:
         prefix = prefix_of(other.domain)
@@ -80,11 +82,15 @@ def _pictures(diagnosis: DomainDiagnosis[Any], document: Document, figures: Mapp
     if own_report(document) is not None:
         return drawn
     for finding in statements.findings_of(document):
-        over = "" if finding["driver"] == "none" else f" over the {finding['driver']}"
+        over = ""
+        if finding["driver"] != "none":
+            over = f" over the {finding['driver']}"
         if torques:
             subject = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
         else:
-            name = "effect" if finding["effect"] == "unnamed" else finding["effect"].replace("_", " ")
+            name = "effect"
+            if finding["effect"] != "unnamed":
+                name = finding["effect"].replace("_", " ")
             subject = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
         caption = f"{subject} beside the partial residuals: those of the whole model without it."
         drawn[f"finding{finding['rank']}"] = _picture(finding_figure(diagnosis, "", [finding["place"]], order), caption)

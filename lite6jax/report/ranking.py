@@ -175,7 +175,9 @@ def steps(document: Document, files: Files) -> list[Step]:
     findings = detailed(document)
     torques = is_of_torques(document)
     diagnosis_path = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
-    effects_option = ["--effects", str(files.effects)] if files.effects is not None else []
+    effects_option = []
+    if files.effects is not None:
+        effects_option = ["--effects", str(files.effects)]
     readable = _known(document, effects_option)
     table = recording.suffix.lower() in suffixes.WRITTEN_TABLES
     beside = lambda end: diagnosis_path.with_name(f"{recording.stem}_{end}")  # noqa: E731

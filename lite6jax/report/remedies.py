@@ -82,7 +82,9 @@ def _exerted(entry: Entry) -> str:
     in_metres = any(name.endswith(("_m", "_m_per_N")) for name in entry.get("parameters", ()))
     if entry["effect"].startswith("joint_") and (in_metres or "slide position" in str(entry.get("driver"))):
         return "force"
-    return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
+    if "moves_rms_N" in entry and "moves_rms_Nm" not in entry:
+        return "force"
+    return "torque"
 
 
 def _places(entry: Entry) -> list[str]:
@@ -99,7 +101,9 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
     """
     rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
     distinct = []
-    driver_sets = [set(drivers_of(finding))] if finding["effect"] == "unnamed" else []
+    driver_sets = []
+    if finding["effect"] == "unnamed":
+        driver_sets = [set(drivers_of(finding))]
     for rival in rivals:
         if rival["effect"] == "unnamed":
             drivers = set(drivers_of(rival))
@@ -171,7 +175,9 @@ def detail(entry: Entry) -> str:
 def component(where: Entry) -> str:
     """Along or about which axis an effect acts that is at no joint."""
     at_joint = where.get("where", where.get("site", "joint")).startswith("joint")
-    return "" if at_joint or "component" not in where else f" ({where['component']})"
+    if at_joint or "component" not in where:
+        return ""
+    return f" ({where['component']})"
 
 
 def shape(where: Entry) -> str:
@@ -185,7 +191,9 @@ def shape(where: Entry) -> str:
 
 def drivers_of(entry: Entry) -> Sequence[str]:
     """The phrases of what an effect depends on."""
-    return [] if entry["driver"] == "none" else entry["driver"].split(" and ")
+    if entry["driver"] == "none":
+        return []
+    return entry["driver"].split(" and ")
 
 
 def with_articles(driver: str) -> str:

@@ -94,7 +94,9 @@ _MOST_FINDINGS = 4
 
 def _outside(result: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
     outside = result.outside
-    return NOT_SAID if outside is None else outside_sentence(int(outside.sum()), len(outside), "row")
+    if outside is None:
+        return NOT_SAID
+    return outside_sentence(int(outside.sum()), len(outside), "row")
 
 
 @describe.register
@@ -218,7 +220,9 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     else:
         start = "position error is"
         sizes = [f"{number(1e3 * stage['heldout_position_rms_m'])} mm" for stage in stages]
-    after_effects = f"{sizes[1]} RMS with these effects and " if findings else ""
+    after_effects = ""
+    if findings:
+        after_effects = f"{sizes[1]} RMS with these effects and "
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     notes = [*diagnosis_sentences.assumptions(document), *statements.what_to_record(document)]
     subject = "the torques of " if diagnosis.domain == "torques" else ""

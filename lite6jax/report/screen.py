@@ -118,7 +118,9 @@ def progress(total: int | None, task: str) -> Iterator[Callable[..., None]]:
     def line() -> str:
         so_far = time.monotonic() - began
         share = "" if total is None else f"{done} of {total}, "
-        ahead = f", about {minutes(so_far * (total - done) / done)} to go" if total and done else ""
+        ahead = ""
+        if total and done:
+            ahead = f", about {minutes(so_far * (total - done) / done)} to go"
         return f"{task}: {share}{minutes(so_far)} so far{ahead}"
 
     with repeated(line):
@@ -149,7 +151,9 @@ def stages() -> Iterator[Callable[[Stage], None]]:
         if not reached:
             return f"reading rows, {so_far}"
         stage = reached[-1]
-        block = f", without block {stage.part} of {stage.parts - 1}" if 0 < stage.part < stage.parts else ""
+        block = ""
+        if 0 < stage.part < stage.parts:
+            block = f", without block {stage.part} of {stage.parts - 1}"
         return f"{_STAGES[stage.code]}{block}: {so_far}"
 
     with repeated(line):

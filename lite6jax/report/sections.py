@@ -217,7 +217,9 @@ def _tests(document: Document, details: bool) -> Iterator[Block]:
     entries = document["ruled_out"]
     untested = statements.untested(document)
     effects = len({(entry["effect"], entry["site"]) for group in untested for entry in group.entries})
-    summary = [f"{counted(len(entries), 'data fault')} ruled out"] if entries else []
+    summary = []
+    if entries:
+        summary = [f"{counted(len(entries), 'data fault')} ruled out"]
     summary += [f"{counted(effects, 'effect')} not tested"] if effects else []
     if not details:
         yield from [("text", f"{' and '.join(summary)}: --details lists them.")] if summary else []

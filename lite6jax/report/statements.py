@@ -181,7 +181,9 @@ def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
     else:
         label = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
         turned = finding.get("moves_rms_rad")
-        turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg" if turned else ""
+        turns = ""
+        if turned:
+            turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg"
         moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
         if unnamed:
             sentence = sentences.unnamed_displacement(finding, numbers, moves)

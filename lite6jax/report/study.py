@@ -58,7 +58,9 @@ def _begin(source: str, studied: str, disabled: Sequence[tuple[str, str]] = ()) 
 
 def described(sensor: PlannedSensor) -> str:
     """A sensor in a phrase, with the noise of the joints' read-outs."""
-    joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
+    joints = ""
+    if sensor.joint_noise:
+        joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg"
     return sensor.phrase + joints
 
 
@@ -132,7 +134,9 @@ def _deviation_tables(experiment: Experiment, determination: Determination) -> I
     if experiment.physics.effects:
         table = listing("effect", "deviation", "typical", "unit")
         for i in range(experiment.size - experiment.physics.size, experiment.size):
-            deviation = f"{d.standard_deviation[i]:.2g}" if d.free[i] else "held"
+            deviation = "held"
+            if d.free[i]:
+                deviation = f"{d.standard_deviation[i]:.2g}"
             table.add_row(d.names[i], deviation, f"{d.scale[i]:.2g}", d.units[i].strip("1"))
         yield from (table, "")
 
@@ -214,7 +218,9 @@ def plan_report(plan: Plan, accuracy: float | None = None) -> Iterator[Renderabl
             designed = plan.accuracy[n - 1]
             drawn = plan.random_median[n - 1]
             cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
-            ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
+            ratio = "–"
+            if np.isfinite(designed) and np.isfinite(drawn):
+                ratio = f"{drawn / designed:.2f}"
             table.add_row(str(n), *cells, ratio)
         yield table
 

@@ -118,7 +118,9 @@ def headline(document: Document) -> str:
         return sentences.headline_of_findings(cause_of(findings[0]), before, after, len(findings))
     sentence = sentences.headline_without_findings(document["verdict"], after)
     names = list(dict.fromkeys(fault_name(fault["fault"]).lower() for fault in document["data_faults"]))
-    return f"The data have a fault ({', '.join(names)}), which was corrected. {sentence}" if names else sentence
+    if names:
+        return f"The data have a fault ({', '.join(names)}), which was corrected. {sentence}"
+    return sentence
 
 
 def verdict_statement(document: Document) -> str:
@@ -126,7 +128,9 @@ def verdict_statement(document: Document) -> str:
     sizes = [ratio for ratio in document["left"]["over_noise"].values() if ratio is not None]
     ends = dict.fromkeys(multiple(size) for size in (min(sizes), max(sizes)))
     near = document["nearest"]
-    near_title = "" if near is None else effect_title({**near, "driver": "none"})
+    near_title = ""
+    if near is not None:
+        near_title = effect_title({**near, "driver": "none"})
     return sentences.verdict_sentence(document, " to ".join(ends), near_title)
 
 
@@ -256,7 +260,9 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
     ]
     lines = [verdict_statement(document), *cautions(document), sentences.setting(document)]
     ruled_out = [entry["statement"] for entry in document["ruled_out"]]
-    commands = [] if files is None else steps(document, files.recording, files.diagnosis)
+    commands = []
+    if files is not None:
+        commands = steps(document, files.recording, files.diagnosis)
     drawn = [("picture", picture) for name, picture in pictures.items() if name == "over_time"]
     no_findings = [("text", "None: no effect of the catalogue, and no function of what was recorded, is significant.")]
     findings = [("bullets", _finding_lines(document, details))] if document["findings"] else no_findings

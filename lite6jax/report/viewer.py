@@ -80,12 +80,16 @@ class PoseErrors:
     def median(self) -> float:
         """m; 0 where nothing is predicted."""
         finite_lengths = self.length[np.isfinite(self.length)]
-        return float(np.median(finite_lengths)) if finite_lengths.size else 0.0
+        if finite_lengths.size:
+            return float(np.median(finite_lengths))
+        return 0.0
 
     @property
     def scale(self) -> float:
         """By which errors are multiplied so that the median arrow is `MEDIAN_ARROW` long, to two digits."""
-        return float(f"{MEDIAN_ARROW / self.median:.2g}") if self.median else 1.0
+        if self.median:
+            return float(f"{MEDIAN_ARROW / self.median:.2g}")
+        return 1.0
 
     @cached_property
     def shown(self) -> NDArray[np.integer]:
@@ -174,7 +178,9 @@ class Scene:
     def step(self) -> float:
         """Seconds from row to row of a moving arm; 1 where that is not known."""
         steps = np.diff(self.time) if self.moving and self.time is not None else np.zeros(0)
-        return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        if (steps > 0).any():
+            return float(np.median(steps[steps > 0]))
+        return 1.0
 
     def marked(self) -> dict[str, list[int]]:
         """Part of the arm to the numbers of the findings there."""
@@ -208,7 +214,9 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
         turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
         orientation = T_base_sensor[:3, :3] @ turned
     origin = model.reference
-    remarks = [] if origin is None else [statements.model_statement(origin.file, origin.basis)]
+    remarks = []
+    if origin is not None:
+        remarks = [statements.model_statement(origin.file, origin.basis)]
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
@@ -354,7 +362,9 @@ def _listening(host: str, port: int | None) -> int:
                 listener.bind(address)
                 return candidate_port
         except (OSError, OverflowError, UnicodeError) as error:
-            refused = (error.strerror or "") if isinstance(error, OSError) else "no such address or port"
+            refused = "no such address or port"
+            if isinstance(error, OSError):
+                refused = error.strerror or ""
     where = f"--host {host}" if port is None else f"--host {host} --port {port}"
     raise InputError(f"{where}: nothing can listen there ({refused}); give another address or port")
 
@@ -470,7 +480,9 @@ class Shown:
             for link, T in zip(self._links, self.scene.frames[sample], strict=True):
                 link.wxyz = _wxyz(T[:3, :3])
                 link.position = T[:3, 3]
-            time = "" if self.scene.time is None else f", {self.scene.time[sample]:.2f} s"
+            time = ""
+            if self.scene.time is not None:
+                time = f", {self.scene.time[sample]:.2f} s"
             status = f"Row {self.scene.row[sample]}{time}"
             for errors in self.scene.errors:
                 if errors.caption != self.prediction.value:
@@ -492,7 +504,9 @@ class Shown:
             self._drawn = errors.caption
             self._arrows.points = errors.arrows(scale).astype(np.float32)
             thinned = len(errors.shown) < self.scene.samples
-            thinning_note = f" {len(errors.shown)} of {self.scene.samples} rows have one." if thinned else ""
+            thinning_note = ""
+            if thinned:
+                thinning_note = f" {len(errors.shown)} of {self.scene.samples} rows have one."
             legend = (
                 "Arrows lead from where the tool is predicted to where it was measured. They are enlarged "
                 f"{f'{scale:.0f}' if scale >= 100 else f'{scale:.3g}'} times: the median error of "
@@ -551,7 +565,9 @@ def _finding_list(scene: Scene) -> str:
     entries = []
     for finding in scene.findings:
         title, size, statement = (html.escape(finding[key]) for key in ("title", "contribution", "statement"))
-        where = f"{dot} {', '.join(finding['parts'])}." if finding["parts"] else "Not on the arm."
+        where = "Not on the arm."
+        if finding["parts"]:
+            where = f"{dot} {', '.join(finding['parts'])}."
         entries.append(f"<li>{title}: <b>{size}</b>. {where} {statement}</li>")
     return f'<ol style="{_STYLE}; padding-left: 1.4em">{"".join(entries)}</ol>'
 

@@ -65,7 +65,9 @@ def significant(value: float, digits: int = 3) -> str:
     if not np.isfinite(value):
         return UNKNOWN
     rounded = float(f"{value:.{digits}g}")
-    return f"{rounded:.0f}" if 10**digits <= abs(rounded) < 1e6 else f"{value:.{digits}g}"
+    if 10**digits <= abs(rounded) < 1e6:
+        return f"{rounded:.0f}"
+    return f"{value:.{digits}g}"
 
 
 def milli(value: float, digits: int = 3) -> str:
@@ -101,7 +103,9 @@ def plus_minus(value: float) -> str:
         return UNKNOWN
     if value == 0:
         return "0"
-    return f"{value:.1e}" if value < 1e-4 else f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
+    if value < 1e-4:
+        return f"{value:.1e}"
+    return f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
 
 
 def rounded(value: float, std: float) -> tuple[str, str]:

@@ -38,7 +38,9 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         still = [f and not _is_whole(released, k, fitted) for k, f in enumerate(free)]
         still = [f and not _is_beyond(problem, released, k) for k, f in enumerate(still)]
         if still != free:
-            released = _released(problem, fitted, still, options) if any(still) or uncertain else None
+            released = None
+            if any(still) or uncertain:
+                released = _released(problem, fitted, still, options)
         if released is not None:
             fitted, stds = _held(released, fitted, still)
     fitted = replace(fitted, covariance=fitted.covariance + between + of_inputs)

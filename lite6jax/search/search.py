@@ -82,7 +82,8 @@ def search(
         start: of another search of the same problem, whose terms it begins with; none where not given.
     """
     training = problem.valid if training is None else training & problem.valid
-    reference = problem if reference is None else reference
+    if reference is None:
+        reference = problem
     valid = int(problem.valid.sum())  # so that a search with held-out samples takes the same strides
     strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
     found = start
@@ -226,7 +227,9 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     state = selection.state
     selector = Selector(problem, options.rough)
     state = selector.weighed(state)
-    every = _stride(int(problem.valid.sum()), options.most_samples) if state.fit.noise.white else 1
+    every = 1
+    if state.fit.noise.white:
+        every = _stride(int(problem.valid.sum()), options.most_samples)
     if every == 1:
         alternatives = selector.alternatives(state)
     else:
@@ -240,5 +243,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     confounded = tuple(term for term, one in zip(candidates, hidden, strict=True) if one)
     left = ModelScan(selector.scan, selector.test(state)).names_and_waves()
     best = max(left, key=lambda one: one.net, default=None)
-    nearest = None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
+    nearest = None
+    if best is not None:
+        nearest = (best.make(), min(float(np.exp(-best.net)), 1.0))
     return replace(selection, state=state, confounded=confounded, nearest=nearest)

@@ -244,7 +244,9 @@ class Distance(PointSensor):
         return replace(self, anchors=anchors)
 
     def place(self, k: int) -> dict[str, list[float]]:
-        offset = {"constant_m": np.asarray(self.constant).tolist()} if self.offset_free else {}
+        offset = {}
+        if self.offset_free:
+            offset = {"constant_m": np.asarray(self.constant).tolist()}
         return {"anchor_m": np.asarray(self.anchors)[:, k].tolist(), **offset}
 
 

@@ -87,7 +87,9 @@ class Measured(SensorModel):
         """With the constant errors changed by the first of `numbers`, and the stations displaced by `frames`."""
         constant = len(self.at)
         moved = replace(self, at=self.at + numbers[:constant]) if constant else self
-        return replace(moved, stations=frames @ self.stations) if len(self.stations) else moved
+        if len(self.stations):
+            return replace(moved, stations=frames @ self.stations)
+        return moved
 
     def in_first_frame(self) -> tuple[Any, Any]:
         """Position and rotation of every sample in the first station's frame."""
@@ -103,7 +105,9 @@ class Measured(SensorModel):
     def readings(self, tool: Frame) -> jax.Array:
         """`differences` from what was measured, with the constant errors."""
         apart = differences(*self.in_first_frame(), tool)
-        return apart + jnp.tensordot(self.at, self.constants, 1) if len(self.at) else apart
+        if len(self.at):
+            return apart + jnp.tensordot(self.at, self.constants, 1)
+        return apart
 
     def differences(self, tool: Array) -> Array:
         """`readings` of predicted tools `(sample, 4, 4)`."""
@@ -112,7 +116,9 @@ class Measured(SensorModel):
         if self.rows == 6:
             turned = _rotation_vector(np.einsum("abs,sac->bcs", rotation, tool[:, :3, :3]))
             apart = np.concatenate([apart, turned])
-        return apart + np.tensordot(self.at, self.constants, 1) if len(self.at) else apart
+        if len(self.at):
+            return apart + np.tensordot(self.at, self.constants, 1)
+        return apart
 
     def columns(self, tool: Array, shift: Array, turn: Array | None = None) -> Array:
         """How differences `(…, row, sample)` change with shifts and turns `(…, 3, sample)` of tools, in sensor axes."""

@@ -86,7 +86,9 @@ class SensorModel(ABC):
 
     def _of_samples(self) -> dict[str, Any]:
         samples = {name: part for name in self.sampled if (part := getattr(self, name)).shape[-1]}
-        return samples if self.whitener.ndim == 1 else samples | {"whitener": self.whitener}
+        if self.whitener.ndim == 1:
+            return samples
+        return samples | {"whitener": self.whitener}
 
     # -------------------------------------------------------------- on the host
 

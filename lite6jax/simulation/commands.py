@@ -228,7 +228,8 @@ def simulate_tracking(
         InputError: an arm without masses or with prismatic joints; an unknown effect, one without numbers or of a joint
             that the arm does not have; commands of another shape, or a number out of its range.
     """
-    arm = read_arm(arm) if isinstance(arm, str) else arm
+    if isinstance(arm, str):
+        arm = read_arm(arm)
     usual = usual_servo(arm)
     for name, value in (("payload", payload), ("joint_noise", joint_noise), ("joint_quantum", joint_quantum)):
         if not 0 <= value < np.inf:

@@ -234,7 +234,9 @@ def measure(
         return sigma * larger * noise
 
     position = poses[:, :3, 3] + draw_noise("position", probe.position_noise)
-    turn = None if probe.orientation_noise is None else draw_noise("orientation", probe.orientation_noise)
+    turn = None
+    if probe.orientation_noise is not None:
+        turn = draw_noise("orientation", probe.orientation_noise)
     outlier = np.zeros(motion.samples, bool)
     rng = make_generator(seed, "outliers")
     hit = rng.permutation(motion.samples)[: round(undeclared.outlier_share * motion.samples)]
@@ -247,7 +249,9 @@ def measure(
         quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ Rotation.from_rotvec(turn).as_matrix()))
     declared_tool: str | tuple[float, ...] = "unknown"
     if tool_known:
-        declared_tool = "none" if tool is None else tuple(np.asarray(tool, float).tolist())
+        declared_tool = "none"
+        if tool is not None:
+            declared_tool = tuple(np.asarray(tool, float).tolist())
     settings = replace(
         motion.settings,
         joint_source="measured",
@@ -340,7 +344,8 @@ def simulate(
             finite, or in degrees; a number out of its range; a motion without a quantity that an effect depends on.
     """
     require_type("arm", arm, Arm | str, "an Arm, the name of a bundled one, or the path of an arm's file")
-    arm = read_arm(arm) if isinstance(arm, str) else arm
+    if isinstance(arm, str):
+        arm = read_arm(arm)
     parsed = _with_values(effects, arm.sliding)
     for effect, _ in parsed:
         quantities = {driver.quantity for driver in effect.drivers}

@@ -179,11 +179,13 @@ def draw_motion(
     Raises:
         InputError: fewer samples than the runs need, or a number out of its range.
     """
-    samples = SAMPLES[kind] if samples is None else samples
+    if samples is None:
+        samples = SAMPLES[kind]
     fewest = 2 if kind == "trajectory" else 1
     if runs < 1 or samples < fewest * runs:
         raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {fewest} a run, and one run")
-    step = STEP_S[kind] if step is None else step
+    if step is None:
+        step = STEP_S[kind]
     for name, value in (("step", step), ("speed", speed)):
         if not 0 < value < np.inf:
             raise InputError(f"simulation: {name} is {value}; give a number above 0")

@@ -118,7 +118,8 @@ def check_recording(recording: Recording, nominal: Arm | None = None) -> Recordi
         InputError: as `fit_recording`.
     """
     require_one_station(recording)
-    recording = recording if nominal is not None else with_arm(recording)
+    if nominal is None:
+        recording = with_arm(recording)
     screened = screen(recording, nominal, allow_undecided=True)
     recording = screened.recording
     arm = screened.arm
@@ -181,7 +182,9 @@ def _geometry_and_outliers(recording: Recording, arm: Arm) -> list[Cause]:
     share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
     noise = solution.noise
     length = np.sqrt(min(recording.numbers_per_sample, 3))
-    declared = (noise.declared[0] or 0.0) * length if noise and noise.declared else 0.0
+    declared = 0.0
+    if noise and noise.declared:
+        declared = (noise.declared[0] or 0.0) * length
     if before <= AS_NOISE_RATIO * declared:
         kind = "none"
     elif share < _MOSTLY_EXPLAINED:

@@ -154,7 +154,9 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         fits.append(_fitted(arm, joints, time[rows], position[rows], Clocks(offset, 0.0, float(np.mean(time[rows])))))
     fits.sort(key=lambda clocks: clocks.ratio)
     if not fits or not fits[0].close:
-        remark = f"; the best leaves {1e3 * fits[0].error:.3g} mm" if fits else ""
+        remark = ""
+        if fits:
+            remark = f"; the best leaves {1e3 * fits[0].error:.3g} mm"
         raise InputError(
             f"the arm's motion and the poses agree at no offset of the clocks{remark}: check that both files are of "
             "one session, the arm (--arm), and the order, signs and units of the joints"
@@ -169,7 +171,8 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
             f"{abs(rivals[0].offset - first.offset):.3f} s fit alike; record a motion that does not repeat, or stamp "
             "both files by one clock"
         )
-    first = first if likely is None else min([first, *rivals], key=lambda clocks: abs(clocks.offset - likely))
+    if likely is not None:
+        first = min([first, *rivals], key=lambda clocks: abs(clocks.offset - likely))
     half = max(_LONGEST_WINDOW_S / 2, 1.0)
     center = first.middle
     reach = float(np.max(np.abs(time - first.middle)))
@@ -210,7 +213,9 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
     closest, *further = sorted(pairings, key=lambda pairing: pairing.error)
     is_complete = closest.rows == min(len(joint), len(position))
     alone = all(pairing.error > ALIKE * closest.error for pairing in further)
-    return closest if is_complete and alone and closest.error <= CLOSE * median_distance(position) else None
+    if is_complete and alone and closest.error <= CLOSE * median_distance(position):
+        return closest
+    return None
 
 
 def _same(arm: Arm, joints: JointStream, time: Array, first: Clocks, second: Clocks) -> bool:

@@ -158,7 +158,9 @@ class Deflections:
         return cache[key]
 
     def _cache(self, effect: Effect) -> dict[Hashable, Any]:
-        return self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
+        if any(driver.loaded for driver in effect.drivers):
+            return self._loaded
+        return self.units
 
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""
@@ -184,7 +186,9 @@ class Deflections:
         """How deflections change with each number of an effect at `at` `(number,)`, among effects `(beside.size,)`."""
         if isinstance(effect, Loading):
             return self.through_loads(effect, at, beside, values)
-        return self.unit(effect) if effect.linear or not at.any() else self.slope(effect, at)
+        if effect.linear or not at.any():
+            return self.unit(effect)
+        return self.slope(effect, at)
 
     def through_loads(self, effect: Loading, at: Array, effects: Physics, values: Array) -> Deflection:
         """How the deflections that loads cause change with each number of an effect that alters the loads.

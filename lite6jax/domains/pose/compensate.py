@@ -221,7 +221,9 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     if frame == "base":
         sites = ("clock", "sensor")
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
-        uncertainty = None if model.uncertainty is None else model.uncertainty.without_base()
+        uncertainty = None
+        if model.uncertainty is not None:
+            uncertainty = model.uncertainty.without_base()
         model = replace(model, model=rigid, uncertainty=uncertainty)
     effects = model.physics.effects
     without = [effect.site in sites or (frame == "base" and isinstance(effect, BaseDrift)) for effect in effects]

@@ -132,7 +132,8 @@ def fit_recording(
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     require_one_station(recording)
-    recording = recording if nominal is not None else with_arm(recording)
+    if nominal is None:
+        recording = with_arm(recording)
     screened = screen(recording, nominal, geometry)
     if recording.touches is not None:
         begun = rigid_arm(screened.recording, screened.arm, geometry)

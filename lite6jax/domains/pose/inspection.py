@@ -485,12 +485,15 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
     denied: dict[str, str] = {}
     for block in sorted(blocks, key=lambda block: block.kind not in ("run", "rotation")):
         names = block.matrix or block.columns
-        step = 1 if block.kind in ("run", "time") else max(len(numbers[names[0]]) // _ENOUGH, 1)
+        step = 1
+        if block.kind not in ("run", "time"):
+            step = max(len(numbers[names[0]]) // _ENOUGH, 1)
         values = np.stack([numbers[name][::step] for name in names], 1)
         if block.kind == "run":
             finite = values[np.isfinite(values)]
             right = bool((finite == np.round(finite)).all())
-            run = values[:, 0] if right and run is None else run
+            if right and run is None:
+                run = values[:, 0]
         elif block.matrix:
             right = _matrix(values)
         elif block.kind == "rotation" and len(block.columns) == 4:
@@ -532,7 +535,9 @@ def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> lis
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
         by_joint = {column.joint: column.name for column in slots.values() if column.quantity == kind}
         first = int(is_per_joint(kind))
-        before = dict(enumerate(by_kind[kind].columns, first)) if kind in by_kind else {}
+        before = {}
+        if kind in by_kind:
+            before = dict(enumerate(by_kind[kind].columns, first))
         columns = {joint: name for joint, name in before.items() if name not in given_names} | by_joint
         contiguous = sorted(by_joint) == [*range(first, first + len(by_joint))]
         if contiguous and (len(by_joint) == dof or not given_names & set(before.values())):
@@ -564,7 +569,9 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
         if form == "scalar_last" or not all((part, 0) in slots for part in parts):
             continue
         columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
-        unit = sizes.by_name(units[0]) if units[0] and len({*units}) == 1 else None
+        unit = None
+        if units[0] and len({*units}) == 1:
+            unit = sizes.by_name(units[0])
         if not form:
             block = Block("position", columns, unit, source=naming.source_words(columns))
         elif parts == DEVIATION:
@@ -584,7 +591,9 @@ def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm
     """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
 
     def unit(name: str) -> str | None:
-        return declared[name].unit if name in declared else naming.unit_of(name)
+        if name in declared:
+            return declared[name].unit
+        return naming.unit_of(name)
 
     joints = next((block.columns for block in blocks if block.kind == "q"), ())
     dof = len(joints) if arm is None else arm.dof
@@ -606,7 +615,9 @@ def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm
                 columns = tuple(block.columns[joint] for joint in members)
                 units = {unit(name) for name in columns}
                 unit_name = units.pop() if len(units) == 1 else None
-                stated = sizes.by_name(unit_name) if unit_name in naming.units_allowed(block.kind, slides) else None
+                stated = None
+                if unit_name in naming.units_allowed(block.kind, slides):
+                    stated = sizes.by_name(unit_name)
                 joints_of = tuple(joint + 1 for joint in members)
                 split.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
     return split
@@ -692,7 +703,9 @@ def _whole(values: Array) -> Array:
 
 
 def _median_size(values: Array) -> float:
-    return float(np.median(np.linalg.norm(_whole(values), axis=1))) if len(_whole(values)) else np.inf
+    if len(_whole(values)):
+        return float(np.median(np.linalg.norm(_whole(values), axis=1)))
+    return np.inf
 
 
 def _read_sum(
@@ -721,7 +734,9 @@ def _read_sum(
     unit = deviation.unit
     if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
         unit = sizes.Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
-    scale = 1.0 if unit is None else deviation.units[of_places.choice] / deviation.units[unit.choice]
+    scale = 1.0
+    if unit is not None:
+        scale = deviation.units[of_places.choice] / deviation.units[unit.choice]
     summed = {**numbers, **dict(zip(position.columns, (places + sign * scale * offsets).T, strict=True))}
     pose = _read_pose(Source(position, ()), blocks, summed, arm)
     return pose._replace(blocks=(position, replace(deviation, unit=unit)), role="sensor")
@@ -732,7 +747,8 @@ def _choose_pose(read: Sequence[Pose], pose_source: str | None) -> int | None:
     pool = poses_of([pose.role for pose in read], pose_source)
     if len({read[k].role for k in pool}) == 1:
         turned = [k for k in pool if len(read[k].blocks) > 1]
-        pool = turned if len(turned) == 1 else pool
+        if len(turned) == 1:
+            pool = turned
     return pool[0] if len(pool) == 1 else None
 
 

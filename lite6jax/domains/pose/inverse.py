@@ -327,7 +327,8 @@ def _followed(
         q[rows], reached[rows] = solved(rows, np.tile(last, (together, 1)))
         reached[rows[1:]] &= np.abs(q[rows[1:]] - last).max(1) <= _JUMP
         arrived = rows[reached[rows]]
-        last = q[arrived[-1]] if arrived.size else last
+        if arrived.size:
+            last = q[arrived[-1]]
         first += together
     return q, reached
 

@@ -242,7 +242,9 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         if joined is not None:
             return joined._replace(left_out=left_out)
     are_captures = len(state_rows) <= _MOST_CAPTURES
-    pairing = pair_in_order(arm, q[state_rows], position[pose_rows]) if are_captures else None
+    pairing = None
+    if are_captures:
+        pairing = pair_in_order(arm, q[state_rows], position[pose_rows])
     if pairing is not None:
         states = state_rows[pairing.joint : pairing.joint + pairing.rows]
         placed = pose_rows[pairing.position : pairing.position + pairing.rows]
@@ -294,7 +296,9 @@ def _joined_by_time(
         raise InputError(f"{who}: {len(placed)} poses at different times are too few to find the offset of the clocks")
     first = clock[states[0]]
     start = at[placed[0]]
-    likely = float(start - first) if min(first, start) > LATEST_START_S else None
+    likely = None
+    if min(first, start) > LATEST_START_S:
+        likely = float(start - first)
     try:
         clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
     except InputError as error:

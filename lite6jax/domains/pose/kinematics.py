@@ -163,7 +163,9 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     if recording.stations:
         further = np.tile(np.eye(4), (len(recording.stations), 1, 1))
         measured = replace(measured, station=recording.station, stations=further)
-    board_poses = None if recording.readings is None else recording.readings.seen
+    board_poses = None
+    if recording.readings is not None:
+        board_poses = recording.readings.seen
     if board_poses is None or not board_poses.mean.size:
         return measured
     # with their deviations as units

@@ -150,7 +150,9 @@ def _other(problem: PoseProblem, reference: PoseProblem) -> tuple[PoseProblem, P
     """Both with the other load model, where there is one."""
     turned = problem.with_other_loads()
     turned_reference = reference.with_other_loads()
-    return (problem, reference) if turned is None or turned_reference is None else (turned, turned_reference)
+    if turned is None or turned_reference is None:
+        return (problem, reference)
+    return (turned, turned_reference)
 
 
 def _first(
@@ -170,4 +172,6 @@ def _first(
         effect, score = max(scored, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(test.freedom))
         return fit(case, Terms((effect,)), options, score.values, baseline.nuisance, used)
 
-    return turned if best(turned[1]).gain_over(best(reference)) > 0 else (problem, reference)
+    if best(turned[1]).gain_over(best(reference)) > 0:
+        return turned
+    return (problem, reference)

@@ -169,7 +169,9 @@ class DiagnosedArm:
         if q.ndim < 1 or q.shape[-1] != self.dof:
             raise InputError(f"pose: joint_position has the shape {q.shape}; give (..., {self.dof}) in rad")
         if not isinstance(q, Tracer):
-            limits = None if isinstance(self.joint_limits, Tracer) else self.joint_limits
+            limits = None
+            if not isinstance(self.joint_limits, Tracer):
+                limits = self.joint_limits
             require_radians(q, limits)
 
         batch_shape = q.shape[:-1]
@@ -227,7 +229,9 @@ class DiagnosedArm:
     def keeping(self, kept: list[bool]) -> "DiagnosedArm":
         """The same arm with the effects for which `kept` is true."""
         physics, values = self.physics.part(self.values, kept)
-        uncertainty = None if self.uncertainty is None else self.uncertainty.keeping(self.physics.effects, kept)
+        uncertainty = None
+        if self.uncertainty is not None:
+            uncertainty = self.uncertainty.keeping(self.physics.effects, kept)
         return replace(self, physics=physics, values=values, uncertainty=uncertainty)
 
     def motion_of(self, recording: Recording) -> Motion:
@@ -306,7 +310,9 @@ def deviation_columns(result: Any) -> dict[str, Array | NDArray[np.integer]]:
     for std, names in ((result.position_std, ("x_std_m", "y_std_m", "z_std_m")), (result.orientation_std, TURNED)):
         if std is not None:
             columns |= zip(names, std.T, strict=True)
-    return columns if result.outside is None else columns | {"outside": result.outside.astype(int)}
+    if result.outside is None:
+        return columns
+    return columns | {"outside": result.outside.astype(int)}
 
 
 @final
@@ -370,7 +376,9 @@ class Derivatives:
     def driver_values(self) -> dict[str, Array]:
         """`(sample,)` of every quantity on which effects depend and that the motion has, by its phrase."""
         drivers = {driver.phrase: driver for effect in self.model.physics.effects for driver in effect.drivers}
-        on_arm = self._deflections.loads if any(driver.loaded for driver in drivers.values()) else None
+        on_arm = None
+        if any(driver.loaded for driver in drivers.values()):
+            on_arm = self._deflections.loads
         return {
             phrase: np.asarray(driver.values(self._seen, on_arm))
             for phrase, driver in drivers.items()
@@ -382,7 +390,9 @@ class Derivatives:
         physics = self.model.physics
         values = np.asarray(self.model.values)
         masses = [site for site in self.sites if site[0] not in FRAMES]
-        units = [self._deflections.through_masses(masses, physics, values)] if masses else []
+        units = []
+        if masses:
+            units = [self._deflections.through_masses(masses, physics, values)]
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             free_effect = freed(effect)
             at = values[part]
@@ -409,7 +419,9 @@ class Derivatives:
     def _altered(self) -> Motion:
         """The motion as it really was."""
         physics = self.model.physics
-        return physics.alter(jnp.asarray(self.model.values), self._seen) if physics.altering else self._seen
+        if physics.altering:
+            return physics.alter(jnp.asarray(self.model.values), self._seen)
+        return self._seen
 
 
 def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | None, Array | None, Flags | None]:

@@ -417,7 +417,9 @@ class PoseProblem(RigidArm):
             motion = accelerated(self.motion)
         else:
             motion = self.motion._replace(joint_acceleration=None)
-        return None if self.inertia is None or motion is self.motion else replace(self, motion=motion, units={})
+        if self.inertia is None or motion is self.motion:
+            return None
+        return replace(self, motion=motion, units={})
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
@@ -517,7 +519,9 @@ def pose_problem(
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
     touched = not isinstance(rigid.measured, Measured)
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
-    turning = np.flatnonzero(~rigid.arm.slides) if tolerant and geometry != "exact" else ()
+    turning = ()
+    if tolerant and geometry != "exact":
+        turning = np.flatnonzero(~rigid.arm.slides)
     waves = tuple(("wave", int(j), k) for j in turning for k in range(2))
     precision = np.full(len(waves), ONCE_PER_TURN**-2.0)
     free = np.zeros(len(moved))

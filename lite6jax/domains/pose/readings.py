@@ -302,7 +302,9 @@ def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) ->
         return agreed.units[block.key]
     if block.kind == "q" and not block.slides:
         servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-        of_arm = arm if arm is not None and values.shape[1] == arm.dof else None
+        of_arm = None
+        if arm is not None and values.shape[1] == arm.dof:
+            of_arm = arm
         if of_arm is None:
             return sizes.angle_unit(values, servo)
         return sizes.angle_unit(values, servo, of_arm.endless, of_arm.joint_limits)

@@ -378,7 +378,9 @@ def _relative_to(reference: Recording, recording: Recording, fitted: tuple[bool,
 def _temperature(recording: Recording) -> Array | None:
     """`(sample,)` °C of the arm; None where it was not recorded."""
     joints = recording.joint_temperature
-    return recording.ambient_temperature if joints is None else joints.mean(1)
+    if joints is None:
+        return recording.ambient_temperature
+    return joints.mean(1)
 
 
 def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, Any]]:
@@ -419,7 +421,9 @@ def _chains(recording: Recording, reference: Recording, arm: Arm) -> list[_Chain
     kind_of = {name: "ros_default_table" if name in VARIANTS else "published_table" for name in bundled_arms()}
     tables = [arm, *(table for table in tables_of_model(arm.name) if table.name != arm.name and table.dof == arm.dof)]
     nominal = [_Chain(kind_of.get(table.name, "nominal_table"), table.name, table.kinematics) for table in tables]
-    calibrated_count = 0 if recording.settings.factory_calibration is None else 1
+    calibrated_count = 1
+    if recording.settings.factory_calibration is None:
+        calibrated_count = 0
     return [*calibrated[:calibrated_count], *nominal, *calibrated[calibrated_count:]]
 
 
@@ -435,7 +439,9 @@ def _registered(recording: Recording, flange: Array, fitted: tuple[bool, bool]) 
     position = recording.position
     assert position is not None
     tool = None if fitted[0] or settings.tool == "unknown" else declared_tool(recording)
-    frame = np.eye(4) if settings.pose_frame == "base" and not fitted[1] else None
+    frame = None
+    if settings.pose_frame == "base" and not fitted[1]:
+        frame = np.eye(4)
     return register(flange, position, measured_rotations(recording), noise_of(settings), frame, tool)
 
 
@@ -451,7 +457,9 @@ def _simplest(candidates: Sequence[_RigidArm], noise: Sequence[float]) -> _Rigid
     smallest = [min(rigid.registration.noise[k] or 0.0 for rigid in candidates) for k in (0, 1)]
     limit = (max(noise[0], _NEARLY * smallest[0]), max(noise[1], _NEARLY * smallest[1]))
     near = next((rigid for rigid in candidates if rigid.within(limit)), candidates[0])
-    return near if near.rms < _SUBSTANTIAL * candidates[0].rms else candidates[0]
+    if near.rms < _SUBSTANTIAL * candidates[0].rms:
+        return near
+    return candidates[0]
 
 
 def _with_fitted_geometry(reference: Recording, arm: Arm, start: _RigidArm) -> _RigidArm | None:

@@ -96,7 +96,9 @@ class NuisanceProblem:
 
     def residual(self: Any, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` with the unknowns displaced."""
-        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
+        if nuisance.any():
+            return self.relinearised(nuisance).residuals
+        return self.residuals
 
     def columns(
         self: Any, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -395,7 +397,9 @@ def rigid_arm(
         unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
     if form.tool:
         unknown += [("tool", 0, k) for k in range(6 if recording.numbers_per_sample == 6 else 3)]
-    uncertainty = None if factory is not None else recording.settings.factory_uncertainty
+    uncertainty = None
+    if factory is None:
+        uncertainty = recording.settings.factory_uncertainty
     sigma = (TOLERANCE["m"], TOLERANCE["rad"]) if touches is None else TOUCHED_TOLERANCE
     if exact and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)

@@ -101,7 +101,8 @@ def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[f
     T = np.eye(dof)
     gravity = None
     for change in hypothesis:
-        gravity = change.gravity if change.code in GRAVITY else gravity
+        if change.code in GRAVITY:
+            gravity = change.gravity
         matrix, added = change.of_positions(dof)
         A = matrix @ A
         b = matrix @ b + added
@@ -184,7 +185,9 @@ def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
     exchanged = {c.joints for c in of_code["swapped_positions"]} & {c.joints for c in of_code["swapped_torques"]}
     of_code["swapped_torques"] = [c for c in of_code["swapped_torques"] if c.joints not in exchanged]
     for change in of_code["swapped_positions"]:
-        code = "swapped_columns" if change.joints in exchanged else "swapped_positions"
+        code = "swapped_positions"
+        if change.joints in exchanged:
+            code = "swapped_columns"
         faults.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
     for change in of_code["coupled_joint"]:
         i, j = change.joints

@@ -103,7 +103,9 @@ class LowPass:
 
     def whole(self, rows: Array) -> Array:
         """Rows `(…, sample)` low-passed, every sample of them."""
-        return rows if self.every == 1 else _by_run(rows, self.runs, self.cutoff, self.rate)
+        if self.every == 1:
+            return rows
+        return _by_run(rows, self.runs, self.cutoff, self.rate)
 
     def __call__(self, rows: Array) -> Array:
         """Rows `(…, sample)` low-passed, and of them the samples that are kept."""
@@ -503,4 +505,6 @@ def _bandwidth(row: Array, runs: NDArray[np.integer], rate: float) -> float:
     """Hz within which nearly all of a row's power lies."""
     f, power = _spectrum(row, runs, rate)
     total = np.cumsum(power)
-    return float(max(f[np.searchsorted(total, _BANDWIDTH * total[-1])], f[1])) if total[-1] > 0 else float(f[1])
+    if total[-1] > 0:
+        return float(max(f[np.searchsorted(total, _BANDWIDTH * total[-1])], f[1]))
+    return float(f[1])

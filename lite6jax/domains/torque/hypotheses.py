@@ -134,7 +134,9 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
     torque, positions = (misfits[code] for code in _SIGNS)
     apart = torque - positions
     code = "reversed_sign" if abs(apart) < TRUSTED else _SIGNS[int(apart > 0)]
-    undone = "reversed_positions" if code == "reversed_positions" else "reversed_torque"
+    undone = "reversed_torque"
+    if code == "reversed_positions":
+        undone = "reversed_positions"
     corrected = undo(tuple(TorqueFault(undone, (joint,)) for joint in joints), data)
     return ScreenedTorques(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),), ())
 

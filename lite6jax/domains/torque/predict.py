@@ -138,7 +138,9 @@ def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[n
 
 def joints_of(effect: TorqueEffect) -> slice:
     """The joints, of all, that an effect acts on: most effects act on one."""
-    return slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque | TorqueLag) else slice(None)
+    if isinstance(effect, JointTorque | TorqueLag):
+        return slice(effect.joint - 1, effect.joint)
+    return slice(None)
 
 
 def unit_torques(effect: TorqueEffect, dynamics: Dynamics) -> Array:
@@ -173,7 +175,9 @@ def motion_of_joint(j: int, velocity: Array, slides: Flags) -> Motion:
 def read_driver(driver: Driver, dynamics: Dynamics) -> Array | None:
     """`(sample,)` in the driver's unit; None where the motion or the loads do not contain it."""
     loads = dynamics.loads if driver.loaded else None
-    return np.asarray(driver.values(dynamics.motion, loads)) if driver.known(dynamics.motion, loads) else None
+    if driver.known(dynamics.motion, loads):
+        return np.asarray(driver.values(dynamics.motion, loads))
+    return None
 
 
 # ------------------------------------------------------------------ the model of a diagnosis
@@ -283,7 +287,9 @@ class TorquePrediction(PublicResult):
             for std, values in parts
             for j, row in enumerate(values.T)
         }
-        return columns if self.outside is None else columns | {"outside": self.outside.astype(int)}
+        if self.outside is None:
+            return columns
+        return columns | {"outside": self.outside.astype(int)}
 
 
 def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:

@@ -181,7 +181,9 @@ class TorqueProblem:
 
     def _with(self, sigma: Array, more: Array | None) -> Array:
         """Standard deviations of samples, and independently of them `more` of every sample."""
-        return sigma if more is None else np.hypot(sigma, more[:, self.data.filter.kept][:, self.chosen])
+        if more is None:
+            return sigma
+        return np.hypot(sigma, more[:, self.data.filter.kept][:, self.chosen])
 
     @lazy
     def groups(self) -> NDArray[np.integer]:
@@ -526,7 +528,9 @@ class TorqueProblem:
         return self.data.filter(torque)[..., self.chosen]
 
     def _filtered(self, torque: Array, everywhere: bool) -> Array:
-        return self.data.filter.whole(torque) if everywhere else self._kept(torque)
+        if everywhere:
+            return self.data.filter.whole(torque)
+        return self._kept(torque)
 
     def _units(self, effect: TorqueEffect, everywhere: bool = False) -> Array:
         """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""

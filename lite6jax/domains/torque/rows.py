@@ -75,7 +75,9 @@ class RigidBodies:
     def of_payload(self) -> Array:
         """Torques `(joint, sample)` by the payload as declared row by row."""
         payload = np.asarray(self.motion.payload)
-        return self.of_inertia(self.at_flange) * payload if payload.any() else np.zeros(self.moved.shape[1:])
+        if payload.any():
+            return self.of_inertia(self.at_flange) * payload
+        return np.zeros(self.moved.shape[1:])
 
     @property
     def at_flange(self) -> Array:

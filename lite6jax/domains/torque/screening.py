@@ -136,11 +136,14 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     if not still:
         # a joint beyond its limits may have another sign or zero, which has been settled now
         recording, turns = _without_turns(data.recording, arm, wraps_only=False)
-        data = torque_rows(recording, arm, data.torque) if turns else data
+        if turns:
+            data = torque_rows(recording, arm, data.torque)
         faults += turns
     stiction = held_by_friction(data)
     if stiction.found or np.any(doubt):
-        spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows]) if np.any(doubt) else 0.0
+        spread = 0.0
+        if np.any(doubt):
+            spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows])
         data = replace(data, slack=np.hypot(stiction.slack, spread), repeated=stiction.repeated)
     faults += stiction.found
     if not still:
@@ -173,7 +176,9 @@ def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording,
         if far.sum() >= min(2, len(mark.samples)):
             lost[mark.samples[far]] = True
             faults.append(mark.fault(recording, mark.samples[far]))
-    return (recording.without_rows(lost), faults) if faults else (recording, [])
+    if faults:
+        return (recording.without_rows(lost), faults)
+    return (recording, [])
 
 
 def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Recording, list[DataFault]]:
@@ -186,7 +191,8 @@ def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Re
     """
     q = without_turns(recording, arm.possible_positions, _BEYOND)
     apart = q - recording.joint_position
-    q = np.where(np.ptp(apart, axis=0) > 1.0, q, recording.joint_position) if wraps_only else q
+    if wraps_only:
+        q = np.where(np.ptp(apart, axis=0) > 1.0, q, recording.joint_position)
     turned = np.abs(q - recording.joint_position) > 1.0
     if not turned.any():
         return recording, []
@@ -257,7 +263,9 @@ def _postures(recording: Recording) -> Recording:
             f"{recording.source}: holds {recording.samples} static postures; record {_FEWEST_POSTURES} or more for a "
             "check of gravity, or a motion"
         )
-    return recording if recording.time is not None else replace(recording, time=np.arange(float(recording.samples)))
+    if recording.time is not None:
+        return recording
+    return replace(recording, time=np.arange(float(recording.samples)))
 
 
 def _velocity_bias(recording: Recording, arm: Arm) -> Array:
@@ -449,7 +457,9 @@ def held_by_friction(data: TorqueRows) -> RestFriction:
     bands = []
     for j in range(len(still)):
         resting = still[j, filtered_rows]
-        band = _left_at_rest(data, j, resting, ~near[j, filtered_rows]) if resting.sum() >= _FEWEST else 0.0
+        band = 0.0
+        if resting.sum() >= _FEWEST:
+            band = _left_at_rest(data, j, resting, ~near[j, filtered_rows])
         if band:
             joints.append(j + 1)
             bands.append(band)

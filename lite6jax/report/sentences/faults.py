@@ -866,7 +866,9 @@ def degrees_found(fault: DataFault) -> str:
     """Says which columns of a log of commands are in degrees."""
     numbers = fault.numbers
     joints = numbers["joints"]
-    undecided = "" if numbers["decided"] else "Whether these or the other columns are wrong does not show in this log. "
+    undecided = "Whether these or the other columns are wrong does not show in this log. "
+    if numbers["decided"]:
+        undecided = ""
     return (
         f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')} 57 times as far as commanded, or a "
         f"57th of that: the {numbers['side']} columns are in degrees where the name says radians, or the other way "
@@ -878,7 +880,9 @@ def gear_found(fault: DataFault) -> str:
     """Says which joints have a gear between command and read-out."""
     numbers = fault.numbers
     joints = numbers["joints"]
-    undecided = "" if numbers["decided"] else "Whether this or the other column is wrong does not show in this log. "
+    undecided = "Whether this or the other column is wrong does not show in this log. "
+    if numbers["decided"]:
+        undecided = ""
     moving = f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
     return (
         f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is "

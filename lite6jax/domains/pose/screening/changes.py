@@ -70,7 +70,9 @@ class PoseFault:
         if self.code in DECLARED:
             free = {"pose_frame": "unknown"} if self.code == "declared_frame" else {"tool": "unknown"}
             return replace(recording, settings=replace(recording.settings, **free))
-        return self._poses(recording) if self.code in POSES else self._joints(recording)
+        if self.code in POSES:
+            return self._poses(recording)
+        return self._joints(recording)
 
     def _poses(self, recording: Recording) -> Recording:
         position = recording.position
@@ -88,7 +90,8 @@ class PoseFault:
             R = None if R is None else M @ R @ M
         elif R is not None and (self.code == "inverted_poses" or convention.startswith("inverted")):
             R = np.swapaxes(R, 1, 2)
-            position = -np.einsum("sij,sj->si", R, position) if self.code == "inverted_poses" else position
+            if self.code == "inverted_poses":
+                position = -np.einsum("sij,sj->si", R, position)
         return replace(recording, position=position, quaternion=None if R is None else unit_quaternions(R))
 
     def _joints(self, recording: Recording) -> Recording:
@@ -172,7 +175,9 @@ def is_estimated(change: PoseFault) -> bool:
 def rounded_to_quarters(angle: float) -> float:
     """An angle in rad, or the quarter turns that it is but for what a calibration corrects."""
     quarters = float(np.round(angle / (np.pi / 2)) * np.pi / 2)
-    return quarters if quarters and abs(angle - quarters) < TOLERANCE["rad"] else angle
+    if quarters and abs(angle - quarters) < TOLERANCE["rad"]:
+        return quarters
+    return angle
 
 
 def listed(several: Sequence[Hypothesis]) -> list[list[dict[str, Any]]]:

@@ -171,7 +171,9 @@ class Deviation:
         value = float(weighed.displacements[self.places(change)][0])
         if change.code == "joint_turns":
             return replace(change, value=rounded_to_quarters(value))
-        return replace(change, value=1 / (1 - value)) if change.code == "sensor_scale" else change
+        if change.code == "sensor_scale":
+            return replace(change, value=1 / (1 - value))
+        return change
 
     def share(self, change: PoseFault, weighed: DeviationEvidence) -> float:
         """The largest displacement by a change, of a zero, a frame or a tool, over what factories grant of it."""

@@ -270,7 +270,9 @@ def _scales(thinned: RigidArm) -> list[Hypothesis]:
     nearest: Any = minimize_scalar(error, bounds=(-bound, bound), method="bounded")
     log_scale = float(nearest.x)
     grossly = abs(log_scale) > np.log(_LEAST_SCALE)
-    return [(PoseFault("sensor_scale", (), float(np.exp(log_scale))),)] if grossly else []
+    if grossly:
+        return [(PoseFault("sensor_scale", (), float(np.exp(log_scale))),)]
+    return []
 
 
 def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
@@ -491,7 +493,8 @@ def use_other_table(state: Screened) -> Screened:
     if not arm.exact or state.geometry == "declared":
         # its factory calibration was not that arm's
         settings = replace(recording.settings, factory_calibration=None, factory_uncertainty=None)
-        settings = settings if settings.arm_is_file else replace(settings, arm=alternative.name)
+        if not settings.arm_is_file:
+            settings = replace(settings, arm=alternative.name)
         recording = replace(recording, settings=settings)
         nominal = alternative
         factory = None

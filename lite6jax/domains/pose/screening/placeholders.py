@@ -45,7 +45,8 @@ def leave_out_placeholders(state: Screened) -> Screened:
     lost = np.zeros(recording.samples, bool)
     for mark in candidates:
         rows = mark.samples[~lost[mark.samples]]
-        rows = rows[evidence.convicts(mark, rows)] if len(rows) else rows
+        if len(rows):
+            rows = rows[evidence.convicts(mark, rows)]
         if not len(rows):
             continue
         lost[rows] = True
@@ -86,7 +87,9 @@ class _Evidence(NamedTuple):
             if missed.sum() < fewest or (mark.column is not None and len(rows) < 2):
                 return none
             return missed if mark.column is None else all_rows
-        return all_rows if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows) else none
+        if mark.column is None and len(rows) > 1 and self._contradicts(mark, rows):
+            return all_rows
+        return none
 
     def _contradicts(self, mark: Mark, rows: NDArray[np.integer]) -> bool:
         """Whether the poses of the same joints, or the joints of the same pose, are far from each other."""

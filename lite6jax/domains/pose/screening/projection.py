@@ -140,7 +140,8 @@ def physics_columns(arm: RigidArm, skip: tuple[str, ...] = ()) -> Array:
     stretch = np.einsum("jk,jkrs->jrs", along, twists.reshape(len(along), 6, arm.rows, -1)[:, :3])
     positions = np.zeros((1, arm.rows, arm.samples))
     positions[0, :3] = arm.rigid.tool[:, :3, 3].T
-    stretch = stretch.sum(0, keepdims=True) if "links" in skip else stretch
+    if "links" in skip:
+        stretch = stretch.sum(0, keepdims=True)
     scale = np.concatenate([stretch, arm.whitened(positions)])
     out += [scale, scale * warmth]
     return np.concatenate(out)

@@ -39,7 +39,9 @@ def free_constant(state: Screened) -> Screened:
         gain = fitted.log_likelihood(scale) - plain.log_likelihood(scale)
         price = 0.5 * np.log(recording.samples) + state.prior.cost("distance_constant")
         declared = settings.distance_noise_m
-        noisy = fitted.scale * fitted.noise[0] > AS_NOISE_RATIO * declared if declared else False
+        noisy = False
+        if declared:
+            noisy = fitted.scale * fitted.noise[0] > AS_NOISE_RATIO * declared
         if gain < price or noisy:
             return state.rule_out("distance_offset", reason="unsupported", log_likelihood_gain=float(gain))
     numbers = {"constant_m": constant, "std_m": std}

@@ -317,7 +317,8 @@ def screen(
         if (coarse and entry.needs == "fit") or (recording.touches is not None and not entry.of_touches):
             continue
         if entry.needs != "recording" and state.rigid is None:
-            state = stations.join_stations(state) if recording.stations else state
+            if recording.stations:
+                state = stations.join_stations(state)
             rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:

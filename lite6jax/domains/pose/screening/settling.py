@@ -87,7 +87,9 @@ def settle_joints(state: Screened) -> Screened:
 
 def count_numbers(fault: DataFault) -> int:
     """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
-    return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
+    if fault.numbers["all_joints"]:
+        return 1
+    return len(fault.numbers["joints"])
 
 
 def seek_unsettled(arm: RigidArm) -> tuple[Unsettled | None, dict[str, Any]]:

@@ -87,5 +87,7 @@ def _carry(recording: Recording, to_first: Array) -> Recording:
     assert recording.position is not None
     position = np.einsum("sab,sb->sa", T[:, :3, :3], recording.position) + T[:, :3, 3]
     rotation = measured_rotations(recording)
-    quaternion = None if rotation is None else unit_quaternions(T[:, :3, :3] @ rotation)
+    quaternion = None
+    if rotation is not None:
+        quaternion = unit_quaternions(T[:, :3, :3] @ rotation)
     return replace(recording, position=position, quaternion=quaternion)
