@@ -32,7 +32,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
-from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED
+from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
 from lite6jax.search.spectrum import Line, lines
 
 Array = NDArray[np.floating]
@@ -722,7 +722,7 @@ class ModelScan:
         if not np.any(component.column[self._rows]):
             return []
         resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
-        orders = [line.order / part for part in _FRACTIONS if line.order / part >= self._options.lowest_order]
+        orders = [line.order / part for part in _FRACTIONS if line.order / part >= LOWEST_ORDER]
         likeliest = max((self._repeats(component, k, order) for order in orders), key=_by_net)
         if likeliest.gain < _REFINED_GAIN * likeliest.cost:
             return []
@@ -747,7 +747,7 @@ class ModelScan:
             equations = self._equations(
                 component, self._problem.seen(functions)[None], [((k,), "repeat", rolloff)], exact=True
             )
-            evidence = of_process(*equations, self._options.confounded)
+            evidence = of_process(*equations, CONFOUNDED)
             candidates.append(
                 self._process(Evidence(*(part[0] for part in evidence)), component, (k,), "repeat", rolloff)
             )
