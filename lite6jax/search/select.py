@@ -754,11 +754,11 @@ class Selector:
         return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
 
     def _noise_chosen_again(self, state: State) -> State:
-        """In noise that was white it stays so: `selected` asks for another. In other noise terms are weighed anew."""
+        """In noise that was white it stays so: `selected` asks for another. Where it turns white, terms are weighed anew."""
         if state.fit.noise.white:
             return state
         again = replace(state, fit=self.in_likeliest_noise(state.fit))
-        return again if again.fit.noise.models == state.fit.noise.models else self.weighed(again)
+        return self.weighed(again) if again.fit.noise.white else again
 
     def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""
