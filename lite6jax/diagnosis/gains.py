@@ -146,7 +146,8 @@ def _covariance(commands: DomainDiagnosis[TrackingProblem]) -> Array:
     blocks = [problem.nuisance_columns(fit.terms, fit.values)]
     if fit.terms.size:
         blocks.append(problem.columns(fit.terms.terms, fit.values))
-    columns = np.concatenate([(block / scale)[:, :, fit.training].reshape(len(block), -1) for block in blocks])
+    trained = np.concatenate(blocks)[:, :, fit.training] / scale
+    columns = trained.reshape(len(trained), trained.shape[1] * trained.shape[2])
     spreads = [coordinate.spread for term in fit.terms.terms for coordinate in term.coordinates]
     prior = np.concatenate([problem.precision, np.array(spreads, float) ** -2])
     return np.linalg.pinv(columns @ columns.T + np.diag(prior))

@@ -282,9 +282,12 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
     transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
     alone = position is None and tau is None and current is None and not inspection.given
-    tracked = alone and q is not None and inspection.of("cmd") is not None
+    commanded = q is not None and inspection.of("cmd") is not None
+    tracked = alone and commanded
+    # torques and commands are diagnosed together, and poses without them
+    commands_left_out = commanded and (position is not None or bool(inspection.given))
     nothing = alone and not tracked
-    noises += ["joint_noise_rad"] if tracked else []
+    noises += ["joint_noise_rad"] if commanded and not commands_left_out else []
     deviations = [
         _column_option(column, f"{name}_{unit_of(column) or 'mm'}")
         for column, name in zip(inspection.unclear_deviations, DEVIATION, strict=False)
@@ -327,7 +330,7 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     if not nothing:
         yield "Next:" if "arm" in settings else "Name the arm in the sidecar, then:"
         yield unbroken(command_line("diagnose", source, "--out", "diagnosis.json"))
-        if inspection.of("cmd") is not None and not tracked:
+        if commands_left_out:
             yield sentences.commands_beside("joint_noise_rad" not in settings)
             yield unbroken(command_line("diagnose", source, "--tracking", "--out", "tracking.json"))
 
