@@ -734,7 +734,10 @@ class Selector:
         return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
 
     def _noise_chosen_again(self, state: State) -> State:
-        """In noise that was white it stays so: `selected` asks for another. Where it turns white, terms are weighed anew."""
+        """In noise that was white it stays so: `selected` asks for another.
+
+        Where it turns white, terms are weighed anew.
+        """
         if state.fit.noise.white:
             return state
         again = replace(state, fit=self.in_likeliest_noise(state.fit))
