@@ -702,7 +702,7 @@ class ModelScan:
         return lines(self._test)
 
     def repeating(self) -> list[Ranked]:
-        """What repeats with the turns of each joint, at the likeliest order, and is no sine."""
+        """What repeats with the turns of each site, at the likeliest order, and is no sine."""
         candidates = []
         for component in self.components:
             for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
