@@ -70,7 +70,7 @@ def test_what_is_in_the_model_or_unknown_has_no_evidence(made):
     assert made.evidence(PooledTerm("unheard of")) is None
     assert made.evidence(PooledTerm("waves:joint9", 3.0)) is None
     assert made.evidence(replace(CURVE, site="joint9")) is None
-    assert made.evidence(replace(CURVE, drivers=("position of joint 9",)), OPTIONS) is None
+    assert made.evidence(replace(CURVE, drivers=("position of joint 9",))) is None
 
 
 def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made):
