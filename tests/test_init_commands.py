@@ -491,17 +491,19 @@ def test_a_log_of_a_controller_is_diagnosed_by_its_commands(tmp_path, capsys):
     assert "All joints are late" in flat(capsys.readouterr().out)
 
 
-def test_a_diagnosis_of_torques_names_the_one_of_commands(tmp_path):
+def test_a_diagnosis_of_poses_names_the_one_of_commands(tmp_path):
     """The line beside what is diagnosed, without the diagnosis."""
     t, u, y = motion(6)
     columns = (
         {"time_s": t} | {f"q{k + 1}_rad": y[:, k] for k in range(6)} | {f"cmd{k + 1}_rad": u[:, k] for k in range(6)}
     )
-    path = text(tmp_path / "log.csv", columns | {f"tau{k + 1}_Nm": rates(6)[:, k] for k in range(6)})
+    path = text(tmp_path / "log.csv", columns | {f"{axis}_m": rates(6)[:, k] for k, axis in enumerate("xyz")})
     recording = read_recording(path)
     (said,) = DiagnoseCommand(path)._of_other_domains(recording)
     assert said == (
-        f"the torques are diagnosed, and not the commands beside them; `lite6jax diagnose {path} --tracking` asks why "
+        f"the poses are diagnosed, and not the commands beside them; `lite6jax diagnose {path} --tracking` asks why "
         "the joints do not follow"
     )
     assert DiagnoseCommand(path, tracking=True)._of_other_domains(recording) == []
+    both = text(tmp_path / "both.csv", columns | {f"tau{k + 1}_Nm": rates(6)[:, k] for k in range(6)})
+    assert DiagnoseCommand(both)._of_other_domains(read_recording(both)) == []

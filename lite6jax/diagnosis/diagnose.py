@@ -736,7 +736,7 @@ def diagnose(
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     domains = domains_of(recording, domain)
-    if len(domains) > 1 and POSES.name in domains:
+    if POSES.name in domains and domains != (POSES.name,):
         arm = arm or arm_of(recording)  # the same for all
     reference_recording = None if reference is None else load_recording(reference, arm)
     request = _Request(

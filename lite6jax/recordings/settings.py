@@ -310,7 +310,7 @@ class RecordingSettings:
             InputError: lists that are of another number of joints; the message begins with `source`.
         """
         noise = self.torque_noise_Nm
-        noises = (noise,) * joints if isinstance(noise, float) else noise
+        noises = (float(noise),) * joints if isinstance(noise, float | int) else noise
         per_joint = self if noises is noise else replace(self, torque_noise_Nm=noises)
         constants = self.torque_constant_Nm_per_A
         for key, numbers in (("torque_noise_Nm", noises), ("torque_constant_Nm_per_A", constants)):

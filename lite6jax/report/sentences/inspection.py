@@ -229,7 +229,7 @@ def only_a_motion(readings: Sequence[tuple[str, str, str]], announced: str) -> s
 
 
 def commands_beside(noise_undeclared: bool) -> str:
-    """Says which command diagnoses commands that stand beside poses or torques, and the noise that it needs."""
+    """Says which command diagnoses commands that stand beside poses, and the noise that it needs."""
     noise = ""
     if noise_undeclared:
         noise = ", with joint_noise_rad in the sidecar"

@@ -216,7 +216,7 @@ def contains(hypothesis: Hypothesis, part: Hypothesis) -> bool:
 
 def simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
     """The fewer the changes and the earlier their kind in `CODES`, the less."""
-    ranks = dict.fromkeys(POSES, 1) | dict.fromkeys(DECLARED, 0)
+    ranks: dict[str, int] = {**dict.fromkeys(POSES, 1), **dict.fromkeys(DECLARED, 0)}
     of_kinds = sum(ranks.get(c.code, 2) for c in hypothesis)
     return len(hypothesis), of_kinds, tuple(CODES.index(c.code) for c in hypothesis)
 
