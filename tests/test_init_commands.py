@@ -434,7 +434,7 @@ def test_two_exchanged_joints_are_left_to_the_diagnosis_and_said(tmp_path, capsy
     u[:, [1, 2]] = u[:, [2, 1]]
     path = text(tmp_path / "log.csv", {"time": t} | numbered("target_q", u) | numbered("actual_q", y))
     said = initiated(capsys, path, "--arm", "lite6")
-    assert "in radians (likely: most joints follow them, joints 2, 3 do not)." in said
+    assert "in radians (likely: most joints follow them, but not joint 2 and joint 3)." in said
     is_tracked(path, u, y, t)
 
 

@@ -105,7 +105,7 @@ def study_source(
     return Studied(experiment, velocity, acceleration, (*studied.notes, *notes))
 
 
-class _Source(NamedTuple):
+class _CommandSource(NamedTuple):
     """What a file or an arm says.
 
     Attributes:
@@ -119,7 +119,7 @@ class _Source(NamedTuple):
     speeds: "np.ndarray | None" = None
 
 
-def _of_arm(options: CommandSetup, source: str, recorded: Path | None, limits: "TorqueSetup") -> _Source:
+def _of_arm(options: CommandSetup, source: str, recorded: Path | None, limits: "TorqueSetup") -> _CommandSource:
     """An arm whose servos are given, or as stiff as its inertia asks for."""
     arm = files.read_arm(source)
     _require_revolute(arm)
@@ -144,7 +144,7 @@ def _of_arm(options: CommandSetup, source: str, recorded: Path | None, limits: "
     noise = np.full(arm.dof, tracking.NOISE)
     experiment = tracking.CommandExperiment(model, options.servo == "known", noise, recorded=log)
     notes = (*notes, f"Read-outs are taken to scatter by {1e3 * tracking.NOISE:g} mrad; --joint-noise says otherwise.")
-    return _Source(experiment, notes, None if log is None else _speeds(log))
+    return _CommandSource(experiment, notes, None if log is None else _speeds(log))
 
 
 def _numbers(option: str, given: tuple[float, ...], arm: "arms.Arm") -> tuple[float, ...]:
@@ -156,7 +156,7 @@ def _numbers(option: str, given: tuple[float, ...], arm: "arms.Arm") -> tuple[fl
     return tuple(numbers)
 
 
-def _of_log(source: str) -> _Source:
+def _of_log(source: str) -> _CommandSource:
     """A log whose sidecar declares arm and servos."""
     log = sources.load_recording(source, None)
     arm = sources.with_calibration(sources.declared_arm_of(log), log)
@@ -172,10 +172,10 @@ def _of_log(source: str) -> _Source:
     declared = settings.joint_noise_rad
     noise = np.sqrt((declared or tracking.NOISE) ** 2 + quanta**2 / 12 + rows.FLOOR**2)
     notes = () if declared else (f"Read-outs are taken to scatter by {1e3 * tracking.NOISE:g} mrad.",)
-    return _Source(tracking.CommandExperiment(model, True, noise, recorded=log), notes, _speeds(log))
+    return _CommandSource(tracking.CommandExperiment(model, True, noise, recorded=log), notes, _speeds(log))
 
 
-def _of_diagnosis(source: Path, recorded: Path | None) -> _Source:
+def _of_diagnosis(source: Path, recorded: Path | None) -> _CommandSource:
     """A diagnosis of a log, with that log where it is beside it."""
     document = diagnosis_file.parse_document(source)
     model = diagnosis_file.model_from_document(document, (), str(source), "tracking")
@@ -195,7 +195,7 @@ def _of_diagnosis(source: Path, recorded: Path | None) -> _Source:
     if not undecided:
         notes.append("The diagnosis leaves no effect undecided: all named effects are told apart.")
     experiment = tracking.CommandExperiment(model, declared, noise, undecided, log)
-    return _Source(experiment, tuple(notes), np.abs(model.ranges.velocity).max(1))
+    return _CommandSource(experiment, tuple(notes), np.abs(model.ranges.velocity).max(1))
 
 
 def _diagnosed_logs(document: Mapping[str, Any], source: Path) -> list[Path]:
