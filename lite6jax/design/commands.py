@@ -1,8 +1,8 @@
 """Commands among which a design of a log of commands chooses: short motions from rest to rest within limits.
 
-Each is of one kind that tells other effects apart: sums of sines, a sine of rising frequency (chirp), slow reversals
-with rests, small steps, and far moves between postures of different load. Differences of successive commands keep the
-limits of velocity, second differences those of acceleration.
+Each is of one of `KINDS`, and each kind tells different effects apart: sums of sines, a sine of rising frequency
+(chirp), reversals with rests, small steps, and far moves between postures of different load. With commands u in rad and
+the period T of samples in s, |Δu| / T is within the limit of velocity and |Δ²u| / T² within that of acceleration.
 """
 
 from collections.abc import Sequence

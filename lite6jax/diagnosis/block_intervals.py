@@ -22,10 +22,10 @@ five in 88 %."""
 
 
 def block_stds(selection: Selection) -> list[Array]:
-    """Standard deviations from blocks of each term of a selection: of its numbers, and of the one that was chosen.
+    """Standard deviations from blocks of each term of a selection: of its numbers, and of an order that was chosen.
 
-    Empty of terms without a name, of problems whose residuals are curved, where first-order changes mean little, and
-    where the recording is too short for `_FEWEST` blocks.
+    Arrays are empty for nonparametric terms, for problems whose residuals are curved, where first-order changes mean
+    little, and where the recording is too short for `_FEWEST` blocks.
     """
     state = selection.state
     problem = selection.problem

@@ -523,8 +523,7 @@ def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[
     Commands are diagnosed where no poses were measured, or where they are asked for.
 
     Raises:
-        InputError: no such domain, poses are asked for where there are torques or commands alone, or commands where
-            there are none.
+        InputError: no such domain; or one is asked for that was not recorded, where another but no poses was.
     """
     require_domain(domain)
     recorded = [candidate for candidate in DOMAINS.values() if candidate.is_recorded(recording)]
@@ -618,7 +617,7 @@ DIAGNOSERS: dict[DomainName, Diagnoser] = {
     "torques": Diagnoser(_torques, frozenset({"reference", "effects"})),
     "tracking": Diagnoser(_commands, frozenset({"simulator"})),
 }
-"""By domain; one that is added here and to `DOMAINS` is diagnosed by `diagnose`."""
+"""The diagnoser of each domain; a new domain needs an entry here and in `DOMAINS`. "tracking" is that of commands."""
 
 
 def _require_taken(request: _Request, domains: Sequence[DomainName]) -> None:
@@ -697,7 +696,7 @@ def diagnose(
         arm: the nominal arm, a bundled name or a file; from the sidecar, or of poses recognised, where not given. Of
             torques its chain is that of the factory calibration, where the sidecar declares one.
         domain: what of the recording is diagnosed: "poses", "torques" or "tracking"; where not given all that was
-            recorded, but commands only where there are no poses.
+            recorded, but commands only where there are no poses; with a simulator the commands.
         reference: another recording, or the path of its file, with which each domain that it has is compared: poses at
             the same joint positions; or torques, of which in the same motion the difference is diagnosed, and in
             another what either shows is compared. `against` of the result, and of those `beside`, is the comparison.
@@ -705,8 +704,8 @@ def diagnose(
             what MuJoCo makes of the commands is compared with the log. `model.xml#tip` names a chain of several.
             Or what `read_simulator` makes of it.
         geometry: what is known of it, as in `fit`; of poses only.
-        effects: a user's own candidates of either domain, tested like the catalogue's; those of a domain that is not
-            diagnosed are not used.
+        effects: a user's own candidates for poses or torques, tested like the catalogue's; those of a domain that is
+            not diagnosed are not used. Commands take none.
         factory: the arm's calibration; from the sidecar where not given; of poses.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block; of the

@@ -58,9 +58,9 @@ def compare_gains(
 ) -> tuple[Agreement, ...]:
     """The position gain of each joint whose Coulomb friction both domains show, as `Agreement`.
 
-    The side `torques` is kp_τ. The side `tracking` is the gain that is declared or fitted; None where the arm has no
-    masses, beside which commands show gains only up to a factor. Joints for which the torques show friction of another
-    law that the commands do not are left out.
+    The side `torques` is kp_τ. The side `tracking` is the declared gain, or the fitted one where the arm has masses;
+    else None, as commands then show gains only up to a factor. A joint is left out where the torques have no finding of
+    Coulomb friction or one of a law that the commands do not show, and where either friction is vague.
     """
     agreements = []
     for joint in range(1, commands.problem.rows + 1):

@@ -18,7 +18,7 @@ from lite6jax.estimation.terms import Terms
 Array = NDArray[np.floating]
 
 _FEWEST = 4.0
-"""Blocks that know as much of a number as all do together, below which their scatter says nothing of it."""
+"""Least effective number of blocks, (Σv)² / Σv² of the expected squares v, from which their scatter says something."""
 _ROUNDING = 1e-9
 """Relative, by which rounding may make a number more certain without a block than with it."""
 
@@ -28,12 +28,13 @@ def stds_over_blocks(
 ) -> Array:
     """The standard deviation `(terms.size,)` of each number from its scatter over blocks of samples.
 
-    Each block is left out once, and numbers and nuisance are fitted to the others, to first order: with H the
-    information of all samples and g the weighted residuals along its columns, those of block b take
-    (H − H_b)⁻¹ g_b from the estimate. In independent noise that has the variance of the estimate without the block less
-    that of the one with it. The scatter is the root of the sum of squares over the sum of these variances, so that
-    blocks which know much and little of a number count alike (the jackknife by groups: J. Shao and C. Wu, The Annals
-    of Statistics 17, 1989).
+    σ² = f · diag(H⁻¹) · Σ_b δ_b² / Σ_b E[δ_b²]
+
+    H is the information of all samples, and f the factor of the weights of Student's t. Each block b is left out once,
+    and numbers and nuisance are fitted to the others, to first order: δ_b = (H − H_b)⁻¹ g_b is by how much the estimate
+    changes, with g the weighted residuals along the columns. In independent noise of variance s its expected square is
+    s · diag((H − H_b)⁻¹ − H⁻¹). The ratio of sums has blocks which know much and little of a number count alike (the
+    jackknife by groups: J. Shao and C. Wu, The Annals of Statistics 17, 1989).
 
     Args:
         problem: that was fitted.

@@ -18,11 +18,11 @@ _MOST = 1 << 25
 
 @final
 class Whitened:
-    """The whitened columns of the models of one problem, in the noise of the latest.
+    """Whitened columns (derivatives of the residuals) of one problem, kept while the noise model is the same.
 
-    A fit takes columns anew at every step and a search at every model, and hardly any of them have changed: those of
-    processes and of names that are linear stay as they are, beside one term or another. To whiten all of them would
-    take longer than to solve for their numbers.
+    A fit takes columns anew at every step and a search at every model. Those of processes and of effects that are
+    linear in their numbers do not change with the other terms, and are whitened once. To whiten all of them would take
+    longer than to solve for their numbers.
     """
 
     def __init__(self) -> None:
