@@ -1,8 +1,8 @@
 """What a log of commands tells of effects on how servos follow, before it is recorded.
 
-The distance of two explanations is that of their read-outs in standard deviations of the noise, with all that is unknown
-beside refitted. An effect of size a, whose model is at the distance d from the nearest model without it, has a standard
-deviation of a / d or more, to first order (Cramér–Rao). The information of motions from rest to rest adds up.
+The distance of two explanations is that of their read-outs in standard deviations of the noise, with all that is
+unknown beside refitted. An effect of size a, whose model is at the distance d from the nearest model without it, has a
+standard deviation of a / d or more, to first order (Cramér–Rao). The information of motions from rest to rest adds up.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """The commands of one file beside the measured joints of another: each command is held until the next.
 
-Both files must be stamped by one clock. The file with the commands is found by the names of its columns, else by its own
-name, else by a text column that says so in all rows.
+Both files must be stamped by one clock. The file with the commands is found by the names of its columns, else by its
+own name, else by a text column that says so in all rows.
 """
 
 from collections.abc import Sequence
