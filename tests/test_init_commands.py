@@ -314,7 +314,7 @@ def test_a_pair_of_sage_becomes_one_table(tmp_path, capsys, order):
     ) in said
     assert "Commanded positions: commanded.positions[0] … commanded.positions[5], in radians" in said
     recording = is_tracked(joined, u, y)
-    assert domains_of(recording) == ("torques",)
+    assert domains_of(recording) == ("torques", "tracking")
     assert recording.time[0] == pytest.approx(0.003)
 
 

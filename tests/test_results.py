@@ -48,7 +48,7 @@ def found(tmp_path_factory):
     effect = poses.findings[0].effect
     rivals = (effect, [1e-4]), type(effect)(3)
     made = [
-        *(recording, replace(poses, torques=torques), torques),
+        *(recording, replace(poses, beside=(torques,)), torques),
         *(lite6jax.fit(recording), lite6jax.fit_fleet_calibrations(kinematics, nominal="lite6")),
         compare([read_factory(path, LITE6) for path in files[:2]]),
         *(lite6jax.identify(experiment, q[:20]), lite6jax.plan_poses(experiment, q, 12)),

@@ -9,12 +9,12 @@ import pyarrow as pa
 from lite6jax import storage
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
-from lite6jax.estimation.options import EngineOptions
 from lite6jax.fleet.place import DIED, StorageFolder, list_recordings
 from lite6jax.workers import Workers, run_batches
 
 with import_lazily():  # where a recording is diagnosed, or all are pooled
     from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.estimation import options as engine_options
     from lite6jax.fleet import pooling, population, reduced, terms
 
 TABLE = "summary.parquet"
@@ -173,7 +173,7 @@ def _make_folder(out: Path, place: StorageFolder) -> Path:
 def pool_folder(
     folder: str,
     out: Path,
-    thresholds: EngineOptions,
+    thresholds: "engine_options.EngineOptions",
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda effects: None,

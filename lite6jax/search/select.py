@@ -90,9 +90,7 @@ class Selector:
             # terms of what varies slowly make rows autocorrelated too
             instead = self._grown(state, thorough, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
-            # functions of any form may follow what wanders by itself; a name says more than that it does
-            whitened = instead.fit.noise.white and not grown.fit.noise.white
-            clearly = whitened and any(one.term.nonparametric for one in instead.tested)
+            clearly = instead.fit.noise.white and not grown.fit.noise.white
             if instead.evidence > grown.evidence + (CLOSE if clearly else 0.0):
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:

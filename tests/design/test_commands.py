@@ -28,6 +28,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings import RecordingSettings, read_recording, write_recording
 from lite6jax.recordings.files import read_commands
 from lite6jax.recordings.settings import ServoSettings
@@ -45,7 +46,6 @@ DECLARED = RecordingSettings(
 )
 LIMITS = {"velocity": 2.0, "acceleration": 15.0}
 DELAY = 0.004
-CLOSE = EngineOptions().close
 
 
 def differences(position, period):

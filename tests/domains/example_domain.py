@@ -181,7 +181,7 @@ class OscillatorDocument(Document[OscillatorEntry], kw_only=True):
         return DiagnosedOscillator(Oscillator(*self.model.oscillator), Terms(terms), join(values))
 
 
-OSCILLATORS = Domain("oscillators", "positions", lambda settings: "measured", OscillatorDocument, lambda log: False)
+OSCILLATORS = Domain("oscillators", "positions", "position", lambda _: "read", OscillatorDocument, lambda log: False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -51,7 +51,8 @@ RULED_OUT = (
 
 
 def test_the_keys_of_a_diagnosis_are_documented(found, motors):
-    of_poses = {*found.to_dict(), "inputs", "against", "torques", "torques_refused", "shared"}
+    of_poses = {*found.to_dict(), "inputs", "against", "shared"}
+    of_poses |= {"torques", "torques_refused", "tracking", "tracking_refused"}
     keys = []
     for page, title in (("results", "The file of a diagnosis"), ("torques", "The JSON file")):
         text = (DOCS / f"{page}.md").read_text().partition(f"\n## {title}\n")[2].partition("\n## ")[0]
