@@ -31,7 +31,9 @@ class Prior:
     process: float = option(0.25, "it is a function of one driver, at any component", "as above")
     product: float = option(0.25, "it is a function of two drivers, at any component", "as above")
     repeating: float = option(
-        0.05, "it repeats with a turn, at any order, and is no sine", "most such parts are eccentric"
+        0.01,
+        "it repeats with a turn, at any order, and is no sine",
+        "most such parts are eccentric, of two orders by name",
     )
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
     own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
