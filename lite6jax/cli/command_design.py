@@ -61,7 +61,7 @@ class Studied(NamedTuple):
     """What commands are designed for.
 
     Attributes:
-        experiment: the arm, and what is to be told apart.
+        experiment: the arm, and what is to be distinguished.
         velocity: `(joint,)` rad/s, that commands may have.
         acceleration: `(joint,)` rad/s², likewise.
         notes: what was assumed, a sentence each.
@@ -109,7 +109,7 @@ class _CommandSource(NamedTuple):
     """What a file or an arm says.
 
     Attributes:
-        experiment: the arm, and what is to be told apart.
+        experiment: the arm, and what is to be distinguished.
         notes: what was assumed.
         speeds: `(joint,)` rad/s, of the log; None where there is none.
     """
@@ -193,7 +193,7 @@ def _of_diagnosis(source: Path, recorded: Path | None) -> _CommandSource:
     else:
         notes.append(f"The log that was diagnosed is not beside {source.name}: it does not count; --recorded names it.")
     if not undecided:
-        notes.append("The diagnosis leaves no effect undecided: all named effects are told apart.")
+        notes.append("The diagnosis leaves no effect undecided: all named effects are distinguished.")
     experiment = tracking.CommandExperiment(model, declared, noise, undecided, log)
     return _CommandSource(experiment, tuple(notes), np.abs(model.ranges.velocity).max(1))
 

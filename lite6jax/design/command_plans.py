@@ -101,7 +101,7 @@ class CommandPlan:
     """Commands that tell effects apart.
 
     Attributes:
-        experiment: the arm, and what is told apart.
+        experiment: the arm, and what is distinguished.
         room: where and how fast commands may be.
         time: `(sample,)` s.
         command: `(sample, joint)` rad.
@@ -170,7 +170,7 @@ def plan_commands(experiment: CommandExperiment, room: MotionRoom, *, seed: int 
     """Commands that tell the alternatives of an experiment apart, beside what is recorded.
 
     Args:
-        experiment: the arm, and what is to be told apart.
+        experiment: the arm, and what is to be distinguished.
         room: limits, obstacles, duration and rate; of the experiment's arm.
         seed: of the candidates.
 

@@ -103,7 +103,7 @@ class CommandExperiment:
         declared: whether stiffness and damping of the servos are known.
         noise: `(joint,)` rad, one sigma of the read-outs.
         undecided: for each effect that was found, effects that may stand for it; none where all named effects are to be
-            told apart.
+            distinguished.
         recorded: the log that there is already.
         payloads: kg, with each of which the commands are recorded once.
         period: s between samples.
@@ -119,7 +119,7 @@ class CommandExperiment:
 
     @property
     def of_findings(self) -> bool:
-        """Whether effects that were found are told from others."""
+        """Whether effects that were found are distinguished from others."""
         return bool(self.undecided)
 
     @property
@@ -174,10 +174,10 @@ class CommandExperiment:
         """The model with some terms, along the loads of a motion."""
         return compose(TrackingModel(problem.servo, problem.data.bodies), terms, values, coupled=False)
 
-    # ------------------------------------------------------------------ what is told apart
+    # ------------------------------------------------------------------ what is distinguished
 
     def alternatives(self, library: TrackingProblem) -> tuple[Alternatives, ...]:
-        """Every pair that is to be told apart; sizes of limits are those that candidates reach."""
+        """Every pair that is to be distinguished; sizes of limits are those that candidates reach."""
         terms = self.model.terms
         if self.of_findings:
             pairs = []
@@ -257,7 +257,7 @@ class Information:
     """What logs of commands tell of the alternatives of an experiment.
 
     Args:
-        experiment: the arm, and what is to be told apart.
+        experiment: the arm, and what is to be distinguished.
         library: candidates, along which sizes are chosen.
         sized: a motion along which alternatives have the size with which they resemble what was found.
     """

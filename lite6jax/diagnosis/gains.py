@@ -28,28 +28,17 @@ _LARGEST_SPREAD = 0.2
 """Relative standard deviation of a friction, below which a ratio of two is nearly normal."""
 
 
-class _Friction(NamedTuple):
-    """The Coulomb friction of a joint, Nm, with its standard deviation."""
-
-    value: float
-    std: float
-
-    @property
-    def is_certain(self) -> bool:
-        return self.std < _LARGEST_SPREAD * self.value
-
-
 class _Servo(NamedTuple):
     """What commands show of a joint's servo.
 
     Attributes:
         gain: Nm/rad, declared or fitted, with its standard deviation.
-        friction: beside this gain.
+        friction: Nm, the Coulomb friction of the joint beside this gain.
         ratio_spread: relative standard deviation of the gain over the friction.
     """
 
     gain: Estimate
-    friction: _Friction
+    friction: Estimate
     ratio_spread: float
 
 
@@ -62,23 +51,32 @@ def compare_gains(
     else None, as commands then show gains only up to a factor. A joint is left out where the torques have no finding of
     Coulomb friction or one of a law that the commands do not show, and where either friction is vague.
     """
+    problem = commands.problem
+    frictions = {joint: _measured_friction(torques, joint) for joint in range(1, problem.rows + 1)}
+    measured = {joint: friction for joint, friction in frictions.items() if friction is not None}
+    if not measured:
+        return ()
+    covariance = _covariance(commands)
+    is_gain_shown = problem.data.declared or problem.data.has_masses
     agreements = []
-    for joint in range(1, commands.problem.rows + 1):
-        friction = _measured_friction(torques, joint)
-        if friction is None or _friction_names(torques, joint) - _friction_names(commands, joint):
+    for joint, friction in measured.items():
+        if _friction_names(torques, joint) - _friction_names(commands, joint):
             continue
-        servo = _servo(commands, joint)
-        if not (friction.is_certain and servo.friction.is_certain):
+        servo = _servo(commands, joint, covariance)
+        if not (_is_certain(friction) and _is_certain(servo.friction)):
             continue
         gain = servo.gain.value * friction.value / servo.friction.value
         spread = gain * float(np.hypot(friction.std / friction.value, servo.ratio_spread))
-        known = commands.problem.data.declared or commands.problem.data.has_masses
         sides = {
             "torques": _gain(Estimate(gain, spread)),
-            "tracking": _gain(servo.gain) if known else None,
+            "tracking": _gain(servo.gain) if is_gain_shown else None,
         }
         agreements.append(compare_estimates({"quantity": "position_gain", "site": f"joint{joint}"}, sides))
     return tuple(agreements)
+
+
+def _is_certain(friction: Estimate) -> bool:
+    return friction.std < _LARGEST_SPREAD * friction.value
 
 
 def _gain(estimate: Estimate) -> EffectEstimate:
@@ -93,8 +91,8 @@ def _friction_names(diagnosis: DomainDiagnosis[Any], joint: int) -> set[str]:
     return {effect.name for effect in effects if isinstance(effect, Friction) and effect.joint == joint} - common
 
 
-def _measured_friction(torques: DomainDiagnosis[TorqueProblem], joint: int) -> _Friction | None:
-    """What torques show; None where they found none, and what is declared was not tested."""
+def _measured_friction(torques: DomainDiagnosis[TorqueProblem], joint: int) -> Estimate | None:
+    """The Coulomb friction of a joint by the torques, Nm, what is declared included; None where no finding says it."""
     declared = torques.problem.data.arm.coulomb_friction
     label = CoulombFriction(joint).label
     finding = next((finding for finding in torques.findings if finding.effect.label == label), None)
@@ -103,17 +101,19 @@ def _measured_friction(torques: DomainDiagnosis[TorqueProblem], joint: int) -> _
     value = float(finding.values[0])
     if declared is not None:
         value += float(declared[joint - 1])
-    return _Friction(value, float(np.sqrt(finding.covariance[0, 0])))
+    return Estimate(value, float(np.sqrt(finding.covariance[0, 0])))
 
 
-def _servo(commands: DomainDiagnosis[TrackingProblem], joint: int) -> _Servo:
-    """The gain and friction of a joint, by the fit of the unknown numbers of its servo and of the findings."""
+def _servo(commands: DomainDiagnosis[TrackingProblem], joint: int, covariance: Array) -> _Servo:
+    """The gain and friction of a joint, by the fit of the unknown numbers of its servo and of the findings.
+
+    The covariance is that of `_covariance`.
+    """
     problem = commands.problem
     fit = commands.fit
     servo = problem.servo_at(fit.nuisance)
     log_gain = float(np.log(servo.stiffness[joint - 1]))
     friction = float(servo.coulomb[joint - 1])
-    covariance = _covariance(commands)
     by_gain = np.zeros(len(covariance))
     by_friction = np.zeros(len(covariance))
     for k, unknown in enumerate(problem.unknowns):
@@ -135,7 +135,7 @@ def _servo(commands: DomainDiagnosis[TrackingProblem], joint: int) -> _Servo:
     gain_std = gain * float(np.sqrt(by_gain @ covariance @ by_gain))
     ratio = by_gain - by_friction / max(friction, 1e-12)
     ratio_spread = float(np.sqrt(ratio @ covariance @ ratio))
-    return _Servo(Estimate(gain, gain_std), _Friction(friction, friction_std), ratio_spread)
+    return _Servo(Estimate(gain, gain_std), Estimate(friction, friction_std), ratio_spread)
 
 
 def _covariance(commands: DomainDiagnosis[TrackingProblem]) -> Array:

@@ -16,12 +16,9 @@ from lite6jax.report import screen
 from lite6jax.report.remedies import effect_name, effect_title
 from lite6jax.report.sentences import command_designs as sentences
 from lite6jax.report.sentences import studies
-from lite6jax.report.words import NAMED_OF_TORQUES, listing, quantity, significant
+from lite6jax.report.words import NAMED_OF_SERVOS, listing, quantity, significant
 
-_NAMED = NAMED_OF_TORQUES | {
-    "scale": (1e6, "ppm"),
-    "ratio": (1.0, ""),
-    "rate": (1e6, "ppm"),
+_NAMED = NAMED_OF_SERVOS | {
     "integral_Nm_per_rad_s": (1.0, "Nm/rad/s"),
     "time_constant_s": (1e3, "ms"),
 }

@@ -500,7 +500,7 @@ def designed_commands(plan: "CommandPlan", title: str) -> Figure:
     names = [(pair.effect.label, pair.rival.label) for pair in pairs]
     lower.set_yticks(at, [" or ".join(label.replace("_", " ").replace(":", " ") for label in pair) for pair in names])
     lower.tick_params(axis="y", labelsize=8)
-    lower.set(xscale="log", xlabel="standard deviations apart; told apart from 5 on")
+    lower.set(xscale="log", xlabel="standard deviations apart; distinguished from 5 on")
     lower.invert_yaxis()
     lower.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return titled(figure, f"{title}: commands that tell effects apart")

@@ -14,7 +14,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_title, place_of
 from lite6jax.report.sentences import tracking as sentences
-from lite6jax.report.words import NAMED_OF_TORQUES, capital, fill, multiple, number, quantity, read_texts, row_ranges
+from lite6jax.report.words import NAMED_OF_SERVOS, capital, fill, multiple, number, quantity, read_texts, row_ranges
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -37,8 +37,6 @@ _MENTIONED = 0.001
 """Share of the samples, from which clipped commands, contacts and limits are said."""
 _MATTERS = 0.5
 """Of the difference of two rollouts, that is left with fine steps where those of the file make the difference."""
-_NAMED = NAMED_OF_TORQUES | {"scale": (1e6, "ppm"), "ratio": (1.0, ""), "rate": (1e6, "ppm")}
-"""Of numbers whose names do not say how they are read."""
 _TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
 _LOAD = {"servo_stiffness", "payload_error", "base_tilt", "encoder_offset", "encoder_scale", "joint_spring"}
 _REVERSAL = {"dead_band", "coulomb_friction", "stribeck_friction", "load_friction", "backlash"}
@@ -65,7 +63,7 @@ def with_statements(document: Document) -> dict[str, Any]:
 def finding_statement(finding: Entry) -> str:
     """A finding in a sentence, with its numbers and what it moves."""
     estimates = finding.get("peak_to_peak", finding["parameters"])
-    numbers = ", ".join(str(quantity(name, estimate, _NAMED)) for name, estimate in estimates.items())
+    numbers = ", ".join(str(quantity(name, estimate, NAMED_OF_SERVOS)) for name, estimate in estimates.items())
     moves = number(_MRAD * finding["moves_rms_rad"])
     return sentences.finding_sentence(finding, capital(effect_title(finding)), numbers, moves)
 

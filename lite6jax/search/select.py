@@ -11,8 +11,7 @@ which a process may depend.
    less likely by 2 at most.
 5. Then exchange each term for whatever is likelier in its place.
 
-Autocorrelated noise takes the place of processes where that is likelier. Names take its place where they are likelier,
-processes where they are clearly so.
+Autocorrelated noise takes the place of processes where that is likelier, and terms its place where that is clearly so.
 
 A site has one process, at one or more components, and may have the spectrum of its gear beside it: further processes
 could not be told apart from these. A term is rejected if independent noise at the same component explains more.

@@ -248,7 +248,7 @@ def test_commands_of_a_diagnosis(capsys, files, tmp_path):
     assert (code, err) == (0, "")
     assert all(len(line) <= 60 or "/" in line for line in said.splitlines())
     text = flat(said)
-    assert "Told apart: command delay at joint1 from servo feedforward at joint1, most by" in text
+    assert "Distinguished: command delay at joint1 from servo feedforward at joint1, most by" in text
     assert "Command delay at joint1: ±" in text
     assert "unnamed" not in text
     names, values = read_columns(out)

@@ -29,21 +29,21 @@ def compared(log: bool) -> str:
     if log:
         return (
             "Beside the log as it is, it is made longer by its own motion, or by the designed commands. "
-            f"From {CLEAR:g} on two explanations are told apart."
+            f"From {CLEAR:g} on two explanations are distinguished."
         )
     return (
         "Beside as many of these motions drawn at random, the median of several draws, are the designed commands. From "
-        f"{CLEAR:g} on two explanations are told apart."
+        f"{CLEAR:g} on two explanations are distinguished."
     )
 
 
 def verdict_on_pair(effect: str, rival: str, clear: bool, alike: bool, kind: str) -> str:
-    """Says whether two explanations are told apart, and by which motions."""
+    """Says whether two explanations are distinguished, and by which motions."""
     if alike:
         return f"{effect} and {rival} are alike in every motion of commands: record torques, or another payload."
     if clear:
-        return f"Told apart: {effect} from {rival}, most by {kind}."
-    return f"Not told apart: {effect} from {rival}, most by {kind}. Give a longer --duration or wider limits."
+        return f"Distinguished: {effect} from {rival}, most by {kind}."
+    return f"Not distinguished: {effect} from {rival}, most by {kind}. Give a longer --duration or wider limits."
 
 
 def deviation(effect: str, now: str, designed: str) -> str:
@@ -66,7 +66,7 @@ def of_all_names(log: bool) -> str:
 
 
 def unclear_effects(names: Sequence[str], clear: float) -> str:
-    """Says which effects of a usual size are not told from the one that resembles them most."""
+    """Says which effects of a usual size are not distinguished from the one that resembles them most."""
     are = plural(len(names), "is", "are")
     return f"Less than {clear:g} standard deviations from another explanation, at a usual size, {are} {joined(names)}."
 
