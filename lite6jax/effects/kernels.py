@@ -16,6 +16,7 @@ A line goes on, and so does play; waves and spectra are functions of an angle ev
 | rough | exp(-d) | steps and kinks |
 | wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
 | spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
+| sine | cos(n (x - y)), of an angle x, n any order; beside a line alone | a wave whose size follows another driver |
 | repeat | Σ cos(k n (x - y)) / kˢ, k = 1 to 8, of an angle x, n any order | what repeats with any period and is no
 sine: a sawtooth, a ratchet |
 | wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
@@ -78,6 +79,10 @@ SCALED: dict[str, Kernel] = {
     "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
 }
 OF_ANGLES = ("wave", "spectrum", "repeat")
+MODULATED = ("sine*line", "line*sine")
+"""Kernels of a wave of any order whose size follows another driver."""
+AT_ANY_ORDER = ("repeat", *MODULATED)
+"""Kernels of an angle whose order is no whole number, and is searched."""
 KERNELS = (*SCALED, *OF_ANGLES, "play", "wander", "step")
 _FASTEST = 96
 """Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
@@ -95,7 +100,7 @@ def is_kernel(kernel: str, drivers: int) -> bool:
     """Whether a kernel of so many drivers has this name; spectra and plays are of one driver."""
     factors = factors_of(kernel)
     is_known = set(factors) <= set(KERNELS) and (len(factors) == 1 or set(factors) <= {*SCALED, "wave"})
-    return is_known and len(factors) == drivers
+    return (is_known or kernel in MODULATED) and len(factors) == drivers
 
 
 def features(
@@ -109,8 +114,8 @@ def features(
         bounds: lower and upper of each driver, in its unit.
         run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
         rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of what
-            repeats, the order n and the slope s; 1 and 2 where not given. Of a step, the value from which on it is; the
-            middle of its range where not given.
+            repeats, the order n and the slope s; 1 and 2 where not given. Of a sine its order n, else 1. Of a step,
+            the value from which on it is; the middle of its range where not given.
     """
     xp = library_of(values)
     names = factors_of(kernel)
@@ -132,7 +137,7 @@ def features(
     if kernel == "step":
         (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
         return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
-    by_factor = _factors(names, values, bounds)
+    by_factor = _factors(names, values, bounds, rolloff)
     if len(by_factor) == 1:
         return by_factor[0]
     return (by_factor[0][:, None] * by_factor[1][None]).reshape(-1, by_factor[0].shape[-1])
@@ -173,7 +178,8 @@ def size_of(kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...] =
     if kernel == "spectrum":
         return 2 * len(orders_of(bounds))
     names = factors_of(kernel)
-    sizes = [7 if name == "wave" else root(name, len(names) > 1).shape[1] for name in names]
+    of_angle = {"wave": 7, "sine": 2}
+    sizes = [of_angle.get(name) or root(name, len(names) > 1).shape[1] for name in names]
     return int(np.prod(sizes))
 
 
@@ -184,11 +190,13 @@ def orders_of(bounds: Sequence[float]) -> NDArray:
 
 
 def highest_order(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> float:
-    """The highest order of a spectrum, or of what repeats; 0 of other kernels."""
+    """The highest order of a spectrum, of what repeats, or of a sine; 0 of other kernels."""
     if kernel == "spectrum":
         return float(orders_of(bounds)[-1])
     if kernel == "repeat":
         return float((rolloff or (1.0,))[0] * _MULTIPLES[-1])
+    if kernel in MODULATED:
+        return float((rolloff or (1.0,))[0])
     return 0.0
 
 
@@ -261,13 +269,23 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
-def _factors(names: Sequence[str], values: Array, bounds: Sequence[float]) -> list[Array]:
+def _factors(
+    names: Sequence[str], values: Array, bounds: Sequence[float], rolloff: Sequence[float] = ()
+) -> list[Array]:
     """The features `(feature, sample)` of each factor at values `(driver, sample)`."""
-    return [_factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names) > 1) for k, name in enumerate(names)]
+    return [
+        _factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names) > 1, rolloff)
+        for k, name in enumerate(names)
+    ]
 
 
-def _factor(name: str, values: Array, lower: float, upper: float, in_product: bool) -> Array:
+def _factor(
+    name: str, values: Array, lower: float, upper: float, in_product: bool, rolloff: Sequence[float] = ()
+) -> Array:
     xp = library_of(values)
+    if name == "sine":
+        (order,) = rolloff or (1.0,)
+        return xp.stack([xp.sin(order * values), xp.cos(order * values)])
     if name == "wave":  # of an angle, each order over itself
         turned = _WAVES[:, None] * values
         over = _WAVES[:, None]

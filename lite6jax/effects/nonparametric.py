@@ -55,7 +55,8 @@ class Process(Effect, ABC):
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
         rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
             spread² / (1 + (k / c)ˢ); likewise of what wanders. Of what repeats, its order n and the slope s: its
-            multiples k n have the variance spread² / kˢ. Of a step, the value from which on it is.
+            multiples k n have the variance spread² / kˢ. Of a sine, its order n. Of a step, the value from which on
+            it is.
 
     Raises:
         InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
@@ -91,6 +92,9 @@ class Process(Effect, ABC):
         if self.kernel == "step":
             if len(rolloff) != 1 or not self.lower < rolloff[0] <= self.upper:
                 raise InputError(f"{self.label}: a step is not possible at {rolloff}; give one value within its range")
+        elif self.kernel in kernels.MODULATED:
+            if len(rolloff) != 1 or rolloff[0] <= 0:
+                raise InputError(f"{self.label}: a sine of order {rolloff} is not possible; give one positive order")
         elif rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in _ROLLED_OFF):
             raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
 

@@ -35,6 +35,11 @@ class Prior:
         "it repeats with a turn, at any order, and is no sine",
         "most such parts are eccentric, of two orders by name",
     )
+    modulated: float = option(
+        0.05,
+        "it is a wave of a turn, of any order, whose size follows another driver",
+        "most waves are of one size",
+    )
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
     own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from lite6jax.effects.kernels import AT_ANY_ORDER
 from lite6jax.report.words import fill, joined, ranges, read_texts
 
 Entry = Mapping[str, Any]
@@ -184,8 +185,9 @@ def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
     two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
     text = _SHAPES.get(where.get("kernel", "smooth"), two)
-    if where.get("kernel") == "repeat" and where.get("rolloff"):
-        return fill(text, {"period": f"{2 * math.pi / where['rolloff'][0]:.3g}"})
+    if where.get("kernel") in AT_ANY_ORDER:
+        order = (where.get("rolloff") or (1.0,))[0]
+        return fill(text, {"order": f"{order:.4g}", "period": f"{2 * math.pi / order:.3g}"})
     return text
 
 

@@ -12,6 +12,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | a read-out that wanders | ln of these, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
 | what repeats with a turn | as a wave of its order, ln of the slopes |
+| a wave whose size follows a quantity | as a wave of its order, −ln p of the quantity |
 | a process | ln of the components, −ln p of each quantity, ln of the kernels |
 
 The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
@@ -33,7 +34,7 @@ from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicF
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
-from lite6jax.search.spectrum import Line, lines
+from lite6jax.search.spectrum import Line, lines, modulated_spectrum
 
 Array = NDArray[np.floating]
 
@@ -49,7 +50,7 @@ _ROLLOFFS = {
 }
 """Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
 13th, a 31st and a 75th of it."""
-_VARIES_FAST = ("spectrum", "wander", "repeat")
+_VARIES_FAST = ("spectrum", "wander", *kernels.AT_ANY_ORDER)
 """Kernels that are weighed exactly at once in autocorrelated noise."""
 _SLOPES = (2.0, 4.0)
 """Of the variances of multiples that are tried of what repeats: of a sawtooth, and of a triangle."""
@@ -57,6 +58,10 @@ _FRACTIONS = (1, 2, 3)
 """Parts of the order of the likeliest wave that are tried as the order of what repeats: its multiple may be larger."""
 _OFF_ORDER = (0.3, 0.08, 0.02)
 """How far that order may be off in each round, in orders that the angles resolve."""
+_MODULATED = 4
+"""Waves whose size follows a quantity, of each site the likeliest, that are weighed exactly."""
+_MODULATED_GAIN = 0.6
+"""Of its cost, that such a wave must gain at the order of the rough spectrum."""
 _REFINED_GAIN = 0.4
 """Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
@@ -252,6 +257,12 @@ class Scan:
         cost = self.prior.cost("repeating") + np.log(families) + np.log(len(_SLOPES))
         return float(cost + log_orders_of(family, order, self.options))
 
+    def cost_of_modulated(self, family: PeriodicFamily, order: float, k: int) -> float:
+        """Of a wave of the turns of an angle, any of them, of any order, whose size follows a quantity."""
+        families = max(len(self.problem.periodic), 1)
+        cost = self.prior.cost("modulated") + np.log(families) + self._cost_of_quantity(family.site, k)
+        return float(cost + log_orders_of(family, order, self.options))
+
     def family_of(self, site: str) -> PeriodicFamily | None:
         """The waves of a site's own turns; None where it has none, or of a slide, whose turns are its strokes."""
         return next((family for family in self.problem.periodic if family.site == site and family.whole), None)
@@ -288,6 +299,18 @@ class Scan:
         """Whether a component is a read-out that may wander by itself."""
         return any(read_out is component for read_out in self.wandering)
 
+    def partners(self, component: Component, k: int) -> list[int]:
+        """The quantities that the size of a wave of a component's angle may follow, of those that are to be tried."""
+        partners = range(self.drivers)
+        if self.among is not None:
+            chosen = [
+                which
+                for place, which, kernel, _ in self.processes
+                if place is component and kernel in kernels.MODULATED
+            ]
+            partners = sorted({j for which in chosen if k in which for j in which})
+        return [j for j in partners if j != k and self.may_act(component.site, k, j)]
+
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
         """Whether a kernel is one of these quantities."""
         for name, k in zip(kernels.factors_of(kernel), which, strict=True):
@@ -296,7 +319,7 @@ class Scan:
                 return bool(driver.is_order) and kernel == "wander"
             if name == "step":
                 return bool(driver.is_time)
-            if name == "repeat":
+            if name in ("repeat", "sine"):
                 return bool(driver.turns)
             if self.discrete[k] and name != "line":
                 return False
@@ -313,6 +336,8 @@ class Scan:
             if len(which) == 1:
                 self._features[key] = self.problem.seen(self._factor(*key))
                 return self._features[key]
+            if "sine" in kernels.factors_of(kernel):  # of any order
+                return self._product(which, kernel, rolloff)
             if key not in self._products:
                 functions = self._product(which, kernel)
                 self._kept += functions.size
@@ -324,9 +349,9 @@ class Scan:
             return self._products[key]
         return self._features[key]
 
-    def _product(self, quantity_indices: tuple[int, ...], kernel: str) -> Array:
+    def _product(self, quantity_indices: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = ()) -> Array:
         first, second = (
-            self._factor((k,), name, in_product=True)
+            self._factor((k,), name, rolloff if name == "sine" else (), in_product=True)
             for k, name in zip(quantity_indices, kernels.factors_of(kernel), strict=True)
         )
         return self.problem.seen((first[:, None] * second).reshape(-1, first.shape[-1]))
@@ -414,7 +439,7 @@ class ModelScan:
         scan = self._scan
         white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        candidates = [*self.named(), *self.waves(), *self.repeating()]
+        candidates = [*self.named(), *self.waves(), *self.repeating(), *self.modulated()]
         candidates += self.of_read_outs()
         if scan.among is None:
             candidates += self.spectra()
@@ -422,7 +447,9 @@ class ModelScan:
             candidates += [*singles, *self.pairs(singles, 0.0 if white else least)]
         else:
             processes = (
-                process for process in scan.processes if process[0] in self.components and process[2] != "wander"
+                process
+                for process in scan.processes
+                if process[0] in self.components and process[2] not in ("wander", *kernels.MODULATED)
             )
             weighed = (self.of_kernel(*process, exact=process[2] in _VARIES_FAST) for process in processes)
             candidates += (candidate for candidate in weighed if candidate.gain > 0)
@@ -753,6 +780,65 @@ class ModelScan:
             )
         return max(candidates, key=_by_net)
 
+    def modulated(self) -> list[Ranked]:
+        """Waves of the turns of each site, of any order, whose size follows a quantity."""
+        candidates = []
+        for component in self.components:
+            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
+                if quantity.driver.turns == component.site:
+                    candidates += self._modulated_at(component, k, self._scan.partners(component, k))
+        return _best_of_each(candidates)
+
+    def _modulated_at(self, component: Component, k: int, partners: Sequence[int]) -> list[Ranked]:
+        """Waves of an angle whose size follows one of its partners, each of the likeliest order.
+
+        Orders are those of rough spectra; of the likeliest partners they are refined exactly.
+        """
+        family = self._scan.family_of(component.site)
+        if family is None or not partners or not np.any(component.column[self._rows]):
+            return []
+        sizes = np.stack([np.asarray(self._scan.quantities[j].values) for j in partners])
+        orders, gains = modulated_spectrum(self._test, family, sizes)
+        if not gains.size:
+            return []
+        choices = log_orders_of(family, orders, self._options)
+        peaks = np.argmax(gains - choices, 1)
+        likeliest_orders = orders[peaks].tolist()
+        costs = np.array(
+            [
+                self._scan.cost_of_modulated(family, order, j)
+                for order, j in zip(likeliest_orders, partners, strict=True)
+            ]
+        )
+        rough = np.array([_of_equal_directions(row[peak]) for row, peak in zip(gains, peaks, strict=True)])
+        order_step = float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
+        candidates = []
+        for place in np.argsort(costs - rough)[:_MODULATED]:
+            if rough[place] < _MODULATED_GAIN * costs[place]:
+                break
+            order = likeliest_orders[place]
+            for width in (order_step, order_step / 5):
+                near = order + width * np.linspace(-1, 1, 5)
+                candidate = max(self._modulated(component, k, partners[place], near[near >= LOWEST_ORDER]), key=_by_net)
+                order = candidate.process[3][0]
+            whole = self._modulated(component, k, partners[place], np.array([max(round(order), 1)], float))
+            candidates.append(max(candidate, *whole, key=_by_net))
+        return [candidate for candidate in candidates if candidate.gain > 0]
+
+    def _modulated(self, component: Component, k: int, partner: int, orders: Array) -> list[Ranked]:
+        """Waves of some orders of an angle, whose size follows a partner."""
+        which = (min(k, partner), max(k, partner))
+        kernel = "sine*line" if k < partner else "line*sine"
+        rolloffs = [(float(f"{order:.6g}"),) for order in orders]
+        functions = np.stack([self._scan.features(which, kernel, rolloff) for rolloff in rolloffs])
+        keys = [(which, kernel, rolloff) for rolloff in rolloffs]
+        pull, information, residual_sum, freedom = self._equations(component, functions, keys, exact=True)
+        evidence = of_process(pull, information, residual_sum, freedom, CONFOUNDED)
+        return [
+            self._process(Evidence(*numbers), component, which, kernel, rolloff)
+            for rolloff, numbers in zip(rolloffs, zip(*evidence, strict=True), strict=True)
+        ]
+
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         candidates = []
@@ -843,7 +929,11 @@ class ModelScan:
         """Every kernel of given quantities at a component."""
         names = [name for name in (SINGLE if len(which) == 1 else PAIRS) if self._scan.suits(name, which)]
         if len(which) > 1:
-            return [self.of_kernel(component, which, name, exact=exact) for name in names]
+            candidates = [self.of_kernel(component, which, name, exact=exact) for name in names]
+            for k, partner in (which, which[::-1]):
+                if self._scan.quantities[k].driver.turns == component.site:
+                    candidates += self._modulated_at(component, k, [partner])
+            return candidates
         candidates = list[Ranked]()
         k = next(iter(which))
         if k == self._scan.drivers:
@@ -961,8 +1051,11 @@ class ModelScan:
         cost = self._scan.cost_of_process(site, quantity_indices)
         if kernel == "step":
             cost = self._scan.cost_of_step
-        elif kernel == "repeat" and (family := self._scan.family_of(site)) is not None:
+        elif kernel in kernels.AT_ANY_ORDER and (family := self._scan.family_of(site)) is not None:
             cost = self._scan.cost_of_repeating(family, rolloff[0])
+            if kernel in kernels.MODULATED:
+                partner = quantity_indices[kernels.factors_of(kernel).index("line")]
+                cost = self._scan.cost_of_modulated(family, rolloff[0], partner)
         cause = tuple(self._scan.phrases[k] for k in quantity_indices)
         process = (component, quantity_indices, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
@@ -995,6 +1088,12 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
         if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
             likeliest[candidate.key] = candidate
     return list(likeliest.values())
+
+
+def _of_equal_directions(gain: float, directions: int = 4) -> float:
+    """The evidence of a gain in log-likelihood, of so many directions of equal information."""
+    excess = max(2 * gain / directions, 1.0)
+    return 0.5 * directions * (excess - 1 - float(np.log(excess)))
 
 
 def _by_net(candidate: Ranked) -> float:

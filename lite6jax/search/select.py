@@ -24,6 +24,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.effects.kernels import AT_ANY_ORDER
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
@@ -355,7 +356,7 @@ class Selector:
         if best is None:
             return replace(one, gain=0.0)
         cost = best.cost
-        if term.nonparametric and "repeat" not in (_kernel_of(term), best.process[2]):
+        if term.nonparametric and not {_kernel_of(term), best.process[2]} & set(AT_ANY_ORDER):
             cost = min(cost, one.cost)
         return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
 

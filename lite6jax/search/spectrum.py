@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from lite6jax.estimation.evidence import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
@@ -25,6 +26,10 @@ _SCORED_PEAKS = 4
 _BIN = 2 * np.pi / 2**15
 """rad, to which angles are rounded: at order 400 that is a 25th of a radian of phase at most, and at order 1000
 a tenth, by which a gain is a third of a per cent too low."""
+
+
+_COARSE_BIN = 4 * _BIN
+"""rad, the same where only the likeliest order is sought."""
 
 
 class Line(NamedTuple):
@@ -74,6 +79,40 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     cc = 0.5 * (total + twice.real)
     sc = 0.5 * twice.imag
     return at * step, _pair_gain(e.imag, e.real, ss, cc, sc)
+
+
+def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) -> tuple[Array, Array]:
+    """Orders `(order,)` and the gains `(driver, order)` of waves whose size is a constant and follows one driver.
+
+    The sums of squares of sine and cosine are taken as equal, and the nuisance is not projected out: gains are rough.
+
+    Args:
+        test: of a model.
+        family: whose orders.
+        sizes: `(driver, sample)`, the values of drivers.
+    """
+    training = test.fit.training
+    angle = family.angle[training]
+    score = np.sum(family.column * test.left_of_rows, 0)[training]
+    weight = np.sum(family.column**2, 0)[training]
+    total = float(weight.sum())
+    span = max(float(np.ptp(angle)), 1e-3)
+    length = 2 ** int(np.ceil(np.log2(2 * np.pi / (_COARSE_BIN * min(0.5 * np.pi / span, 0.5)))))
+    step = 2 * np.pi / (_COARSE_BIN * length)
+    highest = min(family.highest or test.options.highest_order, np.pi / _COARSE_BIN)
+    at = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
+    if not total > 0 or not len(at):
+        return at * step, np.zeros((len(sizes), len(at)))
+    centred = sizes[:, training]
+    centred = centred - (centred @ weight)[:, None] / total
+    length_of = np.sqrt(centred**2 @ weight / total)
+    centred = centred / np.maximum(length_of, 1e-12 * max(float(length_of.max(initial=0.0)), 1e-300))[:, None]
+    place = np.rint((angle - angle.min()) / _COARSE_BIN).astype(int)
+    weighted = score * np.concatenate([np.ones_like(angle)[None], centred])
+    histograms = np.stack([np.bincount(place, values) for values in weighted])
+    transformed = rfft(histograms.astype(np.float32), length)[:, at]  # rough gains need no more digits
+    powers = (transformed.real**2 + transformed.imag**2) / total
+    return at * step, powers[0] + powers[1:]
 
 
 def lines(test: ScoreTest) -> list[Line]:

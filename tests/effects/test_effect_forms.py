@@ -371,6 +371,8 @@ def test_drivers_and_processes_that_are_not(make, message):
                 (-1.0, 2.0)),
         Unnamed("joint1", "position of joint 1", -1.0, 1.0, "spectrum", spread=1e-4, rolloff=(8.0, 2.0)),
         Unnamed("joint1", "position of joint 1", -1.0, 1.0, "repeat", spread=1e-4, rolloff=(7.854, 2.0)),
+        Unnamed("joint1", "position of joint 1 and gravity torque of joint 2", -1.0, 1.0, "sine*line",
+                further=(-1.0, 1.0), spread=1e-4, rolloff=(7.854,)),
         Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, "play"),
         Unnamed("sensor", "measured position's distance", 0.0, 2.0, "cubic", "scale"),
     ],

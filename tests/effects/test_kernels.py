@@ -67,6 +67,19 @@ def test_waves_and_spectra_are_covariances_of_the_difference_of_two_angles():
     np.testing.assert_allclose(phi.T @ phi, spectra, atol=1e-10)
 
 
+@pytest.mark.parametrize("kernel", ["sine*line", "line*sine"])
+def test_a_modulated_wave_is_a_wave_of_any_order_times_a_constant_and_a_line(kernel):
+    order = 4.2
+    other = np.sin(7 * INSIDE)
+    values = np.stack([INSIDE, other] if kernel == "sine*line" else [other, INSIDE])
+    bounds = (*BOUNDS, -2.0, 2.0) if kernel == "sine*line" else (-2.0, 2.0, *BOUNDS)
+    phi = features(kernel, values, bounds, rolloff=(order,))
+    assert len(phi) == size_of(kernel, bounds, (order,)) == 4
+    d = INSIDE[:, None] - INSIDE
+    np.testing.assert_allclose(phi.T @ phi, np.cos(order * d) * (1 + np.outer(other, other) / 4), atol=1e-10)
+    assert not unknown(kernel, 3 * values, bounds).any()
+
+
 def test_what_repeats_is_a_covariance_of_the_difference_of_two_angles_with_any_period():
     order = 2 * np.pi / 0.8
     values = np.append(INSIDE, INSIDE + 0.8)

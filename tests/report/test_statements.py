@@ -161,6 +161,11 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
         (Unnamed("joint1", "position of joint 1", -3.0, 3.0, "repeat", rolloff=(2 * np.pi / 0.8, 2.0)),
          "joint1 as a function of its position", "a curve that repeats every 0.8 rad and is no sine"),
 
+        (Unnamed("joint1", "position of joint 1 and position of joint 2", -3.0, 3.0, "sine*line", further=(-1.0, 1.0),
+                 rolloff=(4.2,)),
+         "joint1 as a function of the position of joints 1 and 2",
+         "a wave of order 4.2 of the angle, whose size follows the other"),
+
         (Unnamed("joint3", "position of joint 3 and direction of motion of joint 3", 0.0, 1.0, "rough*line",
                  further=(-1.0, 1.0)),
          "joint3 as a function of the position of joint 3 and the direction of motion of joint 3",
