@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binned_statistic, binned_statistic_2d
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.fit import fit_recording
@@ -272,11 +271,11 @@ class Sensitivity(PublicResult):
         the samples of each bin `(joint, bin, parameter)`; NaN where a bin is empty."""
         q = self.joint_position
         edges = np.linspace(q.min(0), q.max(0), bins + 1).T
-        squares = [
-            binned_statistic(at, self.position.T**2, bins=bin_edges)[0]
+        means = [
+            [_means_of_cells([at], [bin_edges], row) for row in self.position.T**2]
             for at, bin_edges in zip(q.T, edges, strict=True)
         ]
-        return (edges[:, 1:] + edges[:, :-1]) / 2, np.sqrt(np.moveaxis(np.stack(squares), 1, 2))
+        return (edges[:, 1:] + edges[:, :-1]) / 2, np.sqrt(np.moveaxis(np.array(means), 1, 2))
 
     def over_workspace(self, cell: float = 0.05) -> tuple[Array, Array, Array]:
         """A map over the distance from the base's axis and the height: edges of the cells of `cell` m, and the
@@ -285,8 +284,15 @@ class Sensitivity(PublicResult):
         height = self.flange_position[:, 2]
         across = np.arange(0, radius.max() + cell, cell)
         up = np.arange(np.floor(height.min() / cell) * cell, height.max() + cell, cell)
-        squares = binned_statistic_2d(radius, height, self.expected_error**2, bins=(across, up))[0]  # type: ignore[arg-type]
-        return across, up, np.sqrt(squares)
+        return across, up, np.sqrt(_means_of_cells([radius, height], [across, up], self.expected_error**2))
+
+
+def _means_of_cells(places: Sequence[Array], edges: Sequence[Array], values: Array) -> Array:
+    """The means of `values` `(sample,)` in the cells between `edges` of each axis; NaN where there is no sample."""
+    samples = np.stack(places, 1)
+    counts = np.histogramdd(samples, edges)[0]
+    sums = np.histogramdd(samples, edges, weights=values)[0]
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
 def sensitivity(
