@@ -178,8 +178,9 @@ class DiagnoseCommand:
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
             recording, search = self._prepare()
-            names = diagnosis_figures.figure_names(diagnose.domains_of(recording, self._domain(recording)))
-            command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
+            if self.figures is not None:
+                names = diagnosis_figures.figure_names(diagnose.domains_of(recording, self._domain(recording)))
+                command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
             with screen.stages() as follow:
                 return recording, search(progress=follow)
 

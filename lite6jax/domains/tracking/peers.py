@@ -6,9 +6,8 @@ They are fitted to some samples and compared on others, as the servos are.
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.signal import cont2discrete, lfilter
 
 from lite6jax.domains.tracking.predict import run_ends
 from lite6jax.estimation.problem import Mask
@@ -64,18 +63,18 @@ def _second_order(command: Array, measured: Array, runs: Runs, period: float, tr
 
     def follow(numbers: Array) -> Array:
         w, z = np.exp(np.clip(numbers[:2], -10.0, 10.0))
-        system: Any = cont2discrete(([w * w], [1.0, 2 * z * w, w * w]), period)
+        system: Any = scipy.signal.cont2discrete(([w * w], [1.0, 2 * z * w, w * w]), period)
         numerator = np.ravel(system[0])
         denominator = np.ravel(system[1])
         position = np.empty_like(command)
         for first, last in zip(*run_ends(runs), strict=True):
             u = command[first:last]
-            position[first:last] = lfilter(numerator, denominator, u - u[0]) + u[0]
+            position[first:last] = scipy.signal.lfilter(numerator, denominator, u - u[0]) + u[0]
         return numbers[2] * position + numbers[3]
 
     def errors(numbers: Array) -> Array:
         return np.nan_to_num((follow(numbers) - measured)[training], nan=1e3, posinf=1e3, neginf=-1e3)
 
     starts = (np.array([np.log(w), 0.0, 1.0, 0.0]) for w in _FREQUENCIES)
-    fits = [least_squares(errors, start, max_nfev=_STEPS) for start in starts]
+    fits = [scipy.optimize.least_squares(errors, start, max_nfev=_STEPS) for start in starts]
     return follow(min(fits, key=lambda one: one.cost).x)
