@@ -43,7 +43,7 @@ def in_a_new_process(code, *arguments):
     ],
     ids=" ".join,
 )
-def test_a_command_that_computes_nothing_does_not_import_jax(tmp_path, command):
+def test_a_command_that_computes_nothing_imports_neither_jax_nor_pandas(tmp_path, command):
     (tmp_path / "run.csv").write_text(RECORDING)
     code = """
 import contextlib, io, os, sys
@@ -51,7 +51,7 @@ from lite6jax.cli import program
 os.chdir(sys.argv[1])
 with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
     code = program.main(sys.argv[2:])
-computing = ["jax"]
+computing = ["jax", "pandas"]
 if sys.argv[-1] == "--help":
     computing += ["matplotlib", "optimistix", "scipy", "rich.table", "lite6jax.simulation.measurement"]
 print(code, any(name in sys.modules for name in computing), len(out.getvalue()) > 10)

@@ -129,7 +129,7 @@ def features(
         order, slope = rolloff or (1.0, 2.0)
         turned = order * _MULTIPLES[:, None] * values[0]
         waves = xp.concatenate([xp.sin(turned), xp.cos(turned)])
-        return waves * np.tile(_MULTIPLES ** (-0.5 * slope), 2)[:, None]
+        return waves * deviations(kernel, bounds, (order, slope))[:, None]
     if kernel == "wander":
         size = wander_deviations(rolloff)
         place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
@@ -208,7 +208,9 @@ def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> ND
 
 
 def deviations(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:
-    """`(feature,)`, the prior's standard deviation of each order of a spectrum or of what wanders."""
+    """`(feature,)`, the prior's standard deviation of each order of a spectrum, of what repeats, or of what wanders."""
+    if kernel == "repeat":
+        return np.tile(_MULTIPLES ** (-0.5 * rolloff[1]), 2)
     return spectrum_deviations(bounds, rolloff) if kernel == "spectrum" else wander_deviations(rolloff)
 
 

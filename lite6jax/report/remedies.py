@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.effects.kernels import AT_ANY_ORDER
 from lite6jax.report.words import fill, joined, ranges, read_texts
 
 Entry = Mapping[str, Any]
@@ -185,9 +184,9 @@ def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
     two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
     text = _SHAPES.get(where.get("kernel", "smooth"), two)
-    if where.get("kernel") in AT_ANY_ORDER:
-        order = (where.get("rolloff") or (1.0,))[0]
-        return fill(text, {"order": f"{order:.4g}", "period": f"{2 * math.pi / order:.3g}"})
+    rolloff = where.get("rolloff")
+    if "{{" in text and rolloff:
+        return fill(text, {"order": f"{rolloff[0]:.4g}", "period": f"{2 * math.pi / rolloff[0]:.3g}"})
     return text
 
 

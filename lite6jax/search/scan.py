@@ -34,7 +34,7 @@ from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicF
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import Term
 from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
-from lite6jax.search.spectrum import Line, lines, modulated_spectrum
+from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
 
 Array = NDArray[np.floating]
 
@@ -62,8 +62,12 @@ _MODULATED = 4
 """Waves whose size follows a quantity, of each site the likeliest, that are weighed exactly."""
 _MODULATED_GAIN = 0.6
 """Of its cost, that such a wave must gain at the order of the rough spectrum."""
+_ROUGH = 1.3
+"""By which its exact gain is larger than that at most."""
 _REFINED_GAIN = 0.4
 """Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
+_REFINED_LESS = 5.0
+"""By which it may gain less there than that wave alone."""
 _Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
 Considered = frozenset[_Considered]
 """Processes by site, component, phrases of their quantities, kernel and rolloff."""
@@ -433,14 +437,15 @@ class ModelScan:
         self._problem = test.problem
         self._options = scan.options
         self._rows = slice(None) if rows is None else rows
+        self._lines: dict[int, Line | None] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
         scan = self._scan
         white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        candidates = [*self.named(), *self.waves(), *self.repeating(), *self.modulated()]
-        candidates += self.of_read_outs()
+        candidates = [*self.named(), *self.waves(), *self.repeating(), *self.of_read_outs()]
+        candidates += self.modulated(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
         if scan.among is None:
             candidates += self.spectra()
             singles = self.singles(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
@@ -605,17 +610,17 @@ class ModelScan:
 
     def waves(self) -> list[Ranked]:
         """The likeliest order of each angle."""
-        candidates = []
-        for line in self._lines:
-            column = line.family.column
-            if not np.any(column[self._rows]):
-                continue
-            columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * column
-            (evidence,) = self._marginal.of_names([columns])
-            cost = self._scan.cost_of_wave(line.term, ())
-            assert cost is not None
-            candidates.append(_of_term(evidence, cost, line.term, f"{line.term.label} {line.order:.3g}"))
+        families = [family for family in self._problem.periodic if np.any(family.column[self._rows])]
+        candidates = [self._wave(line) for family in families if (line := self._line(family)) is not None]
         return [candidate for candidate in candidates if candidate.gain > 0]
+
+    def _wave(self, line: Line) -> Ranked:
+        """The likeliest order of an angle."""
+        columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * line.family.column
+        (evidence,) = self._marginal.of_names([columns])
+        cost = self._scan.cost_of_wave(line.term, ())
+        assert cost is not None
+        return _of_term(evidence, cost, line.term, f"{line.term.label} {line.order:.3g}")
 
     def singles(self, least: float) -> list[Ranked]:
         """Processes of one quantity that may exceed `least`, each as its likeliest kernel.
@@ -723,10 +728,11 @@ class ModelScan:
         at = float(begins[np.argmax(gains)])
         return [self.of_kernel(component, (self._scan.time,), "step", (at,), exact=True)]
 
-    @cached_property
-    def _lines(self) -> list[Line]:
-        """The likeliest order of each angle."""
-        return lines(self._test)
+    def _line(self, family: PeriodicFamily) -> Line | None:
+        """The likeliest order of an angle; computed once."""
+        if id(family) not in self._lines:
+            self._lines[id(family)] = line_of(self._test, family)
+        return self._lines[id(family)]
 
     def repeating(self) -> list[Ranked]:
         """What repeats with the turns of each site, at the likeliest order, and is no sine."""
@@ -740,56 +746,65 @@ class ModelScan:
     def _repeating_at(self, component: Component, k: int) -> list[Ranked]:
         """What repeats with the turns of a site, its likeliest order and slope; none where no wave says so.
 
-        The order is that of the likeliest wave or a part of it, refined until the highest multiple is in phase.
+        The order is that of the likeliest wave or a part of it, refined until the highest multiple is in phase; but
+        not where that wave alone is clearly likelier.
         """
         family = self._scan.family_of(component.site)
-        line = next((line for line in self._lines if line.family is family), None)
-        if family is None or line is None:
+        if family is None or not np.any(component.column[self._rows]):
             return []
-        if not np.any(component.column[self._rows]):
+        line = self._line(family)
+        if line is None:
+            return []
+        wave = self._wave(line)
+        orders = [line.order / part for part in _FRACTIONS if line.order / part >= LOWEST_ORDER]
+        likeliest = max(self._repeats(component, k, orders), key=_by_net)
+        if likeliest.gain < max(_REFINED_GAIN * likeliest.cost, wave.gain - _REFINED_LESS):
             return []
         resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
-        orders = [line.order / part for part in _FRACTIONS if line.order / part >= LOWEST_ORDER]
-        likeliest = max((self._repeats(component, k, order) for order in orders), key=_by_net)
-        if likeliest.gain < _REFINED_GAIN * likeliest.cost:
-            return []
         for width in _OFF_ORDER:
-            order = likeliest.process[3][0]
-            near = order + width * resolved * np.linspace(-1, 1, 9)
-            candidates = [self._repeats(component, k, float(other)) for other in near if other > 0]
-            likeliest = max(likeliest, *candidates, key=_by_net)
-        whole = self._repeats(component, k, max(round(likeliest.process[3][0]), 1))
-        likeliest = max(likeliest, whole, key=_by_net)
+            near = likeliest.process[3][0] + width * resolved * np.linspace(-1, 1, 9)
+            likeliest = max([likeliest, *self._repeats(component, k, near[near > 0])], key=_by_net)
+        whole = self._repeats(component, k, [max(round(likeliest.process[3][0]), 1)])
+        likeliest = max([likeliest, *whole], key=_by_net)
         return [likeliest] if likeliest.gain > 0 else []
 
-    def _repeats(self, component: Component, k: int, order: float) -> Ranked:
-        """What repeats at an order, of the likelier slope."""
-        order = float(f"{order:.6g}")
+    def _repeats(self, component: Component, k: int, orders: Sequence[float] | Array) -> list[Ranked]:
+        """What repeats at each of some orders, of the likelier slope."""
         values: Any = self._scan.quantities[k].values[None]
         bounds = self._scan.quantities[k].bounds
-        candidates = []
+        rounded = [float(f"{order:.6g}") for order in orders]
+        functions = np.stack(
+            [
+                self._problem.seen(np.asarray(kernels.features("repeat", values, bounds, rolloff=(order, 0.0))))
+                for order in rounded
+            ]
+        )
+        keys = [((k,), "repeat", order) for order in rounded]
+        pull, information, residual_sum, freedom = self._equations(component, functions, keys, exact=True)
+        by_slope = []
         for slope in _SLOPES:
-            rolloff = (order, slope)
-            functions = np.asarray(kernels.features("repeat", values, bounds, rolloff=rolloff))
-            equations = self._equations(
-                component, self._problem.seen(functions)[None], [((k,), "repeat", rolloff)], exact=True
+            size = kernels.deviations("repeat", bounds, (1.0, slope))
+            evidence = of_process(pull * size, information * np.outer(size, size), residual_sum, freedom, CONFOUNDED)
+            by_slope.append(
+                [
+                    self._process(Evidence(*numbers), component, (k,), "repeat", (order, slope))
+                    for order, numbers in zip(rounded, zip(*evidence, strict=True), strict=True)
+                ]
             )
-            evidence = of_process(*equations, CONFOUNDED)
-            candidates.append(
-                self._process(Evidence(*(part[0] for part in evidence)), component, (k,), "repeat", rolloff)
-            )
-        return max(candidates, key=_by_net)
+        return [max(candidates, key=_by_net) for candidates in zip(*by_slope, strict=True)]
 
-    def modulated(self) -> list[Ranked]:
-        """Waves of the turns of each site, of any order, whose size follows a quantity."""
+    def modulated(self, least: float) -> list[Ranked]:
+        """Waves of the turns of each site, of any order, whose size follows a quantity, that may exceed `least`."""
         candidates = []
         for component in self.components:
             for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
                 if quantity.driver.turns == component.site:
-                    candidates += self._modulated_at(component, k, self._scan.partners(component, k))
+                    candidates += self._modulated_at(component, k, self._scan.partners(component, k), least)
         return _best_of_each(candidates)
 
-    def _modulated_at(self, component: Component, k: int, partners: Sequence[int]) -> list[Ranked]:
+    def _modulated_at(
+        self, component: Component, k: int, partners: Sequence[int], least: float = -np.inf
+    ) -> list[Ranked]:
         """Waves of an angle whose size follows one of its partners, each of the likeliest order.
 
         Orders are those of rough spectra; of the likeliest partners they are refined exactly.
@@ -814,7 +829,7 @@ class ModelScan:
         order_step = float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
         candidates = []
         for place in np.argsort(costs - rough)[:_MODULATED]:
-            if rough[place] < _MODULATED_GAIN * costs[place]:
+            if rough[place] < max(_MODULATED_GAIN * costs[place], (costs[place] + least) / _ROUGH):
                 break
             order = likeliest_orders[place]
             for width in (order_step, order_step / 5):

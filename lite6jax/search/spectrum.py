@@ -117,20 +117,20 @@ def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) ->
 
 def lines(test: ScoreTest) -> list[Line]:
     """The best order of each family, refined, the best family first."""
-    best_lines = []
-    options = test.options
-    for family in test.problem.periodic:
-        orders, gains = spectrum(test, family)
-        if not gains.any():
-            continue
-        low = orders[orders <= EXACT_BELOW][::2]
-        peaks = orders[_peaks(test, family, orders, gains)[:_SCORED_PEAKS]]
-        best_order = _best(test, family, np.unique(np.concatenate([low, peaks])))
-        order = _refined(test, family, best_order, orders[1] - orders[0])
-        gain = _gain(test, family, order)
-        searched = float(log_orders_of(family, order, options))
-        best_lines.append(Line(family, order, gain, searched))
+    best_lines = [line for family in test.problem.periodic if (line := line_of(test, family)) is not None]
     return sorted(best_lines, key=lambda line: -line.gain)
+
+
+def line_of(test: ScoreTest, family: PeriodicFamily) -> Line | None:
+    """The best order of a family, refined; None where no order explains anything."""
+    orders, gains = spectrum(test, family)
+    if not gains.any():
+        return None
+    low = orders[orders <= EXACT_BELOW][::2]
+    peaks = orders[_peaks(test, family, orders, gains)[:_SCORED_PEAKS]]
+    best_order = _best(test, family, np.unique(np.concatenate([low, peaks])))
+    order = _refined(test, family, best_order, orders[1] - orders[0])
+    return Line(family, order, _gain(test, family, order), float(log_orders_of(family, order, test.options)))
 
 
 def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: float) -> list[tuple[float, float]]:
