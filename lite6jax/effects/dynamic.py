@@ -770,6 +770,8 @@ class UnnamedTorque(Process, JointTorque):
     spread: float | None = None
     rolloff: tuple[float, ...] = ()
 
+    component: ClassVar[str] = ""  # a joint has one torque
+
     @property
     def coefficient(self) -> Coordinate:
         coordinate = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol, final
+from typing import Any, ClassVar, Protocol, TypeGuard, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,28 @@ class Term(Protocol):
     def held(self, number: float) -> "Term":
         """The same term with its chosen number fixed at `number`."""
         ...
+
+
+class ProcessTerm(Term, Protocol):
+    """A term that is a Gaussian process.
+
+    Attributes:
+        component: of its site, in which it moves; empty where the site has but one.
+        kernel: by name.
+        rolloff: numbers of the kernel, as of `kernels.features`.
+    """
+
+    @property
+    def component(self) -> str: ...
+    @property
+    def kernel(self) -> str: ...
+    @property
+    def rolloff(self) -> tuple[float, ...]: ...
+
+
+def is_process(term: Term) -> TypeGuard[ProcessTerm]:
+    """Whether a term is a Gaussian process and no named one."""
+    return term.nonparametric
 
 
 @final

@@ -30,7 +30,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.estimation.whitening import Whitened
 from lite6jax.search.scan import NEARLY, Considered, ModelScan, Pair, Ranked, Scan
@@ -142,9 +142,9 @@ class Selector:
             state = self._named(state, k) or state
 
     @staticmethod
-    def _key_of(process: Term) -> tuple[object, ...]:
+    def _key_of(term: Term) -> tuple[object, ...]:
         """As `Ranked.key`."""
-        return process.site, getattr(process, "component", ""), _phrases(process)
+        return term.site, term.component if is_process(term) else "", _phrases(term)
 
     def _with_all_worth(self, state: State) -> State:
         tried = set[object]()
@@ -243,21 +243,18 @@ class Selector:
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
+        at_site = [term for term in model if is_process(term) and term.site == one.site]
         if one.process and one.process[2] == "wander":
-            place = one.site, one.place
-            return not any(is_wander(term) and (term.site, getattr(term, "component", "")) == place for term in model)
-        there = [term for term in model if term.nonparametric and term.site == one.site and not is_wander(term)]
+            return not any(term.kernel == "wander" and term.component == one.place for term in at_site)
+        at_site = [term for term in at_site if term.kernel != "wander"]
         if one.process and one.process[2] == "repeat":
-            return not any(_kernel_of(term) in ("repeat", "spectrum") for term in there)
-        there = [term for term in there if _kernel_of(term) != "repeat"]  # it leaves what is no function of the turn
-        if not there or self._continues(one, model):
+            return not any(term.kernel in ("repeat", "spectrum") for term in at_site)
+        at_site = [term for term in at_site if term.kernel != "repeat"]  # it leaves what is no function of the turn
+        if not at_site or self._continues(one, model):
             return True
-        other = one.cause not in map(_phrases, there)
-        return (
-            bool(one.process)
-            and other
-            and {_kernel_of(term) == "spectrum" for term in there} == {one.process[2] != "spectrum"}
-        )
+        if not one.process or one.cause in map(_phrases, at_site):
+            return False
+        return {term.kernel == "spectrum" for term in at_site} == {one.process[2] != "spectrum"}
 
     def _component_of(self, term: Term) -> Component | None:
         """The component of a process, or of a name at a site that has but one; None where a name may move several.
@@ -265,7 +262,7 @@ class Selector:
         None also of a component of one row: what moves there by itself is the noise of that row.
         """
         own = [one for one in self.problem.components if one.site == term.site]
-        if term.nonparametric:
+        if is_process(term):
             own = [self._process_of(term)[0]]
         alone = len(own) == 1 and term not in self._preset and np.count_nonzero(own[0].column.any(1)) > 1
         return own[0] if alone else None
@@ -281,12 +278,12 @@ class Selector:
     @staticmethod
     def _continues(one: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
-        there = {
-            getattr(term, "component", "")
+        components = {
+            term.component
             for term in model
-            if term.nonparametric and term.site == one.site and one.cause == _phrases(term)
+            if is_process(term) and term.site == one.site and one.cause == _phrases(term)
         }
-        return bool(one.process) and bool(there) and one.place not in there
+        return bool(one.process) and bool(components) and one.place not in components
 
     @staticmethod
     def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
@@ -347,7 +344,7 @@ class Selector:
 
     def _chosen_again(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
         term = one.term
-        if term.nonparametric:
+        if is_process(term):
             component, which = self._process_of(term)
             found = self._processes(test, component, [which, *_either(which)])
             best = max(found, key=lambda each: each.net, default=None)
@@ -356,13 +353,16 @@ class Selector:
         if best is None:
             return replace(one, gain=0.0)
         cost = best.cost
-        if term.nonparametric and not {_kernel_of(term), best.process[2]} & set(AT_ANY_ORDER):
+        if is_process(term) and not {term.kernel, best.process[2]} & set(AT_ANY_ORDER):
             cost = min(cost, one.cost)
         return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
 
-    def _process_of(self, term: Term) -> tuple[Component, tuple[int, ...]]:
+    def _process_of(self, term: ProcessTerm) -> tuple[Component, tuple[int, ...]]:
+        """The component of a process, and the places of its quantities."""
         component = next(
-            c for c in self.problem.components if (c.site, c.name) == (term.site, getattr(term, "component", ""))
+            component
+            for component in self.problem.components
+            if component.site == term.site and component.name == term.component
         )
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
@@ -426,9 +426,8 @@ class Selector:
         term = tested.term
         test = self.beside(state, k)
         weighed = ModelScan(self.scan, test)
-        if term.nonparametric:
-            rolloff = getattr(term, "rolloff", ())
-            worth = weighed.of_kernel(*self._process_of(term), _kernel_of(term), rolloff, exact=True)
+        if is_process(term):
+            worth = weighed.of_kernel(*self._process_of(term), term.kernel, term.rolloff, exact=True)
         elif self.problem.curved:
             worth = weighed.by_columns(term, self._columns_at_estimate(test, state, k))
         else:
@@ -536,7 +535,7 @@ class Selector:
         own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
-            if process.site != term.site or not process.nonparametric or _kernel_of(process) in _OF_ONE_DRIVER:
+            if process.site != term.site or not is_process(process) or process.kernel in _OF_ONE_DRIVER:
                 continue
             component, quantity_indices = self._process_of(process)
             together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})
@@ -591,6 +590,7 @@ class Selector:
         and beside a read-out that wanders.
         """
         process = state.tested[k].term
+        assert is_process(process)
         test = self.beside(state, k)
         names = list[Ranked]()
         gain = 0.0
@@ -772,14 +772,9 @@ def _phrases(term: Term) -> tuple[str, ...]:
     return tuple(driver.phrase for driver in term.drivers)
 
 
-def _kernel_of(term: Term) -> str:
-    """The kernel of a process; empty of a name."""
-    return getattr(term, "kernel", "")
-
-
 def is_wander(term: Term) -> bool:
     """Whether a term is what a read-out does by itself, which nothing recorded drives."""
-    return _kernel_of(term) == "wander"
+    return is_process(term) and term.kernel == "wander"
 
 
 def _either(quantity_indices: tuple[int, ...]) -> list[tuple[int, ...]]:

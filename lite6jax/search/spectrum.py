@@ -4,7 +4,7 @@ Where angles are multiples of 2°, as those that people type are, orders 2 and 1
 The prior of orders chooses among them.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +110,8 @@ def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) ->
     place = np.rint((angle - angle.min()) / _COARSE_BIN).astype(int)
     weighted = score * np.concatenate([np.ones_like(angle)[None], centred])
     histograms = np.stack([np.bincount(place, values) for values in weighted])
-    transformed = rfft(histograms.astype(np.float32), length)[:, at]  # rough gains need no more digits
+    transformed: Any = rfft(histograms.astype(np.float32), length)  # rough gains need no more digits
+    transformed = transformed[:, at]
     powers = (transformed.real**2 + transformed.imag**2) / total
     return at * step, powers[0] + powers[1:]
 
