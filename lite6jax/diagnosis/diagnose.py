@@ -397,9 +397,12 @@ def diagnose_poses(
             entered("estimating")
             selection = replace(selection, state=final_estimates(explanation.problem, selection.state, options.engine))
         folds = held_out_folds(explanation.problem, options)
-        searched = replace(case, among=selection.considered), explanation.final_decisions
-        errors = errors_of_folds(errors_of_search, searched, folds)
         of_all = selection
+        if selection.state.tested or explanation.screened.found:
+            searched = replace(case, among=selection.considered), explanation.final_decisions
+            errors = errors_of_folds(errors_of_search, searched, folds)
+        else:  # nothing was found that a search without some rows might not find
+            errors = refitted_errors(selection, folds, options)
         inliers = ~_outliers(of_all)
         verified = verify(
             of_all,
