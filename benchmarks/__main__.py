@@ -18,12 +18,13 @@ MODULES = (
     ("fits", ("one", "fleet", "samples", "devices", "ceres")),
     ("study", ("study", "models", "regressor")),
     ("commands", ("command", "folders", "diagnose")),
+    ("scaling", ("scaling",)),
     *((name, (name,)) for name in ("fleet_diagnosis", "compensation")),
     ("commands", ("soak",)),
 )
 """Workloads in the order in which they run: functions of this folder's modules."""
 WORKLOADS = {name: module for module, names in MODULES for name in names}
-BY_NAME = ("devices", "ceres", "fleet_diagnosis", "soak")
+BY_NAME = ("devices", "ceres", "fleet_diagnosis", "scaling", "soak")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
 PACKAGES = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco", "sklearn": "scikit-learn"}
 """Those of the extra `benchmark`, by the module that is imported."""

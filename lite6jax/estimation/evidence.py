@@ -122,7 +122,9 @@ class Marginal:
 
     def _coupled(self, rows: NDArray[np.bool_]) -> NDArray[np.integer]:
         """The groups of some rows `(row,)`, and those that the model couples with them."""
-        return np.flatnonzero(self.test.coupled[np.unique(self.test.problem.groups[rows])].any(0))
+        coupled = self.test.coupled
+        acting = np.bincount(self.test.problem.groups[rows], minlength=len(coupled)) > 0
+        return np.flatnonzero(coupled[acting].any(0))
 
     @cached_property
     def _together(self) -> int:
@@ -258,6 +260,11 @@ class Marginal:
         eigenvalues = np.sum(white**2, 0)
         squares = np.sum(white * self.test.left_of_rows, 0) ** 2
         return best_amplitude(eigenvalues, squares, *self._of_groups(np.any(column, 1)))
+
+    def columns_of(self, key: Hashable) -> Array | None:
+        """The columns `(number, row, sample)` of a term that `of_names` was given with this key; None of another."""
+        entry = self._whole.test.table.get(("columns", key))
+        return None if entry is None else entry[0]
 
     def of_names(
         self, groups: Sequence[Array], together: bool = False, keys: Sequence[Hashable] = ()

@@ -7,6 +7,7 @@ has its part of it.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 from lite6jax.errors import InputError
@@ -59,7 +60,7 @@ class Prior:
             if not 0 <= probability < 1:
                 raise InputError(f"prior: {name} is {probability}; give a probability from 0 to below 1")
 
-    @property
+    @cached_property
     def probabilities(self) -> dict[str, float]:
         """Each by its name."""
         return {name: float(probability) for name, probability in field_values(self).items()}

@@ -77,6 +77,8 @@ NEARLY = 2.0
 """Log odds within which the priority of names decides."""
 _TURNS = 1.5 * np.pi
 """rad, the range of an angle from which a wave says more of it than a cubic."""
+_NUMBER_GAIN = 0.5
+"""Of its cost, that a name must gain with one of the numbers that are tried first, for others near it to be tried."""
 _REFINED_NUMBERS = 3
 """Names with a number that is tried, the likeliest, of which numbers near the best one are tried too."""
 _RATIOS = np.geomspace(0.5, 2.0, 17)
@@ -438,6 +440,7 @@ class ModelScan:
         self._options = scan.options
         self._rows = slice(None) if rows is None else rows
         self._lines: dict[int, Line | None] = {}
+        self._waves: dict[int, Ranked] = {}
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
@@ -497,10 +500,12 @@ class ModelScan:
         terms = [term for term in self._scan.names if term not in present and not term.periodic]
         terms = [term for term in terms if term.usual] if usual else terms
         candidates = self.of_terms(terms)
-        likely = sorted(
-            (candidate for candidate in candidates if candidate.make().chosen is not None),
-            key=lambda candidate: -candidate.net,
-        )[:_REFINED_NUMBERS]
+        with_number = [
+            candidate
+            for candidate in candidates
+            if candidate.make().chosen is not None and candidate.gain > _NUMBER_GAIN * candidate.cost
+        ]
+        likely = sorted(with_number, key=lambda candidate: -candidate.net)[:_REFINED_NUMBERS]
         for name in likely:
             candidates = [candidate for candidate in candidates if candidate.cause != name.cause] + self._refined(name)
         return candidates
@@ -586,12 +591,7 @@ class ModelScan:
         """Names, of those with one label the likeliest."""
         likeliest: dict[str, Ranked] = {}
         for part in bounded_parts(terms, self._problem.rows * self._problem.samples):
-            columns = self._problem.columns(part, beside=(self._test.fit.terms, self._test.fit.values))
-            blocks = np.split(columns, np.cumsum([term.size for term in part])[:-1])
-            blocks = [
-                block if term.linear else self._at_estimate(term, block)
-                for term, block in zip(part, blocks, strict=True)
-            ]
+            blocks = self._columns_of(part)
             acting = [k for k, block in enumerate(blocks) if np.any(block[:, self._rows])]
             keys = [part[k] if part[k] in self._scan.listed else None for k in acting]
             weighed = self._marginal.of_names([blocks[k] for k in acting], keys=keys) if acting else []
@@ -600,6 +600,17 @@ class ModelScan:
                 if candidate.gain > 0 and (term.label not in likeliest or candidate.net > likeliest[term.label].net):
                     likeliest[term.label] = candidate
         return list(likeliest.values())
+
+    def _columns_of(self, terms: Sequence[Term]) -> list[Array]:
+        """The columns `(number, row, sample)` of names beside the model; those of linear ones are computed once."""
+        by_term = {term: self._marginal.columns_of(term) for term in terms if term.linear}
+        new = [term for term in terms if by_term.get(term) is None]
+        columns = self._problem.columns(new, beside=(self._test.fit.terms, self._test.fit.values))
+        ends = np.cumsum([term.size for term in new], dtype=int)
+        for term, end in zip(new, ends, strict=True):
+            block = columns[end - term.size : end]
+            by_term[term] = block if term.linear else self._at_estimate(term, block)
+        return [by_term[term] for term in terms]
 
     def _at_estimate(self, term: Term, columns: Array) -> Array:
         """The columns of a term that is not linear where it fits best: at zero they may miss most of it."""
@@ -615,7 +626,12 @@ class ModelScan:
         return [candidate for candidate in candidates if candidate.gain > 0]
 
     def _wave(self, line: Line) -> Ranked:
-        """The likeliest order of an angle."""
+        """The likeliest order of an angle; computed once."""
+        if id(line) not in self._waves:
+            self._waves[id(line)] = self._weighed_wave(line)
+        return self._waves[id(line)]
+
+    def _weighed_wave(self, line: Line) -> Ranked:
         columns = (line.family.waves_of(np.array([line.order]))[0])[:, None] * line.family.column
         (evidence,) = self._marginal.of_names([columns])
         cost = self._scan.cost_of_wave(line.term, ())
