@@ -1,4 +1,4 @@
-"""What a diagnosis of poses costs, against its rows and against what it finds: processor time over a unit of the machine.
+"""What a diagnosis of poses costs against its rows and its findings: processor time over a unit of the machine.
 
 The unit is the time of twelve products of 2000 × 400 numbers with themselves and their eigenvalues, on one thread.
 """
@@ -15,22 +15,11 @@ from lite6jax import threads
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.simulation import simulate
 
+_PLACES = ((1, 2), (4, 2), (2, 3), (3, 1), (5, 2), (6, 1), (1, 5), (2, 11), (3, 7), (4, 9), (5, 4), (6, 3))
+"""Joints and orders of waves."""
 _WAVES = tuple(
     f"joint_harmonic:joint={joint},order={order},amplitude_rad={3e-4 / joint:.3g},phase_rad={0.4 * order:.3g}"
-    for joint, order in (
-        (1, 2),
-        (4, 2),
-        (2, 3),
-        (3, 1),
-        (5, 2),
-        (6, 1),
-        (1, 5),
-        (2, 11),
-        (3, 7),
-        (4, 9),
-        (5, 4),
-        (6, 3),
-    )
+    for joint, order in _PLACES
 )
 HIDDEN = (
     "joint_compliance:joint=2,compliance_rad_per_Nm=5e-5",
