@@ -2,7 +2,7 @@
 
 Names are split into words (`actual_TCP_pose_0`, `joint_1.position`, `/arm/q[3]`), words into a quantity, a number or a
 component, and columns that differ only in that are one block. A unit in a name binds: no other quantity may have it.
-Which blocks are taken is decided for the table as a whole (`domains.pose.inspection`), where the numbers may object.
+Which blocks are taken is decided for the table as a whole (`recordings.inspection`), where the numbers may object.
 """
 
 import re

@@ -20,8 +20,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
-from lite6jax.calibration.start import frames_from_poses, measured_rotations
-from lite6jax.domains.pose.readings import median_distance
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm, with_joints_of_touches
 from lite6jax.domains.pose.screening.changes import (
     CODES,
@@ -49,6 +48,7 @@ from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FIT
 from lite6jax.estimation.prior import Prior
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import frames_from_poses, median_distance
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import spread_rows
 

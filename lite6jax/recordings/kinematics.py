@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.calibration.start import frames_from_poses
 from lite6jax.recordings import naming, sizes
+from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import ANGLES, MATRIX, quaternions, units_of
 from lite6jax.recordings.naming import Block
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
@@ -41,12 +40,6 @@ LEAST_SPREAD_M = 5e-3
 """Of positions that say something of an arm, from their median: those of one touched point set no scale."""
 LONGEST_TOOL_M = 1.0
 """Or the reach of an arm, if that is longer."""
-FINEST_SENSOR_M = 2e-5
-"""Above, an error may be a sensor's noise."""
-COMPUTED_M = 2e-6
-"""Below, it is none: controllers compute in single precision too."""
-LEAST_TRAVEL_M = 0.02
-"""Of positions of which is said that they are computed."""
 _TURNS = ("q", False)
 _SLIDES = ("q", True)
 _PLACES = ("position", False)
@@ -141,55 +134,6 @@ def agreement(
     if rotation is not None and score <= CLOSE:
         form, decided["rotation", False] = _rotations(predicted, rotation[rows], stated_units.get(("rotation", False)))
     return ArmAgreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
-
-
-def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
-    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
-
-    Args:
-        error: m, the median distance of the positions from those of the arm's kinematics.
-        position: `(sample, 3)` m.
-        joint: `(sample, joint)` rad, and m of prismatic joints.
-    """
-    spread = median_distance(position)
-    step = float(np.hypot(digit_step(position), angle_step(joint) * spread * joint.shape[1] ** 0.5))
-    return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
-
-
-def is_below_sensors(error: float, position: Array) -> bool:
-    """Whether a fitted table is nearer to positions `(sample, 3)` m than any sensor measures an arm."""
-    return median_distance(position) > LEAST_TRAVEL_M and error <= COMPUTED_M
-
-
-def angle_step(joint: Array) -> float:
-    """The place of the last digit of joints `(sample, joint)` in rad, as they were written in rad or in degrees."""
-    return float(max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint)))))
-
-
-def digit_step(values: Array) -> float:
-    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
-    finite = values[np.isfinite(values)]
-    finite = finite[:: max(len(finite) // 1000, 1)]
-    digits = (k for k in range(10) if np.allclose(finite, np.round(finite, k), rtol=0, atol=1e-3 * 10.0**-k))
-    place = next(digits, None)
-    return 0.0 if place is None else 10.0**-place
-
-
-def median_distance(position: Array) -> float:
-    """m, of positions `(sample, 3)` from their median."""
-    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-
-
-def flange_poses(arm: Arm, joint: Array) -> Array:
-    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
-    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
-
-
-def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
-    """The median error in m of positions `(sample, 3)` with frame and tool in closed form, and `T_sensor_base`."""
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
-    missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
-    return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
 
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:

@@ -16,19 +16,9 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
-from lite6jax.domains.pose.readings import (
-    CLEARLY,
-    CLOSE,
-    ArmAgreement,
-    agreement,
-    computed_by_controller,
-    decide,
-    digit_step,
-    median_distance,
-    motion_of,
-)
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
+from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
 from lite6jax.recordings.columns import (
     DEVIATION,
     FORMS,
@@ -49,6 +39,7 @@ from lite6jax.recordings.columns import (
     spelled,
     units_of,
 )
+from lite6jax.recordings.kinematics import CLEARLY, CLOSE, ArmAgreement, agreement, decide, motion_of
 from lite6jax.recordings.naming import Block, Role, Source
 from lite6jax.recordings.words import Words, is_label, write_whole
 
