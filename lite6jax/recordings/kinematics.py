@@ -4,7 +4,7 @@ Names decide where they say it. Else the readings are compared with the nominal 
 sensor's frame and the tool fitted in closed form; where none agrees best, sizes decide.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
@@ -45,8 +45,13 @@ _SLIDES = ("q", True)
 _PLACES = ("position", False)
 _FIRST = ("q", "time", "dq", "ddq")
 """Kinds by whose units those of others are decided, in order."""
-_USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
-"""The unit of quantities that have one only."""
+_BY_SIZE: Mapping[tuple[str, bool], Callable[[Array], Decision]] = {
+    _SLIDES: sizes.length_unit,
+    _PLACES: sizes.length_unit,
+    ("tau", False): sizes.torque_unit,
+    ("current", False): sizes.current_unit,
+}
+"""How the unit is decided by size, by `Block.key`; of what is not here it is the first of its quantity."""
 
 
 class ArmAgreement(NamedTuple):
@@ -244,21 +249,14 @@ def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) ->
     """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
     if block.key in agreed.units:
         return agreed.units[block.key]
-    if block.kind == "q" and not block.slides:
+    if block.key == _TURNS:
         servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-        of_arm = None
-        if arm is not None and values.shape[1] == arm.dof:
-            of_arm = arm
-        if of_arm is None:
+        if arm is None or values.shape[1] != arm.dof:
             return sizes.angle_unit(values, servo)
-        return sizes.angle_unit(values, servo, of_arm.endless, of_arm.joint_limits)
-    if block.kind in ("q", "position"):
-        return sizes.length_unit(values)
-    if block.kind == "tau" and not block.slides:
-        return sizes.torque_unit(values)
-    if block.kind == "current":
-        return sizes.current_unit(values)
-    return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
+        return sizes.angle_unit(values, servo, arm.endless, arm.joint_limits)
+    if block.key in _BY_SIZE:
+        return _BY_SIZE[block.key](values)
+    return Decision(next(iter(block.units)), "assumed", "usual", {})
 
 
 def _of_rotation(block: Block, values: Array, agreed: ArmAgreement) -> tuple[Decision, Decision]:
