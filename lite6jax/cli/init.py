@@ -183,8 +183,10 @@ class InitCommand:
             raise InputError(f"{file}: {inspection.choice_of_motors(inspected)}")
         if inspected.undecided:
             raise InputError(f"{file}: {inspection.choice_of_pose(inspected)}")
-        arm_name = command.name_arm(arm, sidecar) if arm else None if inspected.arm is None else inspected.arm.name
-        settings = ({"arm": arm_name} if arm_name else {}) | settings
+        if arm:
+            settings = {"arm": command.name_arm(arm, sidecar)} | settings
+        elif inspected.arm is not None:
+            settings = {"arm": inspected.arm.name} | settings
         settings.setdefault("motion", inspected.motion[0])
         if inspected.computed:
             settings.setdefault("pose_source", "controller_fk")
@@ -534,7 +536,11 @@ def _assign_roles(
             "it commands.csv, else say which are none by --column NAME=ignore"
         )
     roles = [any(source.role == "controller" for source in file.found.sources) for file in (first_file, second_file)]
-    joints = with_joints[0] if with_joints else second_file if roles == [False, True] else first_file
+    joints = first_file
+    if with_joints:
+        joints = with_joints[0]
+    elif roles == [False, True]:
+        joints = second_file
     poses = second_file if joints is first_file else first_file
     if poses.found.of("position") is None:
         raise InputError(

@@ -4,7 +4,7 @@ Names decide where they say it. Else the readings are compared with the nominal 
 sensor's frame and the tool fitted in closed form; where none agrees best, sizes decide.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
@@ -102,9 +102,12 @@ def agreement(
         _PLACES: [*sizes.possible_units("x", position)],
     }
     possible |= {of: [unit] for of, unit in stated_units.items() if of in possible}
-    possible |= {_TURNS: ["rad"]} if arm.slides.all() else {}
-    possible |= {} if arm.sliding else {_SLIDES: ["m"]}
-    possible |= {_PLACES: [sizes.length_unit(position).choice]} if by_size else {}
+    if arm.slides.all():
+        possible[_TURNS] = ["rad"]
+    if not arm.sliding:
+        possible[_SLIDES] = ["m"]
+    if by_size:
+        possible[_PLACES] = [sizes.length_unit(position).choice]
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
     places = {unit: position[rows] / units_of("x")[unit] for unit in possible[_PLACES]}
@@ -187,7 +190,7 @@ def _decided(choice: str, errors: dict[str, float], limit: float) -> Decision | 
 
 
 def decide(
-    blocks: Iterable[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
+    blocks: Sequence[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
 ) -> tuple[Block, ...]:
     """Blocks with their units and forms, in the order of `naming.KINDS`; no commands that the joints do not follow.
 
@@ -198,7 +201,8 @@ def decide(
         arm: as given, not as recognised; that a joint of it has no end matters for its unit.
     """
     decided: dict[tuple[str, bool], Block] = {}
-    for block in sorted(blocks, key=lambda block: _FIRST.index(block.kind) if block.kind in _FIRST else len(_FIRST)):
+    first = [block for kind in _FIRST for block in blocks if block.kind == kind]
+    for block in (*first, *(block for block in blocks if block.kind not in _FIRST)):
         values = block.values(numbers)
         unit = block.unit
         form = None
@@ -264,6 +268,11 @@ def _of_rotation(block: Block, values: Array, agreed: ArmAgreement) -> tuple[Dec
     form, unit = sizes.rotation_form(values, block.unit, block.form)
     # the names or the order of the columns of a quaternion and a matrix bind
     bound = block.form is not None and block.form.choice in ("scalar_first", MATRIX[0])
-    if agreed.form is not None and (agreed.form.choice == form.choice or not bound):
-        form = form if form.sure == "certain" and agreed.form.choice == form.choice else agreed.form
-    return unit if block.unit else agreed.units.get(block.key, unit), form
+    if agreed.form is not None and agreed.form.choice == form.choice:
+        if form.sure != "certain":
+            form = agreed.form
+    elif agreed.form is not None and not bound:
+        form = agreed.form
+    if block.unit is None:
+        unit = agreed.units.get(block.key, unit)
+    return unit, form

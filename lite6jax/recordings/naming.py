@@ -309,7 +309,7 @@ def choose(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str
         if kind == "cmd":  # beside measured positions
             pool += [block for block in blocks if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
             pool = [replace(block, kind=kind) for block in pool if moved]
-        elif driven if kind in ("tau", "current") else kind in ("dq", "ddq") and moved:  # what was measured says it
+        elif (driven and kind in ("tau", "current")) or (moved and kind in ("dq", "ddq")):  # what was measured says it
             pool = [block for block in pool if block.rank < 2]
         side = {*q.source} if q is not None and is_per_joint(kind) else set()
         clear = {block.columns: (block.rank, -len(side & {*block.source}), block.weak) for block in pool}
@@ -447,7 +447,11 @@ def _block(kind: str, words: Sequence[_Word], stem: Sequence[str], **options: ob
     if not (units | {unit}) - {None} <= units_allowed(kind, False, True):
         return
     present = set(stem)
-    rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
+    rank = 1
+    if present & _WANTED:
+        rank = 2
+    elif present & _MEASURED:
+        rank = 0
     stated = by_name(unit) if unit in units_allowed(kind) else None
     options = {"rank": rank, "unit": stated, "source": _side(stem)} | options
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore

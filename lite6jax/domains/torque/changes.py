@@ -141,8 +141,8 @@ def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
     for code in ("wrong_torque_constant", "torque_unit"):
         if changes := of_code[code]:
             numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
-            true = (
-                [constants[c.joints[0]] / c.size for c in changes] if from_currents and constants is not None else None
-            )
+            true = None
+            if from_currents and constants is not None:
+                true = [constants[c.joints[0]] / c.size for c in changes]
             faults.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
     return faults

@@ -203,13 +203,18 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
 
 def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Screened:
     """Every hypothesis that the settings and the number of joints leave; the screen of turns speaks of turns."""
-    settings = state.rigid_arm.recording.settings
+    recording = state.rigid_arm.recording
     missing = {"joint_turns"}
-    missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
-    missing |= {*DECLARED, *POSES} if state.rigid_arm.recording.touches is not None else set()
-    missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
-    missing |= {"declared_tool"} if settings.tool == "unknown" else set()
-    missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
+    if state.rigid_arm.rows == 3:
+        missing |= {"orientation_convention", "inverted_poses"}
+    if recording.touches is not None:
+        missing |= {*DECLARED, *POSES}
+    if recording.settings.pose_frame != "base":
+        missing.add("declared_frame")
+    if recording.settings.tool == "unknown":
+        missing.add("declared_tool")
+    if recording.dof == 1:
+        missing |= {"swapped_joints", "coupled_joint"}
     codes = (code for code in CODES if code not in missing)
     return state.rule_out(*codes, median_error_m=error, suspected_above_m=limit, **numbers)
 
