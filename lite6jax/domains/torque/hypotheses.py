@@ -308,7 +308,7 @@ def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
     """With the median of its constants for all of these joints: one error in one place is one number."""
-    constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+    constants = [c.size for c in hypothesis if c.code == "wrong_torque_constant"]
     if len(constants) < 2:
         return hypothesis
     median = float(f"{np.median(constants):.3g}")

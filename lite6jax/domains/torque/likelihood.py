@@ -309,7 +309,7 @@ class Samples:
             def at(value: float, change: SuspectedFault = change, changes: Hypothesis = hypothesis) -> Hypothesis:
                 return tuple(replace(c, value=value) if c == change else c for c in changes)
 
-            near = (change.value - STEP, change.value + STEP)
+            near = (change.size - STEP, change.size + STEP)
             minimum: Any = minimize_scalar(
                 lambda value, at=at: self.scored(at(value)).cost, bounds=near, method="bounded", options={"xatol": 5e-3}
             )
@@ -317,7 +317,7 @@ class Samples:
             quarters = float(np.round(value / (np.pi / 2)) * np.pi / 2)
             value = quarters if abs(value - quarters) < _SNAP else float(f"{value:.3g}")
             hypothesis = at(turned_back(value))
-        return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.value) > _LEAST_ZERO)
+        return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.size) > _LEAST_ZERO)
 
     def gravity_found(self, hypothesis: Hypothesis) -> SuspectedFault | None:
         """Gravity along the direction that the torques show beside what joints may add; None where that is as declared.
