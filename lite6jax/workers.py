@@ -12,7 +12,15 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -44,8 +52,6 @@ WORKERS_WITHIN = 60.0
 ROW_GROUP = 4096
 """Rows of a table that are written together, whatever the batches."""
 _MOST_STARTS = 3
-_ENDS_WITHIN = 5.0
-"""s, in which a process undoes what it has begun."""
 _MOST_MAPPINGS = 40_000
 """Of memory; Linux lets a process have 65 530, and every compiled function takes several."""
 _SENT_AHEAD = 2
@@ -271,8 +277,8 @@ def set_up() -> None:
     gc.set_threshold(200_000)  # tracing makes objects that stay
 
 
-def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...]) -> None:
-    """Works on the batches that come, until the lifeline is closed at its other end, or the process there ends."""
+def _begin(lifeline: Connection, imports: tuple[str, ...]) -> None:
+    """What a process does before its first batch. It ends when its lifeline is closed, or the process there dies."""
 
     def end() -> None:
         with suppress(EOFError, OSError):
@@ -285,15 +291,6 @@ def _serve(connection: Connection, lifeline: Connection, imports: tuple[str, ...
     for module in imports:
         with suppress(Exception):  # where it is not whole, work says so
             import_module(module)
-    with suppress(EOFError, OSError):  # the process at the other end has ended
-        connection.send(True)
-        while True:
-            message = connection.recv_bytes()
-            try:
-                reply = work(*pickle.loads(message))
-            except Exception as error:
-                reply = error
-            connection.send(reply)
 
 
 # ------------------------------------------------------------------ processes of this machine
@@ -305,7 +302,10 @@ class WorkerDiedError(Exception):
 
 @final
 class _Process:
-    """A process of this machine, in whose place another comes where it died or has grown."""
+    """A process of this machine, in whose place another comes where it died or has grown.
+
+    Each is a pool of one: a death breaks a pool, and costs here the batch of the process that died alone.
+    """
 
     def __init__(self, imports: tuple[str, ...]) -> None:
         self._imports = imports
@@ -314,10 +314,8 @@ class _Process:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        ends, self._lifeline = context.Pipe(duplex=False)
-        self._process = context.Process(target=_serve, args=(theirs, ends, self._imports), daemon=True)
-        self._is_ready = False
+        lifeline, self._lifeline = context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, context, _begin, (lifeline, self._imports))
         self._resident = 0
         # it inherits a blocked Ctrl-C, which is this process's to answer
         blocks = hasattr(signal, "pthread_sigmask")
@@ -325,12 +323,11 @@ class _Process:
         if blocks:
             before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
-            self._process.start()
+            self._first = self._pool.submit(set_up)  # for which the pool starts the process
         finally:
             if blocks:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
-        ends.close()
+        lifeline.close()
 
     def work(self, job: bytes, inputs: Sequence[Any]) -> "pa.Table":
         """As `Processes.submit`; waits for the rows."""
@@ -338,29 +335,24 @@ class _Process:
             self._restart()
         for _ in range(_MOST_STARTS):
             try:
-                if not self._is_ready:
-                    self._is_ready = self._connection.recv()
-                self._connection.send((job, list(inputs)))
+                self._first.result()
+                future = self._pool.submit(work, job, list(inputs))
                 break
-            except (EOFError, OSError):  # it ended before it had a batch
+            except BrokenProcessPool:  # it ended before it had a batch
                 self._restart()
         else:
             raise InputError(
                 "the processes that are to do the work end as they start; free memory, or give --processes 1"
             )
         try:
-            reply = self._connection.recv()
-        except (EOFError, OSError) as error:
+            rows, self._resident = future.result()
+        except BrokenProcessPool as error:
             self._restart()
             raise WorkerDiedError from error
-        if isinstance(reply, Exception):
-            raise reply
-        rows, self._resident = reply
         return rows
 
     def _restart(self) -> None:
         self._stop()
-        self._connection.close()
         if self._is_over:
             raise WorkerDiedError
         self._start()
@@ -372,9 +364,7 @@ class _Process:
 
     def _stop(self) -> None:
         self._lifeline.close()
-        self._process.join(_ENDS_WITHIN if self._is_ready else 0)
-        self._process.kill()
-        self._process.join()
+        self._pool.shutdown()
 
 
 @final

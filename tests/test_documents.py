@@ -78,21 +78,22 @@ def test_the_screens_are_documented_in_their_order():
 
 
 def test_the_faults_of_commands_and_joints_are_documented():
-    from lite6jax.report.faults import TRACKING_FAULTS
+    from lite6jax.report.sentences.faults import FAULTS
 
     text = (ROOT / "docs/reference/tracking.md").read_text()
     section = text.partition("\n## Data faults\n")[2].partition("\n## ")[0]
-    assert [row[0] for row in table_rows(section)[2:]] == list(TRACKING_FAULTS)
+    assert [row[0] for row in table_rows(section)[2:]] == list(FAULTS["tracking"])
 
 
 def test_the_effects_and_faults_of_torques_are_documented():
     from lite6jax.effects.catalogue import TORQUE_EFFECTS
-    from lite6jax.report.faults import TORQUE_FAULTS
+    from lite6jax.report.sentences.faults import FAULTS
 
     text = (ROOT / "docs/reference/torques.md").read_text()
     sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
     assert [row[0] for row in sections["Effects"]] == list(TORQUE_EFFECTS)
-    assert {row[0] for row in sections["Data faults"]} == {*TORQUE_FAULTS, "joint_turns"}  # which poses name as well
+    faults = {code for code, texts in FAULTS["torques"].items() if "name" in texts}
+    assert {row[0] for row in sections["Data faults"]} == {*faults, "joint_turns"}  # which poses name as well
     for effect, (_, _, _, parameters, *_) in zip(TORQUE_EFFECTS.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.joining import File, with_joints
 from lite6jax.recordings import read_recording
+from lite6jax.recordings.inspection import inspect
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.sliding_arms import ARMS
 

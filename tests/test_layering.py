@@ -7,13 +7,15 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
-PARTS = [
+LIBRARY = [
     *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
     *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
-    *("controller", "calibration"),
-    *("workers", "domains", "design", "diagnosis", "fleet", "simulation", "emulator"),
-    *("report", "cli"),
+    *("calibration", "domains", "design", "diagnosis", "simulation"),
 ]
+"""What a program of a user imports."""
+PROGRAMS = ["controller", "workers", "fleet", "emulator", "report", "cli"]
+"""What is built on the library: a live arm, processes, folders of recordings, an emulated arm, pages and commands."""
+PARTS = LIBRARY + PROGRAMS
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -48,6 +50,21 @@ def test_imports_go_upwards_only(path):
     part = path.relative_to(PACKAGE).with_suffix("").parts[0]
     assert part in PARTS, f"{part} has no place in the order of the parts"
     assert violations(path.read_text(), part, package) == []
+
+
+@pytest.mark.parametrize("part", LIBRARY)
+def test_the_library_names_nothing_that_is_built_on_it(part):
+    """Not even as a text that is imported later; but for the public names, which may know all."""
+    built_on_it = re.compile(rf"lite6jax\.({'|'.join(PROGRAMS)})\b")
+    paths = [path for path in MODULES if path.relative_to(PACKAGE).with_suffix("").parts[0] == part]
+    assert paths
+    for path in paths:
+        texts = [
+            node.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.count("\n") == 0
+        ]
+        assert [text for text in texts if built_on_it.fullmatch(text.partition(":")[0])] == [], path
 
 
 # ------------------------------------------------------------------ the engine, which other domains use as it is

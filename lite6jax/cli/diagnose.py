@@ -8,7 +8,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from lite6jax import interruption
 from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, command_line, name_options
@@ -24,7 +25,7 @@ from lite6jax.fleet.place import StorageFolder, attempt, list_recordings, restor
 from lite6jax.storage import exists, file_sha256, write_atomically
 
 with import_lazily():
-    from lite6jax import recordings, workers
+    from lite6jax import recordings, threads, workers
     from lite6jax.arms import simulator as simulators
     from lite6jax.calibration import source
     from lite6jax.diagnosis import diagnose, fold_processes
@@ -56,6 +57,36 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     Found = diagnose.Diagnosis | diagnose.TorqueDiagnosis | diagnose.TrackingDiagnosis
+
+_MOST_FOR_FOLDS = 4
+"""Most other processes: five folds are held out, and this process works on at least one."""
+_IMPORTS_FOR_FOLDS = ("lite6jax.diagnosis.heldout",)
+"""Modules that other processes import as they start, which takes most of a second."""
+
+
+@contextlib.contextmanager
+def share_folds(count: int | None = None) -> Iterator[None]:
+    """Has the folds of the diagnoses within worked on by so many processes, of which this is one.
+
+    The others import what they need while this one reads. All of them compute with one thread from here on.
+
+    Args:
+        count: how many, at most five. Where not given, one a core of a command, and none beside a program that imports
+            the library.
+    """
+    if count is None and not interruption.is_command_line():
+        yield
+        return
+    further_processes = min(count or threads.available(), 1 + _MOST_FOR_FOLDS) - 1
+    threads.limit(1)
+    if not further_processes:
+        yield
+        return
+    with (
+        workers.Processes(further_processes, _IMPORTS_FOR_FOLDS) as processes,
+        fold_processes.folds_shared_with(processes),
+    ):
+        yield
 
 
 @dataclass(frozen=True)
@@ -176,7 +207,7 @@ class DiagnoseCommand:
     def search(self) -> "tuple[recordings.Recording, Found]":
         """The recording and its diagnosis."""
         # other processes cannot import classes that this one reads from a file
-        with contextlib.nullcontext() if self.effects else fold_processes.fold_processes(self.processes):
+        with contextlib.nullcontext() if self.effects else share_folds(self.processes):
             recording, search = self._prepare()
             if self.figures is not None:
                 names = diagnosis_figures.figure_names(diagnose.domains_of(recording, self._domain(recording)))

@@ -27,16 +27,14 @@ with import_lazily():
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.calibration import source as sources
-    from lite6jax.domains.pose import inspection as pose_inspection
     from lite6jax.domains.pose import joining as pose_joining
-    from lite6jax.domains.pose import points as pose_points
-    from lite6jax.domains.pose import reflectors
     from lite6jax.domains.pose.screening import screen as screening
     from lite6jax.domains.pose.screening import thresholds as screening_thresholds
     from lite6jax.domains.tracking import joining as tracking_joining
-    from lite6jax.recordings import boards, fault, formats, naming
+    from lite6jax.recordings import boards, fault, formats, naming, points, reflectors
     from lite6jax.recordings import columns as table_columns
     from lite6jax.recordings import files as tables
+    from lite6jax.recordings import inspection as recognition
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
     from lite6jax.recordings import words as table_words
@@ -155,10 +153,10 @@ class InitCommand:
         sidecar = check_writable(recordings.sidecar_path(tables.split_topics(source)[0]), self.force)
         meanings = dict(table.given)
 
-        def look() -> "pose_inspection.Inspection":
+        def look() -> "recognition.Inspection":
             nominal = sources.load_nominal(arm)
             assumed = table.content.assumed
-            inspected = pose_inspection.inspect(
+            inspected = recognition.inspect(
                 table.columns, nominal, meanings, str(file), assumed=assumed, words=table.words, **declared
             )
             return replace(inspected, in_file=table.in_file)
@@ -185,8 +183,10 @@ class InitCommand:
             raise InputError(f"{file}: {inspection.choice_of_motors(inspected)}")
         if inspected.undecided:
             raise InputError(f"{file}: {inspection.choice_of_pose(inspected)}")
-        arm_name = command.name_arm(arm, sidecar) if arm else None if inspected.arm is None else inspected.arm.name
-        settings = ({"arm": arm_name} if arm_name else {}) | settings
+        if arm:
+            settings = {"arm": command.name_arm(arm, sidecar)} | settings
+        elif inspected.arm is not None:
+            settings = {"arm": inspected.arm.name} | settings
         settings.setdefault("motion", inspected.motion[0])
         if inspected.computed:
             settings.setdefault("pose_source", "controller_fk")
@@ -210,9 +210,7 @@ class InitCommand:
         return command.DONE
 
 
-def _check(
-    inspected: "pose_inspection.Inspection", table: "tabulation.RawTable", path: "Path", notes: list[str]
-) -> None:
+def _check(inspected: "recognition.Inspection", table: "tabulation.RawTable", path: "Path", notes: list[str]) -> None:
     """Refuses what the other commands would refuse, before anything is written."""
     q = inspected.of("q")
     if q is not None and q.unit and q.unit.reason in ("percent", "ticks", "whole"):
@@ -228,7 +226,7 @@ def _check(
 
 
 def _find_gross_faults(
-    source: str, inspected: "pose_inspection.Inspection", settings: Mapping[str, Any], notes: list[str]
+    source: str, inspected: "recognition.Inspection", settings: Mapping[str, Any], notes: list[str]
 ) -> "tuple[fault.DataFault, ...]":
     """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
     if (
@@ -254,7 +252,7 @@ def _on_a_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def _leave_out_jaw(arm: str, inspected: "pose_inspection.Inspection") -> str | None:
+def _leave_out_jaw(arm: str, inspected: "recognition.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
     q = inspected.of("q")
     if q is None or not naming.is_of_gripper(q.columns[-1]):
@@ -263,7 +261,7 @@ def _leave_out_jaw(arm: str, inspected: "pose_inspection.Inspection") -> str | N
     return f"{arm}#{tip}" if tip else None
 
 
-def _ask_motors(inspected: "pose_inspection.Inspection") -> dict[str, str]:
+def _ask_motors(inspected: "recognition.Inspection") -> dict[str, str]:
     """The columns of the arm's joints, where a table has more of them than the arm."""
     if not inspected.motors or inspected.arm is None:
         return {}
@@ -278,7 +276,7 @@ def _ask_motors(inspected: "pose_inspection.Inspection") -> dict[str, str]:
         print(f"write {inspected.arm.dof} of {', '.join(motor_columns)}, between commas")
 
 
-def _ask_settings(inspected: "pose_inspection.Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
+def _ask_settings(inspected: "recognition.Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     """Answers to the questions that the table raises and no option has answered."""
     poses = inspected.of("position") is not None
     torques = inspected.of("tau") is not None or inspected.of("current") is not None
@@ -289,7 +287,7 @@ def _ask_settings(inspected: "pose_inspection.Inspection", settings: Mapping[str
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
 
 
-def _ask_pose(inspected: "pose_inspection.Inspection") -> dict[str, str]:
+def _ask_pose(inspected: "recognition.Inspection") -> dict[str, str]:
     """The columns of the poses that are not meant, to be ignored, where several are there and none is taken."""
     if not inspected.undecided:
         return {}
@@ -300,7 +298,7 @@ def _ask_pose(inspected: "pose_inspection.Inspection") -> dict[str, str]:
     return {name: "ignore" for source in inspected.sources if source.columns[0] != answer for name in source.columns}
 
 
-def _ask_columns(inspected: "pose_inspection.Inspection") -> dict[str, str]:
+def _ask_columns(inspected: "recognition.Inspection") -> dict[str, str]:
     """The names of columns whose unit or form is only assumed."""
     meanings: dict[str, str] = {}
     for block in inspected.blocks:
@@ -351,7 +349,7 @@ def _read_table(
     unknown = [name for name in tabulation.resolve_names(names_there, meanings) if name not in names_there]
     if unknown:
         files = " and ".join(sources)
-        raise InputError(f"{files}: has no column {unknown[0][:60]!r}; {pose_inspection.near(unknown[0], names_there)}")
+        raise InputError(f"{files}: has no column {unknown[0][:60]!r}; {recognition.near(unknown[0], names_there)}")
     table = read[0]
     notes = read[0].notes
     if len(read) == 2:
@@ -444,7 +442,7 @@ def _reshape(table: _Table, arm: "arms.Arm | None", meanings: Mapping[str, str],
             else table.remade(named_columns.columns, words, "named")
         )
         table = _give_meanings(table, meanings)
-    states = pose_points.gather_points(table.numbers, table.words, arm, table.given, str(table.path))
+    states = points.gather_points(table.numbers, table.words, arm, table.given, str(table.path))
     if states is not None:
         notes += [f"{about}{sentence}" for sentence in inspection.describe_points(states.found, states.taken)]
         table = table.remade(states.columns, states.found.words, "poses")
@@ -458,7 +456,7 @@ def _reshape(table: _Table, arm: "arms.Arm | None", meanings: Mapping[str, str],
 def _solve_pairs(table: _Table, arm: "arms.Arm | None", source: str) -> tuple[_Table, list[str]]:
     """Pairs of poses as joints and poses, as of a hand-eye calibration; any other table as it is."""
     column_meanings = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
-    meanings = pose_inspection.inspect([*table.numbers.items()], arm, column_meanings, str(table.path))
+    meanings = recognition.inspect([*table.numbers.items()], arm, column_meanings, str(table.path))
     alone = pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words)
     if not pose_joining.is_of_pairs(alone):
         return table, table.notes
@@ -480,7 +478,7 @@ def _join(
     joined = []
     for table in (first, second):
         column_meanings = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
-        meanings = pose_inspection.inspect([*table.numbers.items()], arm, column_meanings, str(table.path), pose_source)
+        meanings = recognition.inspect([*table.numbers.items()], arm, column_meanings, str(table.path), pose_source)
         joined.append(pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words))
     with_joints = [file for file in joined if file.found.of("q") is not None]
     if len(with_joints) == 2 and (place := tracking_joining.find_commands(joined)) is not None:
@@ -538,7 +536,11 @@ def _assign_roles(
             "it commands.csv, else say which are none by --column NAME=ignore"
         )
     roles = [any(source.role == "controller" for source in file.found.sources) for file in (first_file, second_file)]
-    joints = with_joints[0] if with_joints else second_file if roles == [False, True] else first_file
+    joints = first_file
+    if with_joints:
+        joints = with_joints[0]
+    elif roles == [False, True]:
+        joints = second_file
     poses = second_file if joints is first_file else first_file
     if poses.found.of("position") is None:
         raise InputError(

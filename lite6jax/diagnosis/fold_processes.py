@@ -1,4 +1,4 @@
-"""Held-out folds that are worked on side by side: by other processes where a command has started some, else by threads.
+"""Held-out folds that are worked on side by side: by other processes where the program has some, else by threads.
 
 Two threads of one process gain little where there are few rows: most of the time goes into the interpreter, which they
 share. Each process computes with one thread, so that it does not matter which of them works on which fold.
@@ -6,49 +6,37 @@ share. Each process computes with one thread, so that it does not matter which o
 
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
-from lite6jax import interruption, threads
+from lite6jax import threads
 from lite6jax.progress import part
-from lite6jax.workers import Processes
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
 
-_MOST = 4
-"""Most other processes: five folds are held out, and this process works on at least one."""
-_IMPORTS = ("lite6jax.diagnosis.heldout",)
-"""Modules that other processes import as they start, which takes most of a second."""
-_at_hand: ContextVar[Processes | None] = ContextVar("fold_processes", default=None)
+
+class FoldWorkers(Protocol):
+    """Processes that a program has started for the folds, as `lite6jax.workers.Processes`."""
+
+    def submit(self, job: bytes, inputs: Sequence[Any], /) -> Future[Any]:
+        """Gives a process the pickled `(function, arguments)`, of which it returns `function(inputs, *arguments)`."""
+        ...
+
+
+_at_hand: ContextVar[FoldWorkers | None] = ContextVar("fold_workers", default=None)
 
 
 @contextmanager
-def fold_processes(count: int | None = None) -> Iterator[None]:
-    """Has the folds of the diagnoses within worked on by so many processes, of which this is one.
-
-    The others import what they need while this one reads. All of them compute with one thread from here on.
-
-    Args:
-        count: how many, at most five. Where not given, one a core of a command, and none beside a program that imports
-            the library.
-    """
-    if count is None and not interruption.is_command_line():
+def folds_shared_with(processes: FoldWorkers) -> Iterator[None]:
+    """Has the folds of the diagnoses within worked on by other processes too; all compute with one thread."""
+    before = _at_hand.set(processes)
+    try:
         yield
-        return
-    further_processes = min(count or threads.available(), 1 + _MOST) - 1
-    threads.limit(1)
-    if not further_processes:
-        yield
-        return
-    with Processes(further_processes, _IMPORTS) as processes:
-        before = _at_hand.set(processes)
-        try:
-            yield
-        finally:
-            _at_hand.reset(before)
+    finally:
+        _at_hand.reset(before)
 
 
 def work_on_folds(

@@ -25,6 +25,7 @@ class ColumnQuantity(NamedTuple):
         array: of a recording, to which the column belongs.
         largest: magnitude in SI units, beyond which no arm or sensor gives it.
         common: whether the name without a unit is taken for a misspelling, and not for any column of the user's own.
+        words: by which people call such a column, in lower case.
     """
 
     units: dict[str, float]
@@ -33,6 +34,11 @@ class ColumnQuantity(NamedTuple):
     array: str = ""
     largest: float = math.inf
     common: bool = True
+    words: frozenset[str] = frozenset()
+
+    def called(self, words: str) -> "ColumnQuantity":
+        """The same, with the words by which people call it, between spaces."""
+        return self._replace(words=frozenset(words.split()))
 
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -82,17 +88,29 @@ def _per(time: str) -> tuple[dict[str, float], dict[str, float]]:
 
 _NONE = {"": 1.0}
 QUANTITIES: Mapping[str, ColumnQuantity] = {
-    "time": ColumnQuantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12),
-    "q": ColumnQuantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi),  # a joint that counts its turns on and on
-    "dq": ColumnQuantity(*_per("s"), True, "joint_velocity", 1e4),
-    "ddq": ColumnQuantity(*_per("s2"), True, "joint_acceleration", 1e7),
-    "tau": ColumnQuantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5),
-    "current": ColumnQuantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5),
-    "temp": ColumnQuantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4),
+    "time": ColumnQuantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12).called(
+        "time timestamp datetime stamp elapsed clock duration"
+    ),
+    "q": ColumnQuantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi).called(  # a joint that counts its turns on
+        "q joint joints jnt jt axis achse gelenk qpos theta th angle angles servo motor j"
+    ),
+    "dq": ColumnQuantity(*_per("s"), True, "joint_velocity", 1e4).called(
+        "dq qd qdot vel velocity velocities speed speeds dot dtheta qvel"
+    ),
+    "ddq": ColumnQuantity(*_per("s2"), True, "joint_acceleration", 1e7).called(
+        "ddq qdd qddot acc accel acceleration accelerations ddot qacc"
+    ),
+    "tau": ColumnQuantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5).called(
+        "tau torque torques effort efforts eff trq moment moments qfrc"
+    ),
+    "current": ColumnQuantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5).called("current currents amps"),
+    "temp": ColumnQuantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4).called("temp temperature temperatures"),
     "cmd": ColumnQuantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
-    "ambient": ColumnQuantity({"degC": 1.0}, array="ambient_temperature", largest=1e4),
-    "payload": ColumnQuantity({"kg": 1.0}, array="payload", largest=1e5),
-    "run": ColumnQuantity(_NONE, array="run"),
+    "ambient": ColumnQuantity({"degC": 1.0}, array="ambient_temperature", largest=1e4).called(
+        "ambient amb room air env environment"
+    ),
+    "payload": ColumnQuantity({"kg": 1.0}, array="payload", largest=1e5).called("payload"),
+    "run": ColumnQuantity(_NONE, array="run").called("run episode trial segment"),
     **dict.fromkeys(
         PLACE, ColumnQuantity(_LENGTH, array="position", largest=1e7)
     ),  # which a float resolves to nanometres
@@ -101,12 +119,25 @@ QUANTITIES: Mapping[str, ColumnQuantity] = {
     **dict.fromkeys(MATRIX, ColumnQuantity(_NONE)),
     **{part: ColumnQuantity(_ANGLE, common=False) for form in ANGLES for part in form},
     "missing": ColumnQuantity(_NONE),
-    "distance": ColumnQuantity(_LENGTH, common=False),
-    "axis": ColumnQuantity(_LENGTH, common=False),
+    "distance": ColumnQuantity(_LENGTH, common=False).called(
+        "wire rope cable string draw distance dist length range extension seil seillänge länge abstand distanz"
+    ),
+    "axis": ColumnQuantity(_LENGTH, common=False).called(
+        "dial gauge indicator height z plunger lvdt messuhr höhe taster uhr"
+    ),
     "corner": ColumnQuantity(_NONE),
     **dict.fromkeys(("u", "v"), ColumnQuantity({"px": 1.0}, common=False)),
     **dict.fromkeys(LABELS, ColumnQuantity(_NONE)),
+    "contact": ColumnQuantity(_NONE).called(
+        "socket sockets contact contacts nest ball cone hole point points target feature touched fiducial "
+        "punkt messpunkt kugel pfanne buchse"
+    ),
+    "plane": ColumnQuantity(_NONE).called(
+        "plane planes plate plates face faces surface surfaces wall ebene fläche platte wand"
+    ),
+    "anchor": ColumnQuantity(_NONE).called("anchor anchors post anker"),
 }
+"""What columns may hold, by the beginning of their names in a recording: of poses, torques and commands alike."""
 OF_ARRAY: dict[str, tuple[str, ...]] = {
     definition.array: tuple(name for name, sibling in QUANTITIES.items() if sibling.array == definition.array)
     for definition in QUANTITIES.values()

@@ -2,7 +2,7 @@
 
 Names are split into words (`actual_TCP_pose_0`, `joint_1.position`, `/arm/q[3]`), words into a quantity, a number or a
 component, and columns that differ only in that are one block. A unit in a name binds: no other quantity may have it.
-Which blocks are taken is decided for the table as a whole (`domains.pose.inspection`), where the numbers may object.
+Which blocks are taken is decided for the table as a whole (`recordings.inspection`), where the numbers may object.
 """
 
 import re
@@ -20,6 +20,7 @@ from lite6jax.recordings.columns import (
     FORMS,
     MATRIX,
     PLACE,
+    QUANTITIES,
     is_per_joint,
     is_standard,
     spelled,
@@ -49,14 +50,9 @@ _UNUSED = _words(
     "gripper finger reward done success task next frame accelerometer momentum sec nanosec secs nsecs seq twist linear "
     "angular offset inertia cog com imu gyro mag gravity normal"
 )
-_QUANTITIES = {
-    "temp": _words("temp temperature temperatures"),
-    "current": _words("current currents amps"),
-    "tau": _words("tau torque torques effort efforts eff trq moment moments qfrc"),
-    "ddq": _words("ddq qdd qddot acc accel acceleration accelerations ddot qacc"),
-    "dq": _words("dq qd qdot vel velocity velocities speed speeds dot dtheta qvel"),
-}
-_JOINT = _words("q joint joints jnt jt axis achse gelenk qpos theta th angle angles servo motor j")
+_QUANTITIES = {kind: QUANTITIES[kind].words for kind in ("temp", "current", "tau", "ddq", "dq")}
+"""What is measured at a joint besides its position, in the order in which words are asked for."""
+_JOINT = QUANTITIES["q"].words
 _EXTERNAL = _words("ext external extax eax")
 """Axes beside the arm, and torques from outside."""
 _PLACE = _words("position positions pos")
@@ -70,24 +66,13 @@ _SENSOR = _words(
 _POSE = _words("pose cartesian cart point tracker marker") | (_CONTROLLER - {"robot", "controller", "rtde"})
 _SHARED = _PLACE | _MOVED | _TURNED | _words("pose cartesian cart point data header matrix transform")
 """Words that do not say whose a pose is."""
-_TIMES = _words("time timestamp datetime stamp elapsed clock duration")
+_TIMES = QUANTITIES["time"].words
 _CLOCKS = _words("t index s header robot ros sys system host pc local unix epoch rel")
 """Beside which `t` is a time still."""
-_AIR = _words("ambient amb room air env environment")
-_RUNS = _words("run episode trial segment")
-_READINGS = {
-    "contact": _words(
-        "socket sockets contact contacts nest ball cone hole point points target feature touched fiducial "
-        "punkt messpunkt kugel pfanne buchse"
-    ),
-    "plane": _words("plane planes plate plates face faces surface surfaces wall ebene fläche platte wand"),
-    "anchor": _words("anchor anchors post anker"),
-    "distance": _words(
-        "wire rope cable string draw distance dist length range extension seil seillänge länge abstand distanz"
-    ),
-    "axis": _words("dial gauge indicator height z plunger lvdt messuhr höhe taster uhr"),
-}
-"""Words by which people call readings that are no poses, by the quantity in `columns.READINGS`."""
+_AIR = QUANTITIES["ambient"].words
+_RUNS = QUANTITIES["run"].words
+_READINGS = {kind: QUANTITIES[kind].words for kind in ("contact", "plane", "anchor", "distance", "axis")}
+"""Words by which people call readings that are no poses."""
 _LENGTHS = {
     "rad": "rad radian radians",
     "deg": "deg degree degrees °",
@@ -324,7 +309,7 @@ def choose(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str
         if kind == "cmd":  # beside measured positions
             pool += [block for block in blocks if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
             pool = [replace(block, kind=kind) for block in pool if moved]
-        elif driven if kind in ("tau", "current") else kind in ("dq", "ddq") and moved:  # what was measured says it
+        elif (driven and kind in ("tau", "current")) or (moved and kind in ("dq", "ddq")):  # what was measured says it
             pool = [block for block in pool if block.rank < 2]
         side = {*q.source} if q is not None and is_per_joint(kind) else set()
         clear = {block.columns: (block.rank, -len(side & {*block.source}), block.weak) for block in pool}
@@ -462,7 +447,11 @@ def _block(kind: str, words: Sequence[_Word], stem: Sequence[str], **options: ob
     if not (units | {unit}) - {None} <= units_allowed(kind, False, True):
         return
     present = set(stem)
-    rank = 2 if present & _WANTED else 0 if present & _MEASURED else 1
+    rank = 1
+    if present & _WANTED:
+        rank = 2
+    elif present & _MEASURED:
+        rank = 0
     stated = by_name(unit) if unit in units_allowed(kind) else None
     options = {"rank": rank, "unit": stated, "source": _side(stem)} | options
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
@@ -575,7 +564,7 @@ def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
             yield from _block("time", [word], (), weak=weak if present & _TIMES else weak + 1)
         elif present & _AIR and (stated == "degC" or present & {"t", "temp", "temperature", "ambient"}):
             yield from _block("ambient", [word], ())
-        elif "payload" in present:
+        elif present & QUANTITIES["payload"].words:
             yield from _block("payload", [word], (), weak=len(present) - 1)
         elif present & _RUNS:
             yield from _block("run", [word], (), weak=len(present - _RUNS - {"index"}))

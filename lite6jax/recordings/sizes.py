@@ -1,6 +1,6 @@
 """What numbers say by themselves: the unit by their size, and whether they can be what their name says.
 
-What an arm's forward kinematics says, where the arm is known, weighs more (`domains.pose.readings`).
+What an arm's forward kinematics says, where the arm is known, weighs more (`recordings.kinematics`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -4,7 +4,7 @@ Texts that depend on no condition are in `templates/faults.yaml`, the others are
 `sentences.causes`. To add a fault, write its name in the first, and its sentences in either.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences.causes import CAUSES
 from lite6jax.report.sentences.faults import (
+    FAULTS,
     FOUND,
     NAMES,
     RULED_OUT,
@@ -21,21 +22,14 @@ from lite6jax.report.sentences.faults import (
     mismatch_found,
     mismatch_ruled_out,
 )
-from lite6jax.report.words import capital, fill, read_texts, rows_named
+from lite6jax.report.words import capital, fill, rows_named
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not
 
-_TEXTS = read_texts("faults.yaml")
-POSE_FAULTS: Mapping[str, Mapping[str, str]] = _TEXTS["poses"]
-TORQUE_FAULTS: Mapping[str, Mapping[str, str]] = {
-    code: texts for code, texts in _TEXTS["torques"].items() if "name" in texts
-}
-"""The texts of faults by code."""
-TRACKING_FAULTS: Mapping[str, Mapping[str, str]] = _TEXTS["tracking"]
 _MISMATCHES = frozenset(
     code
-    for code, texts in POSE_FAULTS.items()
+    for code, texts in FAULTS["poses"].items()
     if has_clause(code) and code not in RULED_OUT and "ruled_out" not in texts
 )
 """Those that make poses miss the arm grossly; the same numbers rule out all of them."""

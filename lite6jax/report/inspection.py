@@ -13,14 +13,14 @@ import numpy as np
 import yaml
 from rich.console import RenderableType
 
-from lite6jax.domains.pose.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
-from lite6jax.domains.pose.reflectors import WithPose
 from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
+from lite6jax.recordings.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
+from lite6jax.recordings.reflectors import WithPose
 from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
 from lite6jax.recordings.words import NamedColumns, Points

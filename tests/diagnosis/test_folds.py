@@ -12,7 +12,8 @@ from diagnosis.recorded import Made, static_motion
 
 from lite6jax import threads
 from lite6jax.cli import main
-from lite6jax.diagnosis.fold_processes import fold_processes, work_on_folds
+from lite6jax.cli.diagnose import share_folds
+from lite6jax.diagnosis.fold_processes import work_on_folds
 from lite6jax.diagnosis.heldout import fold_count, spread_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import block_count
@@ -92,7 +93,7 @@ HERE = os.getpid()
 
 def test_folds_are_shared_and_results_in_their_order():
     deadline = time.monotonic() + 60
-    with fold_processes(3):
+    with share_folds(3):
         while time.monotonic() < deadline:
             results = work_on_folds(folded, ("done", HERE), FOLDS)
             assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
@@ -104,7 +105,7 @@ def test_folds_are_shared_and_results_in_their_order():
 
 @pytest.mark.parametrize("what", ["die", "fail"])
 def test_what_a_process_could_not_do_is_done_here(what):
-    with fold_processes(3):
+    with share_folds(3):
         assert work_on_folds(folded, (what, HERE), FOLDS) == [(k, HERE) for k in range(5)]
 
 

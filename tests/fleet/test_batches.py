@@ -177,6 +177,6 @@ def test_a_run_that_was_killed_leaves_no_process_and_no_temporary_folder(tmp_pat
 
 
 def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("lite6jax.workers._serve", ends_at_once)
+    monkeypatch.setattr("lite6jax.workers._begin", ends_at_once)
     with pytest.raises(InputError, match="the processes that are to do the work end as they start; free memory, or"):
         outcomes(spelled, [["a"]], str(tmp_path), processes=1)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.calibration.start import frames_from_poses
-from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, match_poses, median_distance
 from lite6jax.errors import InputError
+from lite6jax.recordings.alignment import flange_poses, frames_from_poses, match_poses, median_distance
+from lite6jax.recordings.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.recordings.streams import JointStream
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
-from lite6jax.domains.pose.inspection import inspect
 from lite6jax.domains.pose.inverse import InverseSolution, Target
 from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.domains.pose.predict import DiagnosedArm, predict_deviations, require_model
@@ -27,6 +26,7 @@ from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, assemble_motion, read_targets, sidecar_path
 from lite6jax.recordings.files import declare_anew, open_table, require_table
+from lite6jax.recordings.inspection import inspect
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured

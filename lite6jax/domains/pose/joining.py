@@ -15,18 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
-from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import (
-    CLEARLY,
-    CLOSE,
-    FEWEST,
-    flange_poses,
-    in_si,
-    match_poses,
-    median_distance,
-)
 from lite6jax.errors import InputError
+from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import FORMS, PLACE, QUATERNION, spelled, with_quaternions
+from lite6jax.recordings.inspection import Inspection, inspect
+from lite6jax.recordings.kinematics import CLEARLY, CLOSE, FEWEST, in_si
 from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
 from lite6jax.recordings.words import Names, Words, is_label, match_names, write_whole

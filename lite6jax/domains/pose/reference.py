@@ -22,7 +22,6 @@ from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import declared_tool, measured_rotations
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.readings import flange_poses
 from lite6jax.domains.pose.registration import Registration, noise_of, register
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.hypotheses import tables_of_model
@@ -31,6 +30,7 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
+from lite6jax.recordings.alignment import flange_poses
 from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]

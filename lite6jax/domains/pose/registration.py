@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.calibration.problem import UNDECLARED_NOISE
-from lite6jax.calibration.start import frames_from_poses, measured_rotations
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import (
     RigidFrames,
     Site,
@@ -30,6 +30,7 @@ from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_one_station, require_samples
+from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import Measured
 

@@ -18,7 +18,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
-from lite6jax.calibration.start import declared_tool, frames_from_poses
+from lite6jax.calibration.start import declared_tool
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     RigidFrames,
@@ -38,6 +38,7 @@ from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, PointSensor, Rod
 from lite6jax.sensors.sensor import SensorModel

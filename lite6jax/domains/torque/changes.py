@@ -1,21 +1,18 @@
-"""Faults of a torque recording that a hypothesis joins: each with what undoes it, and how it is reported."""
+"""Faults that torques may have: what undoes them in the rows, and how they are reported."""
 
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.hypotheses import GRAVITY, POSITIONS, TORQUES, Hypothesis, SuspectedFault, places
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
-Hypothesis = tuple["TorqueFault", ...]
 
-GRAVITY = ("wrong_gravity", "no_gravity")
-POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
-TORQUES = ("swapped_torques", "reversed_torque", "wrong_torque_constant", "torque_unit")
 CODES = (*GRAVITY, *POSITIONS, *TORQUES)
 """The faults, in the order in which their changes are made."""
 
@@ -25,56 +22,6 @@ _SAME_ZERO = 1.5 * STEP
 """rad between zeros of a joint that are one: of neighbours on the grid the likelier is taken."""
 _SAME_GRAVITY = 0.1
 """Relative difference of two gravities that are one."""
-
-
-@final
-@dataclass(frozen=True)
-class TorqueFault:
-    """One fault, and what undoes it.
-
-    Attributes:
-        code: of `CODES`.
-        joints: concerned, from 0; of an exchange two, of a coupling the joint and the one that it is coupled to.
-        value: of a zero what is added to the position, rad; of a coupling the factor of the other joint; of a constant
-            the measured torque over the true one.
-        gravity: `(3,)` m/s², as it acts.
-    """
-
-    code: str
-    joints: tuple[int, ...] = ()
-    value: float = 1.0
-    gravity: tuple[float, ...] = ()
-
-    def of_positions(self, dof: int) -> tuple[Array, Array]:
-        """`(joint, joint)` and `(joint,)` rad: positions are multiplied by the one, and the other is added."""
-        A = np.eye(dof)
-        b = np.zeros(dof)
-        i, j = (*self.joints, *self.joints, 0, 0)[:2]
-        match self.code:
-            case "swapped_positions":
-                A[[i, j]] = A[[j, i]]
-            case "reversed_positions":
-                A[i, i] = -1.0
-            case "coupled_joint":
-                A[i, j] = self.value
-            case "joint_zero":
-                b[i] = self.value
-        return A, b
-
-    def of_torques(self, dof: int) -> Array:
-        """`(joint, joint)`, by which torques are multiplied."""
-        T = np.eye(dof)
-        i, j = (*self.joints, *self.joints, 0, 0)[:2]
-        match self.code:
-            case "swapped_torques":
-                T[[i, j]] = T[[j, i]]
-            case "reversed_torque":
-                T[i, i] = -1.0
-            case "wrong_torque_constant" | "torque_unit":
-                T[i, i] = 1 / self.value
-            case "coupled_joint":
-                T = np.linalg.inv(self.of_positions(dof)[0]).T  # power stays the same
-        return T
 
 
 def undo(hypothesis: Hypothesis, data: TorqueRows) -> TorqueRows:
@@ -110,14 +57,14 @@ def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[f
     return A, b, T, gravity
 
 
-def exchanges(order: NDArray[np.integer]) -> list[TorqueFault]:
+def exchanges(order: NDArray[np.integer]) -> list[SuspectedFault]:
     """Exchanges of two columns that put into place j the column `order[j]`."""
     now = list(range(len(order)))
     swaps = []
     for j, column in enumerate(order.tolist()):
         k = now.index(column)
         if k != j:
-            swaps.append(TorqueFault("swapped_torques", (j, k)))
+            swaps.append(SuspectedFault("swapped_torques", (j, k)))
             now[j], now[k] = now[k], now[j]
     return swaps
 
@@ -125,18 +72,6 @@ def exchanges(order: NDArray[np.integer]) -> list[TorqueFault]:
 def turned_back(angle: float) -> float:
     """rad, the same direction, above −π and at most π."""
     return float(angle - 2 * np.pi * np.ceil(angle / (2 * np.pi) - 0.5))
-
-
-def joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
-    """Both, in the order in which changes are made; each once."""
-    return tuple(sorted({*hypothesis, *more}, key=lambda c: (CODES.index(c.code), c.joints, c.value)))
-
-
-def compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
-    """Whether no change of one repeats or takes back one of the other."""
-    made = {(c.code, frozenset(c.joints)) for c in hypothesis}
-    of_gravity = any(c.code in GRAVITY for c in hypothesis)
-    return not any((c.code, frozenset(c.joints)) in made or (of_gravity and c.code in GRAVITY) for c in more)
 
 
 def faults_in(hypothesis: Hypothesis) -> int:
@@ -147,18 +82,13 @@ def faults_in(hypothesis: Hypothesis) -> int:
     return sum(map(bool, several.values())) - joints_coincide + sum(c.code not in sets for c in hypothesis)
 
 
-def kinds(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...]]]:
-    """Its changes by code and joints alone, without their numbers."""
-    return {(c.code, c.joints) for c in hypothesis}
-
-
 def alike(a: Hypothesis, b: Hypothesis) -> bool:
     """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
-    if kinds(a) != kinds(b):
+    if places(a) != places(b):
         return False
     for change in a:
-        counterpart = next(c for c in b if (c.code, c.joints) == (change.code, change.joints))
-        if change.code == "joint_zero" and abs(turned_back(change.value - counterpart.value)) > _SAME_ZERO:
+        counterpart = next(c for c in b if c.place == change.place)
+        if change.code == "joint_zero" and abs(turned_back(change.size - counterpart.size)) > _SAME_ZERO:
             return False
         if change.code == "coupled_joint" and change.value != counterpart.value:
             return False
@@ -211,8 +141,8 @@ def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
     for code in ("wrong_torque_constant", "torque_unit"):
         if changes := of_code[code]:
             numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
-            true = (
-                [constants[c.joints[0]] / c.value for c in changes] if from_currents and constants is not None else None
-            )
+            true = None
+            if from_currents and constants is not None:
+                true = [constants[c.joints[0]] / c.size for c in changes]
             faults.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
     return faults

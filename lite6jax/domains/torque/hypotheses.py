@@ -16,21 +16,19 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from lite6jax.domains.torque.changes import (
+from lite6jax.domains.hypotheses import (
     GRAVITY,
     POSITIONS,
-    STEP,
     Hypothesis,
-    TorqueFault,
-    alike,
+    SuspectedFault,
     compatible,
-    faults_in,
-    faults_of,
+    couplings,
     joined,
-    kinds,
-    turned_back,
-    undo,
+    listed,
+    places,
+    signs_of_sets,
 )
+from lite6jax.domains.torque.changes import STEP, alike, faults_in, faults_of, turned_back, undo
 from lite6jax.domains.torque.likelihood import TRUSTED, Samples, Scored
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import TILT, direction
@@ -99,8 +97,8 @@ def correct_faults(data: TorqueRows) -> ScreenedTorques:
             faults = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in faults]
         data = undo(compared.found, data)
     elif compared.alternatives:
-        listed = [[{"fault": f.code, **f.numbers} for f in faults_of(h, data)] for h in compared.alternatives]
-        faults = [DataFault("undecided_torques", (), {"alternatives": listed})]
+        alternatives = listed(faults_of(hypothesis, data) for hypothesis in compared.alternatives)
+        faults = [DataFault("undecided_torques", (), {"alternatives": alternatives})]
     codes = {fault.code for fault in faults}
     doubted = {
         fault["fault"] for f in faults for hypothesis in f.numbers.get("alternatives", ()) for fault in hypothesis
@@ -129,7 +127,7 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
         return ScreenedTorques(data, (), ())
     misfits = {}
     for code in _SIGNS:
-        hypothesis = tuple(TorqueFault(code, (joint,)) for joint in joints)
+        hypothesis = tuple(SuspectedFault(code, (joint,)) for joint in joints)
         misfits[code] = _left_by_any_arm(undo(hypothesis, data))
     torque, positions = (misfits[code] for code in _SIGNS)
     apart = torque - positions
@@ -137,7 +135,7 @@ def correct_signs(data: TorqueRows) -> ScreenedTorques:
     undone = "reversed_torque"
     if code == "reversed_positions":
         undone = "reversed_positions"
-    corrected = undo(tuple(TorqueFault(undone, (joint,)) for joint in joints), data)
+    corrected = undo(tuple(SuspectedFault(undone, (joint,)) for joint in joints), data)
     return ScreenedTorques(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),), ())
 
 
@@ -228,21 +226,17 @@ def single_changes(data: TorqueRows) -> Iterator[Hypothesis]:
     declared = data.bodies.gravity
     strength = float(np.linalg.norm(declared))
     if strength:
-        yield (TorqueFault("no_gravity", gravity=(0.0, 0.0, 0.0)),)
+        yield (SuspectedFault("no_gravity", gravity=(0.0, 0.0, 0.0)),)
         for axis in chain(np.eye(3), -np.eye(3)):
             if np.linalg.norm(strength * axis - declared) > TILT * strength:
-                yield (TorqueFault("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
+                yield (SuspectedFault("wrong_gravity", gravity=tuple((strength * axis + 0.0).tolist())),)
     for pair in combinations(range(dof), 2):
-        yield (TorqueFault("swapped_positions", pair),)
-    largest_set = dof if dof <= 7 else 2  # of more joints there are too many sets
-    for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
-        yield tuple(TorqueFault("reversed_positions", (i,)) for i in joints)
-    for i in turning:
-        for j in {i - 1, i + 1} & set(turning):
-            yield from ((TorqueFault("coupled_joint", (i, j), sign),) for sign in (1.0, -1.0))
+        yield (SuspectedFault("swapped_positions", pair),)
+    yield from signs_of_sets("reversed_positions", dof, most_joints=7)
+    yield from couplings(turning)
     for i in turning:
         steps = (*(k * STEP for k in range(1, round(2 * np.pi / STEP))), STEP / 3, -STEP / 3)
-        yield from ((TorqueFault("joint_zero", (i,), turned_back(step)),) for step in steps)
+        yield from ((SuspectedFault("joint_zero", (i,), turned_back(step)),) for step in steps)
 
 
 def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
@@ -250,7 +244,7 @@ def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
     quarters = [k * np.pi / 2 for k in (-1, 1, 2)]
     for pair in combinations([i for i in range(data.arm.dof) if i not in data.arm.sliding], 2):
         for values in product(quarters, repeat=2):
-            yield tuple(TorqueFault("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
+            yield tuple(SuspectedFault("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
 
 
 class _Comparison(NamedTuple):
@@ -290,7 +284,7 @@ def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
     likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, threshold)]
     fewest = min(map(faults_in, likely))
     simple = [h for h in likely if faults_in(h) == fewest]
-    simple = [h for h in simple if not any(kinds(rival) < kinds(h) for rival in simple)]  # what it adds is not seen
+    simple = [h for h in simple if not any(places(rival) < places(h) for rival in simple)]  # what it adds is not seen
     beyond = {h: rows.beyond_limits(h) for h in simple}
     simple = [h for h in simple if beyond[h] == min(beyond.values())]
     distinct = [h for k, h in enumerate(simple) if not any(alike(h, earlier) for earlier in simple[:k])]
@@ -314,7 +308,7 @@ def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]
 
 def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
     """With the median of its constants for all of these joints: one error in one place is one number."""
-    constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
+    constants = [c.size for c in hypothesis if c.code == "wrong_torque_constant"]
     if len(constants) < 2:
         return hypothesis
     median = float(f"{np.median(constants):.3g}")
@@ -345,7 +339,7 @@ def _search(rows: Samples) -> list[Scored]:
         scored |= new
         distinct: dict[frozenset[tuple[str, tuple[int, ...]]], Hypothesis] = {}
         for h in sorted(scored, key=lambda h: scored[h].cost):
-            distinct.setdefault(frozenset(kinds(h)), h)
+            distinct.setdefault(frozenset(places(h)), h)
         beam = [*distinct.values()][:_BEAM]
         leader = scored[beam[0]]
         if not rows.suspicious(leader, _EXPLAINED) or leader.cost > before - TRUSTED:

@@ -11,7 +11,8 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, regressor
-from lite6jax.domains.torque.changes import STEP, Hypothesis, TorqueFault, exchanges, maps, turned_back
+from lite6jax.domains.hypotheses import Hypothesis, SuspectedFault
+from lite6jax.domains.torque.changes import STEP, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import TILT, direction
@@ -260,9 +261,9 @@ class Samples:
                 k = reversed_.astype(int)
                 residual_rms = np.sqrt(np.where(constants != 1, loaded[k, joints], square[k, joints, joints]))
         changes = [*hypothesis, *exchanges(order)]
-        changes += [TorqueFault("reversed_torque", (int(j),)) for j in np.flatnonzero(reversed_)]
+        changes += [SuspectedFault("reversed_torque", (int(j),)) for j in np.flatnonzero(reversed_)]
         wrong_constants = [(int(j), float(constants[j])) for j in np.flatnonzero(constants != 1)]
-        changes += [TorqueFault(code, (j,), float(f"{k:.3g}")) for j, k in wrong_constants]
+        changes += [SuspectedFault(code, (j,), float(f"{k:.3g}")) for j, k in wrong_constants]
         return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), residual_rms)
 
     def _constants(
@@ -305,10 +306,10 @@ class Samples:
             if change.code != "joint_zero":
                 continue
 
-            def at(value: float, change: TorqueFault = change, changes: Hypothesis = hypothesis) -> Hypothesis:
+            def at(value: float, change: SuspectedFault = change, changes: Hypothesis = hypothesis) -> Hypothesis:
                 return tuple(replace(c, value=value) if c == change else c for c in changes)
 
-            near = (change.value - STEP, change.value + STEP)
+            near = (change.size - STEP, change.size + STEP)
             minimum: Any = minimize_scalar(
                 lambda value, at=at: self.scored(at(value)).cost, bounds=near, method="bounded", options={"xatol": 5e-3}
             )
@@ -316,9 +317,9 @@ class Samples:
             quarters = float(np.round(value / (np.pi / 2)) * np.pi / 2)
             value = quarters if abs(value - quarters) < _SNAP else float(f"{value:.3g}")
             hypothesis = at(turned_back(value))
-        return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.value) > _LEAST_ZERO)
+        return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.size) > _LEAST_ZERO)
 
-    def gravity_found(self, hypothesis: Hypothesis) -> TorqueFault | None:
+    def gravity_found(self, hypothesis: Hypothesis) -> SuspectedFault | None:
         """Gravity along the direction that the torques show beside what joints may add; None where that is as declared.
 
         Torques are linear in gravity: its three components are fitted, joints weighted by what is left of them. A small
@@ -350,7 +351,7 @@ class Samples:
         k = int(np.argmax(np.abs(along)))
         if np.arccos(min(abs(along[k]), 1.0)) < _UPRIGHT:
             along = np.sign(along[k]) * np.eye(3)[k]
-        return TorqueFault("wrong_gravity", gravity=tuple(float(f"{value:.4g}") + 0.0 for value in strength * along))
+        return SuspectedFault("wrong_gravity", gravity=tuple(float(f"{value:.4g}") + 0.0 for value in strength * along))
 
     def evidence(self, hypothesis: Hypothesis) -> float:
         """The logarithm of the marginal likelihood, with the likeliest width of the inertial numbers' prior.

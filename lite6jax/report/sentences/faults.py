@@ -31,9 +31,10 @@ Numbers = Mapping[str, Any]
 Statement = Callable[[DataFault], str]
 Clause = Callable[[Numbers], str]
 
-_TEXTS = read_texts("faults.yaml")
-NAMES: Mapping[str, Mapping[str, str]] = _TEXTS["poses"] | _TEXTS["torques"] | _TEXTS["tracking"]
-"""By code the name of a fault, and those of its texts that depend on no condition."""
+FAULTS: Mapping[str, Mapping[str, Mapping[str, str]]] = read_texts("faults.yaml")
+"""By domain and code the name of a fault, and those of its texts that depend on no condition."""
+NAMES: Mapping[str, Mapping[str, str]] = {code: texts for faults in FAULTS.values() for code, texts in faults.items()}
+"""The same of all domains, by code."""
 
 
 # ------------------------------------------------------------------ phrases that several sentences share

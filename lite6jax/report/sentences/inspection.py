@@ -8,7 +8,7 @@ import numpy as np
 
 from lite6jax.domains.pose.clocks import Clocks, Pairing
 from lite6jax.domains.pose.joining import JoinedFiles
-from lite6jax.domains.pose.reflectors import RigidPose
+from lite6jax.recordings.reflectors import RigidPose
 from lite6jax.report.words import fill, milli, paragraph, read_texts, significant
 
 _TEXTS = read_texts("inspection.yaml")

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
+from lite6jax.domains.hypotheses import SuspectedFault
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.changes import PoseFault, rounded_to_quarters
+from lite6jax.domains.pose.screening.changes import rounded_to_quarters
 from lite6jax.estimation.robust import FREEDOM
 
 Array = NDArray[np.floating]
@@ -133,7 +134,7 @@ class Deviation:
         u[6 * self.frames : 6 * self.frames + arm.measured.numbers] = arm.offset[self._own]
         return u
 
-    def places(self, change: PoseFault) -> slice:
+    def places(self, change: SuspectedFault) -> slice:
         """The numbers that a change frees."""
         last = 6 * self.frames
         if change.code == "declared_frame":
@@ -143,7 +144,7 @@ class Deviation:
         zero = self.size - 1 - self.arm.recording.dof + change.joints[0] if change.joints else self.size - 1
         return slice(zero, zero + 1)
 
-    def weighed(self, hypothesis: Sequence[PoseFault], factors: Sequence[float] = _FACTORS) -> DeviationEvidence:
+    def weighed(self, hypothesis: Sequence[SuspectedFault], factors: Sequence[float] = _FACTORS) -> DeviationEvidence:
         """A hypothesis at the likeliest of some factors."""
         R, z = self.data
         candidates = []
@@ -166,7 +167,7 @@ class Deviation:
         at_fit = replace(arm, precision=np.zeros(len(arm.precision))).log_likelihood(scale)
         return at_fit - float(z @ Ru - 0.5 * Ru @ Ru) + self.weighed(()).evidence
 
-    def valued(self, change: PoseFault, weighed: DeviationEvidence) -> PoseFault:
+    def valued(self, change: SuspectedFault, weighed: DeviationEvidence) -> SuspectedFault:
         """A change by as much as its number says."""
         value = float(weighed.displacements[self.places(change)][0])
         if change.code == "joint_turns":
@@ -175,7 +176,7 @@ class Deviation:
             return replace(change, value=1 / (1 - value))
         return change
 
-    def share(self, change: PoseFault, weighed: DeviationEvidence) -> float:
+    def share(self, change: SuspectedFault, weighed: DeviationEvidence) -> float:
         """The largest displacement by a change, of a zero, a frame or a tool, over what factories grant of it."""
         displaced = np.abs(weighed.displacements[self.places(change)])
         of_length = self.granted[6]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from lite6jax.calibration.start import frames_from_poses, measured_rotations
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns
@@ -23,6 +23,7 @@ from lite6jax.domains.pose.screening.thresholds import (
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments, spread_rows
 

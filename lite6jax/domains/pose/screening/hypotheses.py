@@ -20,22 +20,16 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
-from lite6jax.calibration.start import frames_from_poses, measured_rotations
-from lite6jax.domains.pose.readings import median_distance
+from lite6jax.calibration.start import measured_rotations
+from lite6jax.domains.hypotheses import DECLARED, POSES, Hypothesis, SuspectedFault, compatible, joined, listed
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm, with_joints_of_touches
 from lite6jax.domains.pose.screening.changes import (
     CODES,
-    DECLARED,
-    POSES,
-    Hypothesis,
-    PoseFault,
     added,
-    compatible,
+    as_fault,
     contains,
     differ_by_turns,
     is_estimated,
-    joined,
-    listed,
     rounded_to_quarters,
     simplicity,
     single_changes,
@@ -49,6 +43,7 @@ from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FIT
 from lite6jax.estimation.prior import Prior
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import frames_from_poses, median_distance
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import spread_rows
 
@@ -159,7 +154,11 @@ def correct_mismatch(state: Screened) -> Screened:
         ):
             rivals.append(hypothesis)
     alternatives = [chosen, *rivals] if rivals else distinct[1:]
-    numbers = {"median_error_m": error, "corrected_error_m": smallest, "alternatives": listed(alternatives)}
+    numbers = {
+        "median_error_m": error,
+        "corrected_error_m": smallest,
+        "alternatives": listed(map(as_fault, hypothesis) for hypothesis in alternatives),
+    }
     if rivals:
         return state.corrected(DataFault("undecided", (), numbers))
     refined = _refined(state, chosen, corrected)
@@ -189,7 +188,7 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
     """
     board = state.recording.settings.board
     for change in hypothesis:
-        fault_numbers = change.numbers | (numbers if change is hypothesis[-1] else {})
+        fault_numbers = {**as_fault(change).numbers, **(numbers if change is hypothesis[-1] else {})}
         if change.code == "declared_frame":
             turned = Rotation.from_matrix(rigid.T_sensor_base[:3, :3]).as_rotvec()
             fault_numbers |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
@@ -197,20 +196,25 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
             tool = np.linalg.inv(rigid.arm.T_joint_flange) @ rigid.T_flange_tool
             fault_numbers["translation_m"] = tool[:3, 3].tolist()
         if change.code == "sensor_scale" and board is not None:
-            fault_numbers |= {"declared_m": board.square_m, "square_m": board.square_m / float(change.value)}
+            fault_numbers |= {"declared_m": board.square_m, "square_m": board.square_m / change.size}
         state = state.corrected(DataFault(change.code, (), fault_numbers), rigid=rigid)
     return state.transformed(partial(undo, hypothesis))
 
 
 def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Screened:
     """Every hypothesis that the settings and the number of joints leave; the screen of turns speaks of turns."""
-    settings = state.rigid_arm.recording.settings
+    recording = state.rigid_arm.recording
     missing = {"joint_turns"}
-    missing |= {"orientation_convention", "inverted_poses"} if state.rigid_arm.rows == 3 else set()
-    missing |= {*DECLARED, *POSES} if state.rigid_arm.recording.touches is not None else set()
-    missing |= {"declared_frame"} if settings.pose_frame != "base" else set()
-    missing |= {"declared_tool"} if settings.tool == "unknown" else set()
-    missing |= {"swapped_joints", "coupled_joint"} if state.rigid_arm.recording.dof == 1 else set()
+    if state.rigid_arm.rows == 3:
+        missing |= {"orientation_convention", "inverted_poses"}
+    if recording.touches is not None:
+        missing |= {*DECLARED, *POSES}
+    if recording.settings.pose_frame != "base":
+        missing.add("declared_frame")
+    if recording.settings.tool == "unknown":
+        missing.add("declared_tool")
+    if recording.dof == 1:
+        missing |= {"swapped_joints", "coupled_joint"}
     codes = (code for code in CODES if code not in missing)
     return state.rule_out(*codes, median_error_m=error, suspected_above_m=limit, **numbers)
 
@@ -263,15 +267,15 @@ def _scales(thinned: RigidArm) -> list[Hypothesis]:
     thinned = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
 
     def error(log_scale: float) -> float:
-        change = PoseFault("sensor_scale", (), float(np.exp(log_scale)))
-        return median_error(_free_frames(thinned, change.undone(thinned.recording)))
+        change = SuspectedFault("sensor_scale", (), float(np.exp(log_scale)))
+        return median_error(_free_frames(thinned, undo((change,), thinned.recording)))
 
     bound = float(np.log(_LARGEST_SCALE))
     nearest: Any = minimize_scalar(error, bounds=(-bound, bound), method="bounded")
     log_scale = float(nearest.x)
     grossly = abs(log_scale) > np.log(_LEAST_SCALE)
     if grossly:
-        return [(PoseFault("sensor_scale", (), float(np.exp(log_scale))),)]
+        return [(SuspectedFault("sensor_scale", (), float(np.exp(log_scale))),)]
     return []
 
 
@@ -298,11 +302,11 @@ def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
     off = fit.offset[last - len(zeros) : last]
     total = {i: float(value) for i, value in zip(zeros, off, strict=True)}
     for change in (c for c in hypothesis if c.code == "joint_turns"):
-        total[change.joints[0]] = total.get(change.joints[0], 0.0) + float(change.value)
+        total[change.joints[0]] = total.get(change.joints[0], 0.0) + change.size
     changes = []
     for i, value in total.items():
         value = 0.0 if abs(value) < TOLERANCE["rad"] else rounded_to_quarters(value)
-        changes += [PoseFault("joint_turns", (i,), value)] if value else []
+        changes += [SuspectedFault("joint_turns", (i,), value)] if value else []
     return tuple(changes)
 
 
@@ -392,7 +396,7 @@ def explain_deviation(state: Screened) -> Screened:
         fitted = again
     if made:
         numbers: dict[str, Any] = {"median_error_m": error, "corrected_error_m": median_error(start)}
-        numbers["alternatives"] = listed(alternatives)
+        numbers["alternatives"] = listed(map(as_fault, hypothesis) for hypothesis in alternatives)
         state = correct(state, made, fitted, numbers)
     numbers = Deviation(fitted, start).summary()
     if numbers["factor"] < _BEYOND_GRANTED:
@@ -400,14 +404,14 @@ def explain_deviation(state: Screened) -> Screened:
     return state.corrected(DataFault("arm_deviation", (), numbers))
 
 
-def _likeliest(deviation: Deviation, prior: Prior) -> tuple[PoseFault, list[Hypothesis]] | None:
+def _likeliest(deviation: Deviation, prior: Prior) -> tuple[SuspectedFault, list[Hypothesis]] | None:
     """The fault that explains the deviation best, and those that do as well; None where the arm's own prior does."""
     recording = deviation.arm.recording
-    changes = [PoseFault("joint_turns", (joint,)) for joint in with_zeros(recording)]
+    changes = [SuspectedFault("joint_turns", (joint,)) for joint in with_zeros(recording)]
     if recording.touches is None:
-        changes.append(PoseFault("sensor_scale"))
-        changes += [PoseFault("declared_frame")] * (not deviation.arm.form.frame)
-        changes += [PoseFault("declared_tool")] * (not deviation.arm.form.tool)
+        changes.append(SuspectedFault("sensor_scale"))
+        changes += [SuspectedFault("declared_frame")] * (not deviation.arm.form.frame)
+        changes += [SuspectedFault("declared_tool")] * (not deviation.arm.form.tool)
     none = deviation.weighed(())
     weighed = {change: deviation.weighed((change,)) for change in changes}
     likeliest = max(weighed, key=lambda change: weighed[change].evidence)
@@ -427,8 +431,8 @@ def _likeliest(deviation: Deviation, prior: Prior) -> tuple[PoseFault, list[Hypo
     return valued[0], [(change,) for change in valued[1:]]
 
 
-def _is_gross_scale(change: PoseFault) -> bool:
-    return abs(np.log(float(change.value))) > np.log(_LEAST_SCALE)
+def _is_gross_scale(change: SuspectedFault) -> bool:
+    return abs(np.log(change.size)) > np.log(_LEAST_SCALE)
 
 
 # ------------------------------------------------------------------ another nominal table

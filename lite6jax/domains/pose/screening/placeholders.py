@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm
-from lite6jax.calibration.start import frames_from_poses
-from lite6jax.domains.pose.readings import CLOSE, FEWEST, flange_poses, median_distance
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, SUSPECT_REACH
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import flange_poses, frames_from_poses, median_distance
+from lite6jax.recordings.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.placeholders import Mark, possible_marks
 
 Array = NDArray[np.floating]

@@ -18,13 +18,6 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.domains.pose.readings import (
-    FEWEST,
-    angle_step,
-    computed_by_controller,
-    is_below_sensors,
-    median_distance,
-)
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening import (
     changes,
@@ -41,7 +34,9 @@ from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FIT
 from lite6jax.errors import InputError
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording, repeated_rows, require_radians, require_samples, time_disorder
+from lite6jax.recordings.alignment import angle_step, computed_by_controller, is_below_sensors, median_distance
 from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.kinematics import FEWEST
 from lite6jax.recordings.motion import at_positions, without_turns
 
 Array = NDArray[np.floating]

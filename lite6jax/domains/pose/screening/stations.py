@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.calibration.start import frames_from_poses, measured_rotations
+from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import rigid_frames, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening import hypotheses
 from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import Recording
+from lite6jax.recordings.alignment import frames_from_poses
 
 Array = NDArray[np.floating]
 

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.domains.pose.inspection import inspect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
+from lite6jax.recordings.inspection import inspect
 from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.report.inspection import choice_of_pose, inspection_report, next_steps, sidecar_text
 from tests.oracles.arms import lite6_positions, perturbed

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.readings import median_distance
 from lite6jax.recordings import sizes
+from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns import units_of
 from lite6jax.recordings.naming import unit_of
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.domains.pose.inspection import Inspection, inspect
-from lite6jax.domains.pose.readings import median_distance
-from lite6jax.domains.pose.reflectors import FEWEST_POINTS, WithPose, with_pose_of_reflectors
+from lite6jax.recordings.alignment import median_distance
+from lite6jax.recordings.inspection import Inspection, inspect
+from lite6jax.recordings.reflectors import FEWEST_POINTS, WithPose, with_pose_of_reflectors
 from lite6jax.recordings.words import Points, Words, is_label, spread_points
 
 Array = NDArray[np.floating]

@@ -4,7 +4,7 @@ Names decide where they say it. Else the readings are compared with the nominal 
 sensor's frame and the tool fitted in closed form; where none agrees best, sizes decide.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.calibration.start import frames_from_poses
 from lite6jax.recordings import naming, sizes
+from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import ANGLES, MATRIX, quaternions, units_of
 from lite6jax.recordings.naming import Block
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
@@ -41,19 +40,18 @@ LEAST_SPREAD_M = 5e-3
 """Of positions that say something of an arm, from their median: those of one touched point set no scale."""
 LONGEST_TOOL_M = 1.0
 """Or the reach of an arm, if that is longer."""
-FINEST_SENSOR_M = 2e-5
-"""Above, an error may be a sensor's noise."""
-COMPUTED_M = 2e-6
-"""Below, it is none: controllers compute in single precision too."""
-LEAST_TRAVEL_M = 0.02
-"""Of positions of which is said that they are computed."""
 _TURNS = ("q", False)
 _SLIDES = ("q", True)
 _PLACES = ("position", False)
 _FIRST = ("q", "time", "dq", "ddq")
 """Kinds by whose units those of others are decided, in order."""
-_USUAL = {"temp": "degC", "payload": "kg", "ambient": "degC", "run": ""}
-"""The unit of quantities that have one only."""
+_BY_SIZE: Mapping[tuple[str, bool], Callable[[Array], Decision]] = {
+    _SLIDES: sizes.length_unit,
+    _PLACES: sizes.length_unit,
+    ("tau", False): sizes.torque_unit,
+    ("current", False): sizes.current_unit,
+}
+"""How the unit is decided by size, by `Block.key`; of what is not here it is the first of its quantity."""
 
 
 class ArmAgreement(NamedTuple):
@@ -104,9 +102,12 @@ def agreement(
         _PLACES: [*sizes.possible_units("x", position)],
     }
     possible |= {of: [unit] for of, unit in stated_units.items() if of in possible}
-    possible |= {_TURNS: ["rad"]} if arm.slides.all() else {}
-    possible |= {} if arm.sliding else {_SLIDES: ["m"]}
-    possible |= {_PLACES: [sizes.length_unit(position).choice]} if by_size else {}
+    if arm.slides.all():
+        possible[_TURNS] = ["rad"]
+    if not arm.sliding:
+        possible[_SLIDES] = ["m"]
+    if by_size:
+        possible[_PLACES] = [sizes.length_unit(position).choice]
     # a free tool takes up any scale where the axes cross, so that the size counts as well
     farthest = 2 * (arm.reach + max(arm.reach, LONGEST_TOOL_M))
     places = {unit: position[rows] / units_of("x")[unit] for unit in possible[_PLACES]}
@@ -141,55 +142,6 @@ def agreement(
     if rotation is not None and score <= CLOSE:
         form, decided["rotation", False] = _rotations(predicted, rotation[rows], stated_units.get(("rotation", False)))
     return ArmAgreement({of: unit for of, unit in decided.items() if unit}, form, error, spread)
-
-
-def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
-    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
-
-    Args:
-        error: m, the median distance of the positions from those of the arm's kinematics.
-        position: `(sample, 3)` m.
-        joint: `(sample, joint)` rad, and m of prismatic joints.
-    """
-    spread = median_distance(position)
-    step = float(np.hypot(digit_step(position), angle_step(joint) * spread * joint.shape[1] ** 0.5))
-    return spread > LEAST_TRAVEL_M and error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
-
-
-def is_below_sensors(error: float, position: Array) -> bool:
-    """Whether a fitted table is nearer to positions `(sample, 3)` m than any sensor measures an arm."""
-    return median_distance(position) > LEAST_TRAVEL_M and error <= COMPUTED_M
-
-
-def angle_step(joint: Array) -> float:
-    """The place of the last digit of joints `(sample, joint)` in rad, as they were written in rad or in degrees."""
-    return float(max(digit_step(joint), np.deg2rad(digit_step(np.rad2deg(joint)))))
-
-
-def digit_step(values: Array) -> float:
-    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
-    finite = values[np.isfinite(values)]
-    finite = finite[:: max(len(finite) // 1000, 1)]
-    digits = (k for k in range(10) if np.allclose(finite, np.round(finite, k), rtol=0, atol=1e-3 * 10.0**-k))
-    place = next(digits, None)
-    return 0.0 if place is None else 10.0**-place
-
-
-def median_distance(position: Array) -> float:
-    """m, of positions `(sample, 3)` from their median."""
-    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
-
-
-def flange_poses(arm: Arm, joint: Array) -> Array:
-    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
-    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
-
-
-def match_poses(flange: Array, position: Array) -> tuple[float, Array]:
-    """The median error in m of positions `(sample, 3)` with frame and tool in closed form, and `T_sensor_base`."""
-    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
-    missed = position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3]
-    return float(np.median(np.linalg.norm(missed, axis=1))), T_sensor_base
 
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:
@@ -238,7 +190,7 @@ def _decided(choice: str, errors: dict[str, float], limit: float) -> Decision | 
 
 
 def decide(
-    blocks: Iterable[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
+    blocks: Sequence[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
 ) -> tuple[Block, ...]:
     """Blocks with their units and forms, in the order of `naming.KINDS`; no commands that the joints do not follow.
 
@@ -249,7 +201,8 @@ def decide(
         arm: as given, not as recognised; that a joint of it has no end matters for its unit.
     """
     decided: dict[tuple[str, bool], Block] = {}
-    for block in sorted(blocks, key=lambda block: _FIRST.index(block.kind) if block.kind in _FIRST else len(_FIRST)):
+    first = [block for kind in _FIRST for block in blocks if block.kind == kind]
+    for block in (*first, *(block for block in blocks if block.kind not in _FIRST)):
         values = block.values(numbers)
         unit = block.unit
         form = None
@@ -300,21 +253,14 @@ def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) ->
     """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
     if block.key in agreed.units:
         return agreed.units[block.key]
-    if block.kind == "q" and not block.slides:
+    if block.key == _TURNS:
         servo = all(name.endswith(".pos") or name.startswith("observation.state") for name in block.columns)
-        of_arm = None
-        if arm is not None and values.shape[1] == arm.dof:
-            of_arm = arm
-        if of_arm is None:
+        if arm is None or values.shape[1] != arm.dof:
             return sizes.angle_unit(values, servo)
-        return sizes.angle_unit(values, servo, of_arm.endless, of_arm.joint_limits)
-    if block.kind in ("q", "position"):
-        return sizes.length_unit(values)
-    if block.kind == "tau" and not block.slides:
-        return sizes.torque_unit(values)
-    if block.kind == "current":
-        return sizes.current_unit(values)
-    return Decision(_USUAL.get(block.kind, "N"), "assumed", "usual", {})
+        return sizes.angle_unit(values, servo, arm.endless, arm.joint_limits)
+    if block.key in _BY_SIZE:
+        return _BY_SIZE[block.key](values)
+    return Decision(next(iter(block.units)), "assumed", "usual", {})
 
 
 def _of_rotation(block: Block, values: Array, agreed: ArmAgreement) -> tuple[Decision, Decision]:
@@ -322,6 +268,11 @@ def _of_rotation(block: Block, values: Array, agreed: ArmAgreement) -> tuple[Dec
     form, unit = sizes.rotation_form(values, block.unit, block.form)
     # the names or the order of the columns of a quaternion and a matrix bind
     bound = block.form is not None and block.form.choice in ("scalar_first", MATRIX[0])
-    if agreed.form is not None and (agreed.form.choice == form.choice or not bound):
-        form = form if form.sure == "certain" and agreed.form.choice == form.choice else agreed.form
-    return unit if block.unit else agreed.units.get(block.key, unit), form
+    if agreed.form is not None and agreed.form.choice == form.choice:
+        if form.sure != "certain":
+            form = agreed.form
+    elif agreed.form is not None and not bound:
+        form = agreed.form
+    if block.unit is None:
+        unit = agreed.units.get(block.key, unit)
+    return unit, form

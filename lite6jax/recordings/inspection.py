@@ -16,19 +16,9 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
-from lite6jax.domains.pose.readings import (
-    CLEARLY,
-    CLOSE,
-    ArmAgreement,
-    agreement,
-    computed_by_controller,
-    decide,
-    digit_step,
-    median_distance,
-    motion_of,
-)
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes, streams
+from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
 from lite6jax.recordings.columns import (
     DEVIATION,
     FORMS,
@@ -49,6 +39,7 @@ from lite6jax.recordings.columns import (
     spelled,
     units_of,
 )
+from lite6jax.recordings.kinematics import CLEARLY, CLOSE, ArmAgreement, agreement, decide, motion_of
 from lite6jax.recordings.naming import Block, Role, Source
 from lite6jax.recordings.words import Words, is_label, write_whole
 
@@ -292,7 +283,12 @@ def inspect(
             unclear += deviation.columns
     read = [pose for pose in read if pose.travel > 0] or read
     selected = _choose_pose(read, pose_source)
-    best_pose = Pose(arm=read[0].arm if read else arm) if selected is None else read[selected]
+    if selected is not None:
+        best_pose = read[selected]
+    elif read:
+        best_pose = Pose(arm=read[0].arm)
+    else:
+        best_pose = Pose(arm=arm)
     nearest = min((pose.agreed for pose in read), key=lambda candidate: candidate.error, default=ArmAgreement())
     of_joints = {of: unit for of, unit in nearest.units.items() if of[0] == "q"}
     agreed = best_pose.agreed._replace(units={**of_joints, **best_pose.agreed.units})
@@ -386,13 +382,17 @@ def _readings(
         possible = [name for name, values in numbers.items() if np.nanmax(values) > np.nanmin(values)]
         possible = [name for name in possible if naming.unit_of(name) in (None, *units_of(kinds[0]))]
     called = [name for name in possible if naming.reading_words(name) & {*kinds}]
-    chosen = called if called or by_name else possible
+    chosen = called
+    if not called and not by_name:
+        chosen = possible
     if len(chosen) != 1:
         return {}
     name = chosen[0]
     if pose_source == "touch":
         meant = naming.reading_words(name)
-        return {name: ("plane" if "plane" in meant and "contact" not in meant else "contact", None)}
+        if "plane" in meant and "contact" not in meant:
+            return {name: ("plane", None)}
+        return {name: ("contact", None)}
     stated = naming.unit_of(name)
     unit = sizes.by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
     readings: dict[str, tuple[str, sizes.Decision | None]] = {name: (kinds[0], unit)}
@@ -471,10 +471,11 @@ def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]
 
 def near(name: str, names: Sequence[str]) -> str:
     """What may be meant by a name that a table does not have."""
+    present = f"it has {list_names(names)}"
     nearest = nearest_known(name)
-    return (
-        f"{'' if nearest is None else f'write COLUMN=MEANING, such as joint_1={nearest}; '}it has {list_names(names)}"
-    )
+    if nearest is None:
+        return present
+    return f"write COLUMN=MEANING, such as joint_1={nearest}; {present}"
 
 
 def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
@@ -498,7 +499,8 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
             right = _matrix(values)
         elif block.kind == "rotation" and len(block.columns) == 4:
             right = sizes.has_unit_length(values)
-            unit_length |= {block.columns} if right else set()
+            if right:
+                unit_length.add(block.columns)
         elif block.kind == "rotation":
             widest = WIDEST_WHOLE if sizes.in_whole_numbers(values) else WIDEST_ANGLE
             right = bool(np.nanmax(np.abs(values), initial=0.0) < widest)
@@ -507,8 +509,10 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
             right = right and not (block.kind == "q" and block.columns in unit_length)
         if right:
             possible.append(block)
-        elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
-            denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
+        elif block.kind == "time":
+            denied |= dict.fromkeys(block.columns, "time")
+        elif len(block.columns) == 4 and block.kind == "rotation" and not block.weak:
+            denied |= dict.fromkeys(block.columns, "quaternion")
     return [block for block in blocks if block in possible], denied
 
 
@@ -656,8 +660,10 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
         agreements = sorted(agreements, key=lambda entry: entry[1].error)
         chosen, agreed = _choose_arm(arm, agreements)
         if by_matrix and agreed.form is not None:
-            right = agreed.form.choice == "scalar_first"
-            agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
+            form = None
+            if agreed.form.choice == "scalar_first":
+                form = agreed.form._replace(choice=MATRIX[0])
+            agreed = agreed._replace(form=form)
         wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
         computed = False
         if agreements and (nearest := agreements[0][1]).close:
@@ -665,7 +671,9 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
             in_m = p_there / units_of("x")[length.choice if length else "m"]
             in_rad = q_there / units_of("q")[angle.choice if angle else "rad"]
             computed = computed_by_controller(nearest.error, in_m, in_rad)
-        role = "controller" if computed else source.role
+        role = source.role
+        if computed:
+            role = "controller"
         read.append(
             pose._replace(
                 blocks=pose_blocks, role=role, arm=chosen, agreements=agreements, agreed=agreed, computed=computed
@@ -757,9 +765,12 @@ def _choose_arm(arm: Arm | None, agreements: Sequence[tuple[Arm, ArmAgreement]])
     if not agreements:
         return arm, ArmAgreement()
     first, agreed = agreements[0]
+    if not agreed.close:
+        return arm, agreed.undecided()
     if arm is not None:
-        return arm, agreed if agreed.close else agreed.undecided()
-    alone = len(agreements) == 1 or agreements[1][1].error > max(ALIKE * agreed.error, 1e-9)
-    if not agreed.close or agreed.error > RECOGNISED_WITHIN:
+        return arm, agreed
+    if agreed.error > RECOGNISED_WITHIN:
         return None, agreed.undecided()
-    return (first if alone else None), agreed  # arms that are alike agree on the units
+    if len(agreements) > 1 and agreements[1][1].error <= max(ALIKE * agreed.error, 1e-9):
+        return None, agreed  # arms that are alike agree on the units
+    return first, agreed
