@@ -12,6 +12,7 @@ from lite6jax.cli import command, command_design
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
+from lite6jax.sensors.kinds import ReadingName
 
 with import_lazily():
     import numpy as np
@@ -43,7 +44,7 @@ _TRIED_READINGS = 2000
 class Setup:
     """How poses are measured; the sidecar states it for a recording that has poses."""
 
-    sensor: Literal[PoseSensor, command.Reading] = "tracker"
+    sensor: Literal[PoseSensor, ReadingName] = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar.
     Readings of which places and tool are unknown: contact (sockets), plane, distance, axis, fixed_camera,
     flange_camera."""

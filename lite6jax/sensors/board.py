@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.sensors.camera import Lens, Mounted, linearise_corners, project
+from lite6jax.sensors.kinds import Kind
 from lite6jax.sensors.points import Simulated, draw_point
 from lite6jax.sensors.pose import PoseReading
 from lite6jax.sensors.sensor import Point
@@ -50,7 +51,7 @@ class Camera(PoseReading, ABC):
         mounted: `fixed`, of the board on the flange in the camera's frame; `on_flange`, of the camera in the board's.
     """
 
-    kind: ClassVar[str] = "camera"
+    kind: ClassVar[Kind] = "camera"
     source: ClassVar[str] = "camera"
     usual_noise: ClassVar[float] = 0.15
     usual_places: ClassVar[int] = 1

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame
 from lite6jax.errors import InputError
+from lite6jax.sensors.kinds import KINDS, Kind
 from lite6jax.sensors.sensor import OwnNumber, Point, Sensor
 
 Array = NDArray[np.floating]
@@ -112,7 +113,6 @@ class PointSensor(Sensor):
         names: of each of these.
         scaled: whether something in it has a known length, without which a chain of any size would fit.
         kind: what its column is called.
-        label: what a place of it is called.
         source: `pose_source` in a sidecar.
         usual_noise: m, one sigma.
         usual_tool: the tool's point in the flange's frame, m, away from the last joint's axis.
@@ -123,8 +123,7 @@ class PointSensor(Sensor):
     sampled = ("group",)
     names = ("axis",)
     scaled = True
-    kind: ClassVar[str]
-    label: ClassVar[str]
+    kind: ClassVar[Kind]
     source: ClassVar[str]
     usual_noise: ClassVar[float]
     usual_tool: ClassVar[Point]
@@ -205,9 +204,14 @@ class PointSensor(Sensor):
         """`(3, place)` m, where its places are; none of an axis."""
         return np.zeros((3, 0))
 
+    @property
+    def touched(self) -> bool:
+        return KINDS[self.kind].touched
+
     def named(self, name: str) -> str:
         """A place in words, such as `contact a`."""
-        return name if name == self.label else f"{self.label} {name}"
+        label = KINDS[self.kind].label or self.kind
+        return name if name == label else f"{label} {name}"
 
     @property
     def labels(self) -> list[str]:
@@ -248,9 +252,7 @@ class Contact(PointSensor):
 
     rows = 3
     kind = "contact"
-    label = "contact"
     source = "touch"
-    touched = True
     usual_noise = 1e-4
     usual_tool = (0.02, 0.0, 0.09)
     advice = "touch each socket at ten or more wrist orientations, and more than one socket"
@@ -384,9 +386,7 @@ class Plane(PointSensor):
 
     rows = 1
     kind = "plane"
-    label = "plane"
     source = "touch"
-    touched = True
     usual_noise = 2e-5
     usual_tool = (0.0, 0.03, 0.06)
     usual_places = 3
@@ -515,7 +515,6 @@ class Distance(PointSensor):
 
     rows = 1
     kind = "distance"
-    label = "anchor"
     source = "draw_wire"
     usual_noise = 5e-5
     usual_tool = (0.01, -0.02, 0.05)
@@ -630,7 +629,6 @@ class Axis(PointSensor):
 
     rows = 1
     kind = "axis"
-    label = "axis"
     source = "height_gauge"
     usual_noise = 2e-5
     usual_tool = (0.02, 0.0, 0.05)
@@ -715,6 +713,10 @@ class Axis(PointSensor):
 
     def record(self, tool: Array, error: Array) -> dict[str, Any]:
         return {"value": self.exact(tool).value + error}
+
+
+POINT_SENSORS: Mapping[Kind, type[PointSensor]] = {sensor.kind: sensor for sensor in (Contact, Plane, Distance, Axis)}
+"""By their kind."""
 
 
 def draw_point(rng: np.random.Generator, reach: float, angle: float) -> Array:

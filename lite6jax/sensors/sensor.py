@@ -66,14 +66,12 @@ class Sensor(ABC):
         whitener: `(2,)` of one over the noise of positions and orientations, or `(row, row, sample)`.
         joint_noise: one standard deviation of each joint's read-out, rad, where it is planned for; it reaches the
             reading through the arm. The whitener of a recording has it already.
-        touched: whether being at a place is the reading, so that a plan knows it.
     """
 
     rows: int
     sampled: ClassVar[tuple[str, ...]]
     whitener: Any
     joint_noise: float = 0.0
-    touched: ClassVar[bool] = False
 
     @abstractmethod
     def readings(self, tool: Frame) -> jax.Array:
@@ -148,6 +146,11 @@ class Sensor(ABC):
         Only the positions count where the reading is of a point. None where the tool may be anywhere.
         """
         return None
+
+    @property
+    def touched(self) -> bool:
+        """Whether being at a place is the reading, so that a plan knows it."""
+        return False
 
     @property
     def turned(self) -> bool:

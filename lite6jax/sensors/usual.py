@@ -7,25 +7,18 @@ import numpy as np
 
 from lite6jax.errors import InputError
 from lite6jax.sensors.board import Camera, FixedCamera, FlangeCamera
-from lite6jax.sensors.points import Axis, Contact, Distance, Plane, PointSensor
+from lite6jax.sensors.points import POINT_SENSORS, Axis, Distance, PointSensor
 from lite6jax.sensors.pose import PoseSensor
 from lite6jax.sensors.sensor import Point, Sensor, positive_noise
 
 Quantity = Literal["position", "pose", "axis", "distance"]
 
 READINGS: Mapping[str, type[PointSensor | Camera]] = {
-    "contact": Contact,
-    "plane": Plane,
-    "distance": Distance,
-    "axis": Axis,
+    **POINT_SENSORS,
     "fixed_camera": FixedCamera,
     "flange_camera": FlangeCamera,
 }
 """Sensors with unknowns of their own, by the name that commands give them."""
-POINT_SENSORS: Mapping[str, type[PointSensor]] = {
-    sensor.kind: sensor for sensor in READINGS.values() if issubclass(sensor, PointSensor)
-}
-"""Those of one point, by the kind of reading in a recording."""
 ADVICE: Mapping[str, str] = {sensor.kind: sensor.advice for sensor in READINGS.values()}
 """How to record more, by the kind of reading in a recording."""
 

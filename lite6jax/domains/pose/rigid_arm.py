@@ -39,9 +39,9 @@ from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.sensors.points import Contact, Known, PointSensor
+from lite6jax.sensors.points import POINT_SENSORS, Contact, Known, PointSensor
 from lite6jax.sensors.sensor import Sensor
-from lite6jax.sensors.usual import ADVICE, POINT_SENSORS
+from lite6jax.sensors.usual import ADVICE
 
 Array = NDArray[np.floating]
 
@@ -365,7 +365,7 @@ def rigid_arm(
         form = declaration.form
         movable = declaration.movable
         values = declaration.values
-        declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
+        declared = touches.declared_noise(recording.settings), None
         noise = declared[0] or UNDECLARED_TOUCH, None
         sensor = known_sensor(recording, noise[0])
         if not declaration.calibrated:
