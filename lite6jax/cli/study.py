@@ -102,7 +102,7 @@ class Setup:
     def _of_poses(self, arm: "arms.Arm") -> "information.Experiment":
         if self.places is not None:
             raise InputError("--places: is for --sensor contact or plane; leave it out")
-        sensor = usual.placed(self.sensor, self.axis, command.metres(self.center)).with_noise(
+        sensor = usual.place_sensor(self.sensor, self.axis, command.metres(self.center)).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),

@@ -36,7 +36,8 @@ _TILT = 0.6
 def board_corners() -> Array:
     """The corners `(corner, 3)` m of the usual board, in its frame."""
     k = np.arange(int(BOARD["columns"] * BOARD["rows"]))
-    across, down = k % BOARD["columns"], k // BOARD["columns"]
+    across = k % BOARD["columns"]
+    down = k // BOARD["columns"]
     return np.stack([across * BOARD["square_m"], down * BOARD["square_m"], 0.0 * k], 1)
 
 

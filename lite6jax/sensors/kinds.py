@@ -1,4 +1,4 @@
-"""Kinds of readings that are no poses, and how each is recorded; nothing is computed, so that commands start at once."""
+"""Kinds of readings that are no poses, and how each is recorded. It imports nothing, so that commands start at once."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple

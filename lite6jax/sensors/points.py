@@ -60,7 +60,7 @@ class Rod(NamedTuple):
     noise: float
 
 
-class Known(NamedTuple):
+class Declaration(NamedTuple):
     """What a recording and its sidecar say of a sensor.
 
     Attributes:
@@ -135,7 +135,7 @@ class PointSensor(Sensor):
 
     @classmethod
     @abstractmethod
-    def known(cls, known: Known) -> Self:
+    def from_declaration(cls, declaration: Declaration) -> Self:
         """The sensor of a recording, with what its sidecar declares of points, planes, anchors or the axis.
 
         Raises:
@@ -208,7 +208,7 @@ class PointSensor(Sensor):
     def touched(self) -> bool:
         return KINDS[self.kind].touched
 
-    def named(self, name: str) -> str:
+    def place_name(self, name: str) -> str:
         """A place in words, such as `contact a`."""
         label = KINDS[self.kind].label or self.kind
         return name if name == label else f"{label} {name}"
@@ -311,9 +311,9 @@ class Contact(PointSensor):
         return {"point_m": np.asarray(self.points)[:, k].tolist()}
 
     @classmethod
-    def known(cls, known: Known) -> Self:
-        points, free = known.places(known.settings.contact_points or {})
-        return cls(known.group, known.whitener, points, known.names, free, _rods(known, free))
+    def from_declaration(cls, declaration: Declaration) -> Self:
+        points, free = declaration.places(declaration.settings.contact_points or {})
+        return cls(declaration.group, declaration.whitener, points, declaration.names, free, _rods(declaration, free))
 
     @classmethod
     def plan(cls, rng: np.random.Generator, reach: float, places: int, noise: float) -> Self:
@@ -436,15 +436,16 @@ class Plane(PointSensor):
         return {"normal": normal.tolist(), "offset_m": [offset]}
 
     @classmethod
-    def known(cls, known: Known) -> Self:
-        planes = known.settings.planes or {}
+    def from_declaration(cls, declaration: Declaration) -> Self:
+        names = declaration.names
+        planes = declaration.settings.planes or {}
         declared = np.array(
-            [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in known.names],
-            float,
+            [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names], float
         )
         normal, height = np.split(declared.T / np.linalg.norm(declared[:, :3], axis=1), [3])
-        free = tuple(name not in planes for name in known.names)
-        return cls(known.group, known.whitener, normal, np.zeros_like(normal), height[0], known.names, free)
+        free = tuple(name not in planes for name in names)
+        centre = np.zeros_like(normal)
+        return cls(declaration.group, declaration.whitener, normal, centre, height[0], names, free)
 
     @classmethod
     def plan(cls, rng: np.random.Generator, reach: float, places: int, noise: float) -> Self:
@@ -534,7 +535,7 @@ class Distance(PointSensor):
     @property
     def own(self) -> tuple[OwnNumber, ...]:
         names = [name for name, free in zip(self.names, self.free, strict=True) if free]
-        unknowns = [OwnNumber(self.named(name), "m") for name in names for _ in range(3)]
+        unknowns = [OwnNumber(self.place_name(name), "m") for name in names for _ in range(3)]
         return tuple(unknowns + [OwnNumber("constant of the distances", "m")] * self.offset_free)
 
     def moved(self, numbers: Any) -> "Distance":
@@ -559,20 +560,22 @@ class Distance(PointSensor):
         return {"anchor_m": np.asarray(self.anchors)[:, k].tolist(), **offset}
 
     @classmethod
-    def known(cls, known: Known) -> Self:
-        declared = known.settings.anchor_m
-        names = known.names
+    def from_declaration(cls, declaration: Declaration) -> Self:
+        declared = declaration.settings.anchor_m
+        names = declaration.names
         anchors = {} if declared == "unknown" else declared
         if isinstance(declared, tuple):
             anchors = dict.fromkeys(names, declared)
         if isinstance(declared, tuple) and len(names) > 1:
             raise InputError(
-                f"{known.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
+                f"{declaration.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
                 f"{{{names[0]}: [x, y, z], ...}}, or unknown"
             )
-        points, free = known.places(anchors)
-        offset_free = known.settings.distance_offset == "unknown"
-        return cls(known.group, known.whitener, known.value, points, np.zeros(1), names, free, offset_free)
+        points, free = declaration.places(anchors)
+        offset_free = declaration.settings.distance_offset == "unknown"
+        return cls(
+            declaration.group, declaration.whitener, declaration.value, points, np.zeros(1), names, free, offset_free
+        )
 
     @classmethod
     def to_point(cls, center: Any, noise: float, free: bool = False) -> Self:
@@ -670,11 +673,11 @@ class Axis(PointSensor):
         return {"direction": np.asarray(self.direction).tolist(), "constant_m": np.asarray(self.constant).tolist()}
 
     @classmethod
-    def known(cls, known: Known) -> Self:
-        free = known.settings.axis == "unknown"
-        direction = np.array((0.0, 0.0, 1.0) if free else known.settings.axis, float)
+    def from_declaration(cls, declaration: Declaration) -> Self:
+        free = declaration.settings.axis == "unknown"
+        direction = np.array((0.0, 0.0, 1.0) if free else declaration.settings.axis, float)
         direction = direction / np.linalg.norm(direction)
-        return cls(known.group, known.whitener, known.value, direction, np.zeros(1), free)
+        return cls(declaration.group, declaration.whitener, declaration.value, direction, np.zeros(1), free)
 
     @classmethod
     def along(cls, direction: Any, noise: float, constant: float = 0.0, constant_free: bool = False) -> Self:
@@ -743,15 +746,17 @@ def poses_at(points: Array) -> Array:
     return T
 
 
-def _rods(known: Known, free: tuple[bool, ...]) -> tuple[Rod, ...]:
+def _rods(declaration: Declaration, free: tuple[bool, ...]) -> tuple[Rod, ...]:
     """The known distances as a forest: each contact hangs on one before it.
 
     Raises:
         InputError: a ring of distances, or one between contacts of which both are known.
     """
-    names = known.names
+    names = declaration.names
     place = {name: k for k, name in enumerate(names)}
-    remaining = [distance for distance in known.settings.contact_distances if set(distance.between) <= place.keys()]
+    remaining = [
+        distance for distance in declaration.settings.contact_distances if set(distance.between) <= place.keys()
+    ]
     rods: list[Rod] = []
     reached = {k for k in range(len(names)) if not free[k]}
     while remaining:
@@ -763,8 +768,8 @@ def _rods(known: Known, free: tuple[bool, ...]) -> tuple[Rod, ...]:
         a, b = (b, a) if b in reached and a not in reached else (a, b)
         if b in reached:
             raise InputError(
-                f"{known.source}: the distance of contacts {at.between[0]} and {at.between[1]} closes a ring of known "
-                "ones; give the coordinates of all contacts as contact_points instead"
+                f"{declaration.source}: the distance of contacts {at.between[0]} and {at.between[1]} closes a ring of "
+                "known ones; give the coordinates of all contacts as contact_points instead"
             )
         reached |= {a, b}
         rods.append(Rod(a, b, at.distance_m, at.noise_m))

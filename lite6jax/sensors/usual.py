@@ -93,7 +93,7 @@ def sensor_named(name: str) -> Sensor:
     return SENSORS[name]
 
 
-def placed(name: str, direction: Point, center: Point) -> Sensor:
+def place_sensor(name: str, direction: Point, center: Point) -> Sensor:
     """One of `SENSORS`, where it reads along an axis along this one, and a distance from this point, m.
 
     Raises:

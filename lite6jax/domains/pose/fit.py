@@ -216,7 +216,7 @@ def _places_of(sensor: PointSensor, covariance: Array) -> tuple[GeometricElement
         for key, at in values.items():
             J = np.array([(np.array(displaced.place(k)[key]) - at) / _STEP for displaced in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
-        places.append(GeometricElement(sensor.named(name), values, std))
+        places.append(GeometricElement(sensor.place_name(name), values, std))
     return tuple(places)
 
 

@@ -39,7 +39,7 @@ from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.sensors.points import POINT_SENSORS, Contact, Known, PointSensor
+from lite6jax.sensors.points import POINT_SENSORS, Contact, Declaration, PointSensor
 from lite6jax.sensors.sensor import Sensor
 from lite6jax.sensors.usual import ADVICE
 
@@ -367,7 +367,7 @@ def rigid_arm(
         values = declaration.values
         declared = touches.declared_noise(recording.settings), None
         noise = declared[0] or UNDECLARED_TOUCH, None
-        sensor = known_sensor(recording, noise[0])
+        sensor = recorded_sensor(recording, noise[0])
         if not declaration.calibrated:
             _require_scale(recording, sensor)
         T_tool = declaration.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
@@ -468,7 +468,7 @@ def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
     return replace(arm, measured=sensor, offset=offset)
 
 
-def known_sensor(recording: Recording, noise: float) -> PointSensor:
+def recorded_sensor(recording: Recording, noise: float) -> PointSensor:
     """The sensor of touches, distances or heights, with what is known of its points, planes, anchors or axis.
 
     Args:
@@ -482,8 +482,8 @@ def known_sensor(recording: Recording, noise: float) -> PointSensor:
     assert readings is not None
     present, group = np.unique(readings.group, return_inverse=True)
     names = tuple(readings.names[k] for k in present)
-    known = Known(recording.settings, names, group, readings.value, noise, recording.source)
-    return POINT_SENSORS[readings.kind].known(known)
+    declaration = Declaration(recording.settings, names, group, readings.value, noise, recording.source)
+    return POINT_SENSORS[readings.kind].from_declaration(declaration)
 
 
 def _require_scale(recording: Recording, sensor: PointSensor) -> None:
