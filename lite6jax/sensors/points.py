@@ -604,6 +604,11 @@ class Distance(PointSensor):
     def reads(self) -> str:
         return "distances to an anchor" if any(self.free) else "distances to a point"
 
+    def to_dict(self) -> dict[str, Any]:
+        if any(self.free):
+            return super().to_dict()
+        return Sensor.to_dict(self) | {"center": tuple(self.at[:, 0].tolist())}
+
     def exact(self, tool: Array) -> Self:
         group = self.nearest(tool)
         apart = np.linalg.norm(tool[:, :3, 3] - self.at.T[group], axis=1)
