@@ -18,8 +18,8 @@ from lite6jax.calibration.quality import CONVERGED
 from lite6jax.calibration.solve import FitConditions, fit_chunks
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.design.poses import Criterion, Design, Pool, choose
-from lite6jax.design.sensor import Sensor
 from lite6jax.model import ModelForm, arm_model
+from lite6jax.sensors.usual import plan_sensor
 from tests.oracles.arms import parameters_of_table, table_of_parameters
 from tests.oracles.chains import hayati_poses, seed_poses, six_parameter_poses
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
@@ -38,7 +38,7 @@ WITHIN = 1e-10  # n·m per unit of a parameter
 
 def study(poses: int = 100_000, chosen: int = 40) -> Iterator[Record]:
     """Milliseconds for information and singular values, seconds for a D-optimal design, and the same by NumPy."""
-    experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
+    experiment = plan_experiment("lite6", plan_sensor("pose", *NOISE), frame=False)
     q = sample_joints(poses, np.random.default_rng(0))
     yield from _information(experiment, q)
     yield from _design(experiment, q, chosen)

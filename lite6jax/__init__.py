@@ -76,7 +76,6 @@ if TYPE_CHECKING:
     )
     from lite6jax.design.information import Experiment as Experiment, plan_experiment as plan_experiment
     from lite6jax.design.poses import plan_poses as plan_poses
-    from lite6jax.design.sensor import Sensor as Sensor
     from lite6jax.recordings import (
         Recording as Recording,
         RecordingSettings as RecordingSettings,
@@ -84,6 +83,8 @@ if TYPE_CHECKING:
         read_recording as read_recording,
         write_recording as write_recording,
     )
+    from lite6jax.sensors.sensor import Sensor as Sensor
+    from lite6jax.sensors.usual import plan_sensor as plan_sensor
     from lite6jax.simulation import (
         UndeclaredNoise as UndeclaredNoise,
         draw_calibration as draw_calibration,
@@ -123,8 +124,9 @@ _NAMES = {
     "lite6jax.design.identify": ("identify", "identify_recording", "sensitivity"),
     "lite6jax.design.information": ("Experiment", "plan_experiment"),
     "lite6jax.design.poses": ("plan_poses",),
-    "lite6jax.design.sensor": ("Sensor",),
     "lite6jax.recordings": ("Recording", "RecordingSettings", "join_recordings", "read_recording", "write_recording"),
+    "lite6jax.sensors.sensor": ("Sensor",),
+    "lite6jax.sensors.usual": ("plan_sensor",),
     "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),
 }
 """The public names of each module."""

@@ -16,15 +16,14 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.calibration.fit import fit_recording
-from lite6jax.design.sensor import Sensor
 from lite6jax.effects import user_effects
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings, read_recording
+from lite6jax.sensors.usual import plan_sensor
 from lite6jax.simulation import (
     INSTRUMENTS,
-    Instrument,
     UndeclaredNoise,
     draw_calibration,
     draw_motion,
@@ -331,7 +330,7 @@ def test_noise_that_grows_with_the_distance_from_the_base():
 
 @pytest.mark.parametrize(("declared", "hidden"), [(3e-5, 0.0), (0.0, 4e-5), (3e-5, 4e-5)])
 def test_read_outs_of_the_joints_are_noisy_and_the_poses_are_not(declared, hidden):
-    sensor = Instrument(INSTRUMENTS["tracker"].sensor.with_noise(joint=declared), "laser_tracker")
+    sensor = INSTRUMENTS["tracker"].with_noise(joint=declared)
     motion = draw_motion(LITE6, samples=500)
     measured = measure(motion, LITE6, sensor=sensor, undeclared=UndeclaredNoise(joint_noise=hidden), seed=4)
     assert measured.recording.settings.joint_noise_rad == declared
@@ -362,9 +361,9 @@ def test_the_settings_say_what_the_sensor_is(name):
     recording = simulate(LITE6, samples=20, sensor=name)
     settings, instrument = recording.settings, INSTRUMENTS[name]
     assert settings == RecordingSettings(
-        arm="lite6", joint_source="measured", pose_source=instrument.pose_source, motion="static", pose_frame="base",
-        tool="none", position_noise_m=instrument.sensor.position_noise,
-        orientation_noise_rad=instrument.sensor.orientation_noise,
+        arm="lite6", joint_source="measured", pose_source=instrument.source, motion="static", pose_frame="base",
+        tool="none", position_noise_m=instrument.position_noise,
+        orientation_noise_rad=instrument.orientation_noise,
     )  # fmt: skip
     assert (recording.quaternion is None) == (name == "tracker")
     assert recording.source == "simulation"
@@ -439,7 +438,7 @@ def test_measurements_that_cannot_be():
         "simulation: sensor 'laser': is none of tracker, tracker_6d, motion_capture, camera, controller_fk, "
         "contact, plane, distance, axis, fixed_camera, flange_camera"
     )
-    gauge = Instrument(Sensor("axis", 1e-6), "unknown")
+    gauge = plan_sensor("axis", 1e-6)
     assert "a sensor of axis has no place in a recording; give one of positions" in refusal(
         measure, motion, LITE6, sensor=gauge
     )

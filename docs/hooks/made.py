@@ -143,8 +143,8 @@ PYTHON = {
     ),
     "Simulate": ("simulate", "UndeclaredNoise", "draw_calibration", "draw_sensor_frame"),
     "Plan a measurement": (
-        "plan_experiment", "Experiment", "Sensor", "identify", "identify_recording", "plan_poses", "candidates",
-        "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
+        "plan_experiment", "Experiment", "Sensor", "plan_sensor", "identify", "identify_recording", "plan_poses",
+        "candidates", "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
     ),
     "Effects of your own": (
         "Effect", "JointEffect", "Bending", "JointTorque", "TorqueEffect", "Coordinate", "Driver", "Motion", "Loads",

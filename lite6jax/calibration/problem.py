@@ -25,7 +25,7 @@ from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
 
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
@@ -284,5 +284,5 @@ def _residual_by_joints(
     joints = np.stack([walked[j] for j in np.flatnonzero(~arm.slides)])
     turn, origin = (np.moveaxis(joints[..., :3, k], 1, 2) for k in (2, 3))
     shift = np.cross(turn, tool[:, :3, 3].T - origin, axis=1)
-    measured = Measured(None, np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1), None)
+    measured = PoseSensor(None, np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1), None)
     return np.moveaxis(measured.columns(tool, shift, turn), 2, 0).swapaxes(1, 2)

@@ -84,7 +84,6 @@ Seed = Annotated[int, arg(help="Seed of the random numbers.")]
 Duration = Annotated[float | None, arg(metavar="S", help="The duration; by default until Ctrl-C.")]
 Known = Literal["known", "unknown"]
 Geometry = Literal["declared", "exact", "prior", "free"]
-Reading = Literal["contact", "plane", "distance", "axis", "fixed_camera", "flange_camera"]
 EffectTexts = Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")]
 Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
 

@@ -13,6 +13,7 @@ from lite6jax.cli import command
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
+from lite6jax.sensors.kinds import ReadingName
 
 with import_lazily():
     from lite6jax import recordings, simulation
@@ -59,7 +60,7 @@ class SimulateCommand:
     repeated."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that --effect may name. Runs the file."""
-    sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk", command.Reading] = "tracker"
+    sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk", ReadingName] = "tracker"
     """Positions: tracker; poses: the next four; touches of sockets or plates, distances from an anchor, heights, and
     corners of a board in images: the others, of which tool and places are unknown."""
     motion: Literal["static", "trajectory"] = "static"

@@ -12,6 +12,7 @@ from lite6jax.cli import command, command_design
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
+from lite6jax.sensors.kinds import ReadingName
 
 with import_lazily():
     import numpy as np
@@ -22,9 +23,9 @@ with import_lazily():
     from lite6jax.calibration import source
     from lite6jax.design import candidates, command_plans, identify, information, motions, poses, torques
     from lite6jax.design import readings as touching
-    from lite6jax.design import sensor as sensors
     from lite6jax.effects import serialization
     from lite6jax.report import command_designs, figures, study, words
+    from lite6jax.sensors import usual
 
 Designed = tuple[Any, "recordings.Recording", Iterable[Any]]
 """A design, what is written of it, and its report."""
@@ -43,7 +44,7 @@ _TRIED_READINGS = 2000
 class Setup:
     """How poses are measured; the sidecar states it for a recording that has poses."""
 
-    sensor: Literal[PoseSensor, command.Reading] = "tracker"
+    sensor: Literal[PoseSensor, ReadingName] = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar.
     Readings of which places and tool are unknown: contact (sockets), plane, distance, axis, fixed_camera,
     flange_camera."""
@@ -96,19 +97,19 @@ class Setup:
     @property
     def reads(self) -> bool:
         """Whether the sensor reads no poses, so that the arm is to reach its places."""
-        return self.sensor in touching.READERS
+        return self.sensor in usual.READINGS
 
     def _of_poses(self, arm: "arms.Arm") -> "information.Experiment":
         if self.places is not None:
             raise InputError("--places: is for --sensor contact or plane; leave it out")
-        sensor = sensors.sensor_named(self.sensor).with_noise(
+        sensor = usual.place_sensor(self.sensor, self.axis, command.metres(self.center)).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
             math.radians(self.joint_noise),
         )
         return information.plan_experiment(
             arm,
-            replace(sensor, direction=self.axis, center=command.metres(self.center)),
+            sensor,
             chain=self.chain,
             frame=self.frame == "unknown",
             tool=self.tool == "unknown",
@@ -127,7 +128,7 @@ class Setup:
         return touching.plan_reading(
             arm,
             self.sensor,
-            self.places or (3 if self.sensor == "plane" else 2),
+            self.places or usual.READINGS[self.sensor].usual_places,
             noise=None if noise is None else noise / (1 if self.sensor.endswith("_camera") else 1e3),
             tool_at=command.metres(self.tool_at) if any(self.tool_at) else None,
             joint_noise=math.radians(self.joint_noise),

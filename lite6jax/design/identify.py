@@ -22,7 +22,6 @@ from lite6jax.design.information import (
     plan_experiment,
     recording_experiment,
 )
-from lite6jax.design.sensor import Sensor
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import predict
@@ -215,7 +214,6 @@ def identify_recording(
     notes = list(recording.notes)
     settings = recording.settings
     sensor = experiment.sensor
-    assert isinstance(sensor, Sensor)
     if settings.position_noise_m is None or (sensor.rows == 6 and settings.orientation_noise_rad is None):
         noise = fit_recording(recording, arm, geometry=geometry).noise
         assert noise is not None

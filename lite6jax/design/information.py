@@ -22,7 +22,6 @@ from lite6jax.arms.se3 import Frame, Twist, cross, frame_transform
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
 from lite6jax.design.determination import accumulate_root, each_block
-from lite6jax.design.sensor import PlannedSensor, Sensor, sensor_named
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion, Sliding
@@ -32,7 +31,8 @@ from lite6jax.model import ArmModel, ModelForm, predict_frames_with
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import inertia_of_arm
 from lite6jax.recordings.units import real_array
-from lite6jax.sensors.sensor import OwnNumber
+from lite6jax.sensors.sensor import OwnNumber, Sensor
+from lite6jax.sensors.usual import plan_sensor, sensor_named
 
 Array = NDArray[np.floating]
 Chain = Literal["hayati", "six_parameter"]
@@ -136,7 +136,7 @@ class Experiment:
     arm: Arm
     form: ModelForm
     model: ArmModel
-    sensor: PlannedSensor
+    sensor: Sensor
     movable: Any = None
     precision: Any = None
     physics: Physics = field(default_factory=Physics)
@@ -151,10 +151,16 @@ class Experiment:
         if self.precision is None:
             object.__setattr__(self, "precision", np.zeros(self.form.size))
 
-    @property
+    @cached_property
     def own(self) -> tuple[OwnNumber, ...]:
-        """The unknowns that the sensor has."""
-        return self.sensor.own
+        """The unknowns that the sensor has, each with a name of its own."""
+        names = [number.name for number in self.sensor.own]
+        return tuple(
+            number._replace(name=f"{number.name} {names[:k].count(number.name) + 1}")
+            if names.count(number.name) > 1
+            else number
+            for k, number in enumerate(self.sensor.own)
+        )
 
     @cached_property
     def unknown(self) -> NDArray[np.bool_]:
@@ -226,8 +232,7 @@ class Experiment:
     def _columns(self, q: Array, direction: Array) -> Array:
         """`(size, row, sample)`, of the unknown parameters, per SI unit."""
         tool, motions = map(np.asarray, _tool_motions(self.form, self.physics, *self._numbers, q, direction))
-        slopes = self.sensor.slopes(tool)
-        sensor_columns = self.sensor.by_own(tool)
+        slopes, sensor_columns = self.sensor.columns_of_plan(tool)
         columns = np.einsum("rks,pks->prs", slopes, motions)
         columns = np.concatenate([columns[: self.form.size], sensor_columns, columns[self.form.size :]])[self.unknown]
         if not self.sensor.joint_noise:
@@ -297,7 +302,7 @@ def plan_experiment(
 
     Args:
         arm: an `Arm` or a bundled name.
-        sensor: a `Sensor` or a name of `SENSORS`.
+        sensor: a `Sensor`, as of `plan_sensor`, or a name of `SENSORS`.
         chain: the parameters of the geometry: `hayati` (4 n + 4, all determined by poses), or `six_parameter` (6 n, as
             in a factory file).
         frame: whether the sensor's frame is unknown too.
@@ -333,5 +338,5 @@ def recording_experiment(recording: Recording, arm: Arm | None = None, geometry:
         )
     position, orientation = problem.noise
     quantity = "position" if orientation is None else "pose"
-    sensor = Sensor(quantity, position, orientation, joint_noise=recording.settings.joint_noise_rad)
+    sensor = plan_sensor(quantity, position, orientation, joint_noise=recording.settings.joint_noise_rad)
     return Experiment(problem.arm, problem.form, problem.start, sensor, problem.movable, problem.precision)

@@ -23,7 +23,6 @@ from lite6jax.calibration.source import arm_of, load_nominal, load_recording, wi
 from lite6jax.design.candidates import candidates
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import plan_discrimination, short_path
-from lite6jax.design.sensor import Sensor
 from lite6jax.diagnosis.document import require_domain
 from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
@@ -71,7 +70,8 @@ from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
+from lite6jax.sensors.usual import plan_sensor
 
 Array = NDArray[np.floating]
 
@@ -201,7 +201,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         fit = self.fit
         valid = self.problem.valid
         predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
-        if isinstance(problem.measured, Measured):
+        if isinstance(problem.measured, PoseSensor):
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
         reach = problem.arm.reach
@@ -481,7 +481,7 @@ def _separating_poses(
         return ()
     rigid = recording_problem(problem.recording, problem.arm, geometry, factory)
     position, orientation = problem.noise
-    sensor = Sensor("position" if orientation is None else "pose", position, orientation)
+    sensor = plan_sensor("position" if orientation is None else "pose", position, orientation)
     experiment = Experiment(problem.arm, rigid.form, rigid.start, sensor, rigid.movable, rigid.precision)
     drawn = candidates(problem.arm, _SEPARATING_CANDIDATES, limit_margin=_SEPARATING_MARGIN)
     recorded = problem.recording.joint_position

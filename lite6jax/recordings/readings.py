@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,10 @@ from lite6jax.errors import InputError
 from lite6jax.recordings.columns import READINGS, spelled
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
+from lite6jax.sensors.kinds import KINDS, Kind
 
 Array = NDArray[np.floating]
-Kind = Literal["contact", "plane", "distance", "axis", "camera"]
 
-_NUMBERS: Mapping[Kind, int] = {"contact": 3, "plane": 1, "distance": 1, "axis": 1, "camera": 6}
-"""How many numbers a sample measures."""
 LARGEST_CORNER = 10_000
 
 
@@ -44,7 +42,11 @@ class Readings:
     @property
     def numbers(self) -> int:
         """How many numbers a sample measures, once corners are a pose."""
-        return _NUMBERS[self.kind]
+        return KINDS[self.kind].numbers
+
+    def declared_noise(self, settings: RecordingSettings) -> float | None:
+        """One sigma that a sidecar declares, m, or px of a camera."""
+        return getattr(settings, KINDS[self.kind].noise)
 
     def select(self, rows: Any) -> "Readings":
         """Those of some samples."""
@@ -79,7 +81,7 @@ class Readings:
     def columns(self) -> dict[str, np.ndarray]:
         """The columns of a table, `(sample,)` each; of a camera none, as a row there is a corner."""
         labels = np.array(self.names, dtype=object)[self.group]
-        if self.kind in ("contact", "plane"):
+        if KINDS[self.kind].touched:
             return {self.kind: labels}
         if self.kind == "camera":
             return {}
@@ -132,7 +134,7 @@ def with_readings(
     Raises:
         InputError: readings of several kinds, or an image with corners twice or joints that differ.
     """
-    kinds: dict[str, Kind] = {spelled(READINGS[kind][0]): kind for kind in _NUMBERS}
+    kinds: dict[str, Kind] = {spelled(READINGS[kind][0]): kind for kind in KINDS}
     present = [column for column in kinds if column in values]
     if not present:
         return arrays
@@ -149,10 +151,10 @@ def with_readings(
     samples = len(arrays["joint_position"])
     if kind == "camera":
         return _of_corners(arrays, values, source)
-    value = np.zeros(samples) if kind in ("contact", "plane") else values[present[0]]
+    value = np.zeros(samples) if KINDS[kind].touched else values[present[0]]
     names = (kind,)
     group = np.zeros(samples, np.int64)
-    label = "anchor" if kind == "distance" else kind
+    label = KINDS[kind].label
     if label in labels:
         missing = ~np.isfinite(values[label])
         names = labels[label]

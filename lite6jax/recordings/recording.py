@@ -32,6 +32,7 @@ from lite6jax.recordings.units import (
 )
 from lite6jax.results import PublicResult
 from lite6jax.sensors.camera import FEWEST_CORNERS
+from lite6jax.sensors.kinds import KINDS
 
 
 @final
@@ -589,7 +590,7 @@ def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None
     columns = {name: column for name, column in recording.columns().items() if column.dtype != object}
     if recording.readings is not None:
         position = recording.position
-        label = {"contact": "contact", "plane": "plane", "distance": "anchor"}.get(recording.readings.kind, "u_px")
+        label = KINDS[recording.readings.kind].label or "u_px"
         columns[label] = recording.readings.value if position is None else position[:, 0]
     missing = {name: ~np.isfinite(column) for name, column in columns.items()}
     bad = np.logical_or.reduce(list(missing.values()))

@@ -424,16 +424,15 @@ def sensitivity_over_workspace(sensitivity: "Sensitivity", title: str) -> Figure
     """The expected error of an arm as assembled, over the plane of its reach, and each parameter's share of it."""
     across, up, expected = sensitivity.over_workspace()
     figure = blank(12.0, 5.6)
-    workspace_axes, share_axes = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    workspace_axes, share_axes = figure.subplots(1, 2, width_ratios=(1, 1.6))  # the workspace is tall
     image = workspace_axes.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
     workspace_axes.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
     figure.colorbar(image, ax=workspace_axes, label="expected error, RMS (mm)")
     order = np.argsort(-sensitivity.share, kind="stable")[:12][::-1]
     share_axes.barh(np.arange(len(order)), 100 * sensitivity.share[order], color=AFTER)
-    share_axes.axvline(100 / len(sensitivity.names), color="black", linestyle="--", linewidth=1.5)
-    share_axes.text(
-        100 / len(sensitivity.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom"
-    )
+    even = 100 / len(sensitivity.names)
+    share_axes.axvline(even, color="black", linestyle="--", linewidth=1.5, label="even shares")
+    share_axes.legend(frameon=False, loc="lower right", fontsize=11)
     share_axes.set_yticks(np.arange(len(order)), [sensitivity.names[i] for i in order])
     share_axes.set(xlabel="share of the mean squared error (%)")
     share_axes.spines[["top", "right"]].set_visible(False)

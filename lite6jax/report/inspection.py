@@ -27,6 +27,7 @@ from lite6jax.recordings.words import NamedColumns, Points
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences import inspection as sentences
 from lite6jax.report.words import fill, read_texts, say
+from lite6jax.sensors.kinds import KINDS
 
 _TEXTS = read_texts("inspection.yaml")
 _MANY = 3
@@ -45,11 +46,7 @@ _NOISES: Mapping[str, tuple[str, ...]] = {
     "tau": ("torque_noise_Nm",),
     "position": ("position_noise_m",),
     "rotation": ("orientation_noise_rad",),
-    "contact": ("contact_noise_m",),
-    "plane": ("plane_noise_m",),
-    "distance": ("distance_noise_m",),
-    "axis": ("axis_noise_m",),
-    "camera": ("pixel_noise_px",),
+    **{name: (kind.noise,) for name, kind in KINDS.items()},
 }
 """The keys of the noise of each kind of block and of reading."""
 

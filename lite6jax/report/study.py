@@ -16,7 +16,6 @@ from lite6jax.design.identify import Identification, Sensitivity
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
-from lite6jax.design.sensor import PlacedReading, PlannedSensor
 from lite6jax.design.torques import JOINT, JOINT_UNITS, TorqueExperiment, TorqueIdentification, TorquePlan
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
@@ -37,6 +36,8 @@ from lite6jax.report.words import (
     say,
     torque_units,
 )
+from lite6jax.sensors.points import PointSensor
+from lite6jax.sensors.sensor import Sensor
 
 _TEXTS = read_texts("studies.yaml")
 _MOST_LISTED = 12
@@ -56,7 +57,7 @@ def _begin(source: str, studied: str, disabled: Sequence[tuple[str, str]] = ()) 
 # ------------------------------------------------------------------ what poses determine
 
 
-def described(sensor: PlannedSensor) -> str:
+def described(sensor: Sensor) -> str:
     """A sensor in a phrase, with the noise of the joints' read-outs."""
     joints = ""
     if sensor.joint_noise:
@@ -190,12 +191,12 @@ def design_report(
 def places_report(experiment: Experiment, joint_position: np.ndarray) -> Iterator[RenderableType]:
     """Where the places of touches are, in the base's frame, and how many poses `(pose, joint)` touch each."""
     sensor = experiment.sensor
-    if not isinstance(sensor, PlacedReading) or sensor.quantity not in ("contact", "plane"):
+    if not (isinstance(sensor, PointSensor) and sensor.touched):
         return
-    counts = np.bincount(read_places(experiment, joint_position), minlength=len(sensor.places))
+    counts = np.bincount(read_places(experiment, joint_position), minlength=len(sensor.names))
     rows = (
         (name, *(f"{1e3 * part:.0f}" for part in at), str(count))
-        for (name, at), count in zip(sensor.places, counts, strict=True)
+        for name, at, count in zip(sensor.names, sensor.at.T, counts, strict=True)
     )
     yield from ("", "Put them within some centimetres of these places (mm in the arm's base frame)", "")
     yield listing("", "x", "y", "z", "touches", rows=rows)

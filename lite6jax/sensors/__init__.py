@@ -1,5 +1,4 @@
-"""Sensors: each one function of the tool's pose with unknowns of its own; residuals and columns follow from it.
+"""Sensors: each one class, a function of the tool's pose with unknowns of its own, for fits, plans and simulations.
 
-`touch_sensor` of `lite6jax.domains.pose.rigid_arm` makes those of a recording; those of plans are in
-`lite6jax.design.sensor`.
+`sensor.py` says what every sensor is, `usual.py` names them.
 """

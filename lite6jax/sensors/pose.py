@@ -5,7 +5,7 @@ nothing.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, final
+from typing import Any, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -14,16 +14,14 @@ import scipy  # whose parts are imported where they are first used: `spatial` ta
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components, transform
-from lite6jax.sensors.sensor import OwnNumber, SensorModel
+from lite6jax.sensors.sensor import OwnNumber, Sensor
 
 Array = NDArray[np.floating]
 
 
-@final
-@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Measured(SensorModel):
-    """What a tracker or a camera measured, the sample last.
+class PoseReading(Sensor):
+    """Poses or points of the tool in the sensor's frame, the sample last.
 
     Attributes:
         position: `(3, sample)` m.
@@ -36,6 +34,7 @@ class Measured(SensorModel):
         station: `(sample,)` int, from which station each was measured; empty of one alone.
         stations: `(station - 1, 4, 4)`, from the frame of each further station to that of the first. They are unknowns,
             six numbers each: a shift and a rotation vector by which its poses are displaced in the first one's frame.
+        oriented: whether it measures orientations, of a sensor without samples.
     """
 
     sampled = ("position", "rotation", "constants", "station")
@@ -48,11 +47,13 @@ class Measured(SensorModel):
     deviation: Any = field(default_factory=lambda: np.zeros(0))
     station: Any = field(default_factory=lambda: np.zeros(0, np.int64))
     stations: Any = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    oriented: bool = field(default=False, kw_only=True, metadata={"static": True})
+    joint_noise: float = field(default=0.0, kw_only=True, metadata={"static": True})
 
     @property
     def rows(self) -> int:  # type: ignore[override]
         """Numbers that a sample has: 3 or 6."""
-        return 6 if self.rotation.shape[-1] else 3
+        return 6 if self.oriented or self.rotation.shape[-1] else 3
 
     @property
     def own(self) -> tuple[OwnNumber, ...]:
@@ -70,12 +71,12 @@ class Measured(SensorModel):
         """How many unknowns it has."""
         return len(self.at) + 6 * len(self.stations)
 
-    def moved(self, numbers: Any) -> "Measured":
+    def moved(self, numbers: Any) -> Self:
         """With its unknowns displaced by `numbers`."""
         twists = numbers[len(self.at) :].reshape(-1, 6)
         return self._displaced(numbers, transform(rotation_exp(twists[:, 3:]), twists[:, :3]))
 
-    def displaced(self, numbers: Array) -> "Measured":
+    def displaced(self, numbers: Array) -> Self:
         """`moved`; nothing is compiled."""
         twists = numbers[len(self.at) :].reshape(-1, 6)
         T = np.tile(np.eye(4), (len(twists), 1, 1))
@@ -83,7 +84,7 @@ class Measured(SensorModel):
         T[:, :3, 3] = twists[:, :3]
         return self._displaced(numbers, T)
 
-    def _displaced(self, numbers: Any, frames: Any) -> "Measured":
+    def _displaced(self, numbers: Any, frames: Any) -> Self:
         """With the constant errors changed by the first of `numbers`, and the stations displaced by `frames`."""
         constant = len(self.at)
         moved = replace(self, at=self.at + numbers[:constant]) if constant else self
@@ -145,6 +146,49 @@ class Measured(SensorModel):
         further = np.arange(1, len(self.stations) + 1)
         frames = np.where(self.station == further[:, None, None, None], twists, 0.0)
         return np.concatenate([constant, frames.reshape(-1, self.rows, len(tool))])
+
+    def slopes(self, tool: Array) -> Array:
+        """How differences `(row, 6, sample)` change with a shift and a turn of the tool; nothing is compiled."""
+        none = np.zeros((3, 3, len(tool)))
+        axes = np.broadcast_to(np.eye(3)[..., None], none.shape)
+        return np.swapaxes(self.columns(tool, np.concatenate([axes, none]), np.concatenate([none, axes])), 0, 1)
+
+    def exact(self, tool: Array) -> Self:
+        rotation = np.moveaxis(tool[:, :3, :3], 0, -1) if self.rows == 6 else np.zeros((3, 3, 0))
+        return replace(self, position=tool[:, :3, 3].T, rotation=rotation)
+
+
+@final
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class PoseSensor(PoseReading):
+    """A laser tracker, motion capture, or another sensor of positions or poses with the same noise everywhere.
+
+    Attributes:
+        source: `pose_source` of its recordings.
+    """
+
+    source: str = field(default="unknown", kw_only=True, metadata={"static": True})
+
+    @property
+    def quantity(self) -> str:
+        return "pose" if self.rows == 6 else "position"
+
+    @property
+    def orientation_noise(self) -> float | None:
+        """One standard deviation of a turn, per axis, rad; None where no orientation is measured."""
+        return float(f"{1 / self.whitener[1]:.15g}") if self.rows == 6 else None
+
+    @property
+    def phrase(self) -> str:
+        sigma = f"±{1e3 * self.position_noise:.3g} mm"
+        if self.orientation_noise is None:
+            return f"positions to {sigma} per axis"
+        return f"positions and orientations to {sigma} and {np.rad2deg(self.orientation_noise):.2g} deg per axis"
+
+    def to_dict(self) -> dict[str, Any]:
+        turns = {} if self.orientation_noise is None else {"orientation_noise": self.orientation_noise}
+        return super().to_dict() | turns
 
 
 _UNITS_OF_TWIST = ("m", "m", "m", "rad", "rad", "rad")

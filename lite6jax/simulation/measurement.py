@@ -13,8 +13,6 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import quaternion_from_rotation
-from lite6jax.design.readings import READERS
-from lite6jax.design.sensor import SENSORS, Sensor
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
@@ -22,8 +20,10 @@ from lite6jax.errors import InputError, require_type, wrong_type
 from lite6jax.model import arm_model, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
-from lite6jax.recordings.settings import PoseSource
 from lite6jax.recordings.units import other_joints
+from lite6jax.sensors.pose import PoseSensor
+from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.usual import READINGS, SENSORS
 from lite6jax.simulation import readings
 from lite6jax.simulation.motions import MotionKind, draw_motion, make_generator, make_motion
 
@@ -36,22 +36,10 @@ _quaternions = jax.jit(quaternion_from_rotation)
 _beyond = jax.jit(Physics.beyond, static_argnums=0)
 
 
-class Instrument(NamedTuple):
-    """A sensor and its name in a sidecar."""
-
-    sensor: Sensor
-    pose_source: PoseSource
-
-
-INSTRUMENTS: Mapping[str, Instrument] = {
-    "tracker": Instrument(SENSORS["tracker"], "laser_tracker"),
-    "tracker_6d": Instrument(SENSORS["tracker_6d"], "laser_tracker"),
-    "motion_capture": Instrument(SENSORS["motion_capture"], "motion_capture"),
-    "camera": Instrument(SENSORS["camera"], "camera"),
-    # 32-bit floats on the wire: 3.4e-8 m on average, 6e-7 rad at most
-    "controller_fk": Instrument(Sensor("pose", 3e-8, 3e-7), "controller_fk"),
+INSTRUMENTS: Mapping[str, PoseSensor] = {
+    name: sensor for name, sensor in SENSORS.items() if isinstance(sensor, PoseSensor)
 }
-"""By name."""
+"""Sensors of positions or poses, by name."""
 
 
 @final
@@ -125,7 +113,7 @@ def measure(
     values: Sequence[float] | Array = (),
     *,
     kinematics: Array | None = None,
-    sensor: Instrument | str = "tracker",
+    sensor: Sensor | str = "tracker",
     position_noise: float | None = None,
     orientation_noise: float | None = None,
     joint_noise: float | None = None,
@@ -155,9 +143,9 @@ def measure(
         InputError: an unknown sensor or one of single distances, values that do not fit the effects, or a motion
             without a quantity that an effect depends on (by name).
     """
-    reading = isinstance(sensor, str) and sensor in READERS
+    reading = isinstance(sensor, str) and sensor in READINGS
     if isinstance(sensor, str) and not reading and sensor not in INSTRUMENTS:
-        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join((*INSTRUMENTS, *READERS))}")
+        raise InputError(f"simulation: sensor {sensor!r}: is none of {', '.join((*INSTRUMENTS, *READINGS))}")
     values = np.asarray(values, float)
     if values.shape != (physics.size,) or not np.isfinite(values).all():
         raise InputError(
@@ -204,8 +192,8 @@ def measure(
         read = replace(simulated, joint_position=read_joints(simulated, joint_noise or 0.0), settings=settings)
         return Measurement(read, move(simulated), move_rigidly(simulated), np.zeros(simulated.samples, bool))
 
-    probe, source = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
-    if probe.quantity not in ("position", "pose"):
+    probe = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
+    if not isinstance(probe, PoseSensor):
         raise InputError(
             f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
         )
@@ -256,7 +244,7 @@ def measure(
         motion.settings,
         joint_source="measured",
         joint_noise_rad=probe.joint_noise,
-        pose_source=source,
+        pose_source=probe.source,  # type: ignore[arg-type]
         motion=motion.motion,
         pose_frame="base" if T_sensor_base is None else "unknown",
         tool=declared_tool,
@@ -294,7 +282,7 @@ def simulate(
     warm_up: float | None = None,
     settings: RecordingSettings | None = None,
     kinematics: Array | None = None,
-    sensor: Instrument | str = "tracker",
+    sensor: Sensor | str = "tracker",
     position_noise: float | None = None,
     orientation_noise: float | None = None,
     joint_noise: float | None = None,
@@ -323,9 +311,9 @@ def simulate(
         settings: declared arm, geometry, gravity, payload centre and reference temperature; the arm's name and the
             defaults where not given.
         kinematics: `(joint, 6)` of this arm, m and rad; nominal where not given. See `draw_calibration`.
-        sensor: tracker (positions), tracker_6d, motion_capture, camera or controller_fk (poses), or an `Instrument`; or
-            readings: contact, plane, distance, axis, fixed_camera or flange_camera, of which rows are dropped where the
-            arm does not reach, and tool and places are unknown.
+        sensor: tracker (positions), tracker_6d, motion_capture, camera or controller_fk (poses), or one that
+            `plan_sensor` gives; or readings: contact, plane, distance, axis, fixed_camera or flange_camera, of which
+            rows are dropped where the arm does not reach, and tool and places are unknown.
         position_noise: declared and true standard deviation per axis, m; the sensor's where not given.
         orientation_noise: likewise, rad.
         joint_noise: likewise, of each joint's read-out, rad.

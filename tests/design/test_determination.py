@@ -13,7 +13,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.design.determination import observability
 from lite6jax.design.identify import determine
 from lite6jax.design.information import Experiment, plan_experiment
-from lite6jax.design.sensor import SENSORS, Sensor
+from lite6jax.sensors.usual import SENSORS, plan_sensor
 from tests.oracles.arms import perturbed, random_kinematics, random_positions
 from tests.oracles.transforms import perturb_poses
 
@@ -86,7 +86,7 @@ def count(form, quantity, on_last_axis=False):
 )
 def test_theory_counts_what_random_arms_show(dof, quantity):
     """The published counts, by rank, on arms in general position seen by sensors in general position."""
-    sensor = Sensor(
+    sensor = plan_sensor(
         quantity, 1e-5, 1e-4 if quantity == "pose" else None, direction=(1.0, -2.0, 3.0), center=(0.7, 0.1, -0.4)
     )
     rng = np.random.default_rng(dof)

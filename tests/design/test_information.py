@@ -8,10 +8,10 @@ from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.identify import sensitivity
 from lite6jax.design.information import TOLERANCE, Experiment, plan_experiment, recording_experiment
-from lite6jax.design.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, RecordingSettings
+from lite6jax.sensors.usual import SENSORS, plan_sensor, sensor_named
 from tests.oracles.arms import perturbed, random_positions, table_of_parameters
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 
@@ -19,10 +19,10 @@ LITE6 = load_bundled("lite6")
 RNG = np.random.default_rng(7)
 Q = random_positions(np.random.default_rng(5), 25, 6)
 SENSOR_KINDS = [
-    Sensor("position", 2e-5),
-    Sensor("pose", 2e-5, 1e-4),
-    Sensor("axis", 1e-5, direction=(1.0, 2.0, -2.0)),
-    Sensor("distance", 1e-6, center=(0.3, -0.2, 0.1)),
+    plan_sensor("position", 2e-5),
+    plan_sensor("pose", 2e-5, 1e-4),
+    plan_sensor("axis", 1e-5, direction=(1.0, 2.0, -2.0)),
+    plan_sensor("distance", 1e-6, center=(0.3, -0.2, 0.1)),
 ]
 
 
@@ -62,16 +62,19 @@ def plain_rows(sensor, form, model, positions, h=1e-6):
         if sensor.quantity == "axis":
             return (p @ np.array(sensor.direction))[:, None]
         if sensor.quantity == "distance":
-            return np.linalg.norm(p - np.array(sensor.center), axis=1)[:, None]
+            return np.linalg.norm(p - sensor.at[:, 0], axis=1)[:, None]
         if sensor.quantity == "position":
             return p
-        turned = poses[:, :3, :3] @ np.swapaxes(middle[:, :3, :3], 1, 2)
+        turned = np.swapaxes(middle[:, :3, :3], 1, 2) @ poses[:, :3, :3]  # in the axes of the tool that is read
         return np.concatenate([p, Rotation.from_matrix(turned).as_rotvec()], 1)
 
+    noise = [sensor.position_noise] * min(sensor.rows, 3)
+    if sensor.rows == 6:
+        noise += [sensor.orientation_noise] * 3
     columns = []
     for step in np.eye(form.size) * h:
         ahead, behind = (plain_poses(form, model, sign * step, positions) for sign in (1, -1))
-        columns.append((read(ahead) - read(behind)) / (2 * h) / sensor.noise)
+        columns.append((read(ahead) - read(behind)) / (2 * h) / np.array(noise))
     return np.stack(columns, -1)
 
 
@@ -109,7 +112,7 @@ def test_the_root_is_that_of_the_rows(sensor):
 def test_noise_of_the_joints_is_carried_through_the_arm():
     """The covariance of a reading is Σ + σ² J Jᵀ, with J by finite differences of the plain chain."""
     sigma = 4e-5
-    sensor = Sensor("pose", 2e-5, 1e-4, joint_noise=sigma)
+    sensor = plan_sensor("pose", 2e-5, 1e-4, joint_noise=sigma)
     form, model = ModelForm(LITE6.form, frame=True), random_model(LITE6.form)
     got = Experiment(LITE6, form, model, sensor).rows(Q)
     clean = Experiment(LITE6, form, model, sensor.with_noise(joint=0.0)).rows(Q)
@@ -120,9 +123,10 @@ def test_noise_of_the_joints_is_carried_through_the_arm():
         for j in range(6):
             poses = plain_poses(form, model, np.zeros(form.size), Q[k] + h * np.array([[1.0], [-1.0]]) * np.eye(6)[j])
             J[:3, j] = (poses[0] - poses[1])[:3, 3] / (2 * h)
-            spun = [Rotation.from_matrix(p[:3, :3] @ middle[k, :3, :3].T).as_rotvec() for p in poses]
+            spun = [Rotation.from_matrix(middle[k, :3, :3].T @ p[:3, :3]).as_rotvec() for p in poses]
             J[3:, j] = (spun[0] - spun[1]) / (2 * h)
-        covariance = np.eye(6) + sigma**2 * (J / sensor.noise[:, None]) @ (J / sensor.noise[:, None]).T
+        noise = np.repeat([2e-5, 1e-4], 3)[:, None]
+        covariance = np.eye(6) + sigma**2 * (J / noise) @ (J / noise).T
         want = clean[k].T @ np.linalg.solve(covariance, clean[k])
         np.testing.assert_allclose(got[k].T @ got[k], want, rtol=0, atol=1e-6 * np.abs(want).max())
 
@@ -146,21 +150,27 @@ def test_a_recording_is_the_experiment_its_sidecar_says():
         recording(pose_frame="unknown", tool="none", position_noise_m=3e-5, joint_noise_rad=1e-5)
     )
     assert found.form == ModelForm(LITE6.form, frame=True)
-    assert found.sensor == Sensor("position", 3e-5, joint_noise=1e-5)
+    assert found.sensor.to_dict() == plan_sensor("position", 3e-5, joint_noise=1e-5).to_dict()
     oriented = recording(
         pose_frame="base", tool="unknown", position_noise_m=3e-5, orientation_noise_rad=2e-4, oriented=True
     )
     found = recording_experiment(oriented)
     assert found.form == ModelForm(LITE6.form, tool=True)
-    assert found.sensor == Sensor("pose", 3e-5, 2e-4)
+    assert found.sensor.to_dict() == plan_sensor("pose", 3e-5, 2e-4).to_dict()
 
 
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Sensor("pose", 1e-5), "orientation noise None: a sensor of poses needs one standard deviation in rad"),
-        (lambda: Sensor("axis", 1e-5, 1e-4), "a sensor of axis measures no orientation; leave it out"),
-        (lambda: Sensor("position", 1e-5, joint_noise=-1.0), "joint noise -1.0: give one standard deviation in rad"),
+        (
+            lambda: plan_sensor("pose", 1e-5),
+            "orientation noise None: a sensor of poses needs one standard deviation in",
+        ),
+        (lambda: plan_sensor("axis", 1e-5, 1e-4), "a sensor of axis measures no orientation; leave it out"),
+        (
+            lambda: plan_sensor("position", 1e-5, joint_noise=-1.0),
+            "joint noise -1.0: give one standard deviation in",
+        ),
         (lambda: sensor_named("theodolite"), f"sensor 'theodolite': is none of {', '.join(SENSORS)}"),
         (lambda: plan_experiment("lite6").rows(np.zeros((3, 7))), "joint_position of shape (3, 7): lite6 takes"),
         (lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]), "joint_position: row 2 is not finite; leave"),

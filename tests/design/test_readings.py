@@ -9,9 +9,10 @@ from typed import flat, refused, run
 from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
 from lite6jax.design.poses import plan_poses
-from lite6jax.design.readings import READERS, draw_readings, plan_reading, read_places
+from lite6jax.design.readings import draw_readings, plan_reading, read_places
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording
+from lite6jax.sensors.usual import READINGS
 from tests.oracles.arms import random_positions
 
 LITE6 = load_bundled("lite6")
@@ -28,16 +29,16 @@ def tool_points(experiment, q, kinematics=LITE6.kinematics, tool=(0.0, 0.0, 0.0)
 def read(experiment, at, point):
     """What a sensor with its places moved by `at` reads of points `(sample, 3)`, over its noise, in plain NumPy."""
     sensor = experiment.sensor
-    places = np.array([place for _, place in sensor.places])
+    places = sensor.at.T
     group = read_places(experiment, random_positions(np.random.default_rng(0), 8, 6))  # of the poses at rest
     if sensor.quantity == "contact":
         reading = point - places[group] - at  # the second socket of a plate moves with the first
     elif sensor.quantity == "plane":
-        reading = (np.sum(sensor.reading.normal.T[group] * (point - places[group]), 1) - at[0])[:, None]
+        reading = (np.sum(sensor.normal.T[group] * (point - places[group]), 1) - at[0])[:, None]
     elif sensor.quantity == "distance":
         reading = np.linalg.norm(point - places[0] - at[:3], axis=1)[:, None]
     else:
-        reading = (point @ sensor.reading.direction + at[0])[:, None]
+        reading = (point @ sensor.direction + at[0])[:, None]
     return reading / sensor.position_noise
 
 
@@ -61,7 +62,7 @@ def test_rows_are_differences_of_what_is_read(name):
     np.testing.assert_allclose(rows[..., first], slope([STEP, 0, 0]), rtol=1e-3, atol=1e-2)
 
 
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("name", READINGS)
 def test_poses_read_their_places_inside_the_limits(name):
     setup = plan_reading(LITE6, name)
     q = draw_readings(setup, 24, limit_margin=0.05).joint_position
@@ -70,7 +71,7 @@ def test_poses_read_their_places_inside_the_limits(name):
     assert ((q > lower + 0.04) & (q < upper - 0.04)).all()
     if name == "contact":
         sensor: Any = setup.sensor
-        places = np.array([place for _, place in sensor.places])
+        places = sensor.at.T
         apart = np.linalg.norm(tool_points(setup, q) - places[read_places(setup, q)], axis=1)
         assert apart.max() < 1e-6
         assert set(read_places(setup, q)) == {0, 1, 2, 3}

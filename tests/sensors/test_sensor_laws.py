@@ -6,6 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.sensors.points import Axis, Contact, Distance, Plane, Rod
 from lite6jax.sensors.sensor import host_frame
+from lite6jax.sensors.usual import READINGS, plan_sensor
+from lite6jax.sensors.usual import SENSORS as USUAL
 
 SAMPLES = 12
 
@@ -95,3 +97,76 @@ def test_the_length_of_a_rod_is_one_number_with_its_prior():
     # what hangs on a child goes with it
     before = sensor.points[:, 2] - sensor.points[:, 1]
     np.testing.assert_allclose(points[:, 2] - points[:, 1], before, atol=1e-12)
+
+
+PLANNED = {
+    **USUAL,
+    **{name: kind.plan(np.random.default_rng(3), 0.6, kind.usual_places, 2e-5) for name, kind in READINGS.items()},
+}
+
+
+@pytest.mark.parametrize("name", PLANNED)
+def test_a_planned_sensor_reads_each_tool_exactly(name):
+    T = tools()
+    exact = PLANNED[name].exact(T)
+    where = exact.nearest(T)
+    if exact.touched:  # reads nothing but the place: on it, it is met
+        for k, place in enumerate(exact.at.T):
+            T[where == k, :3, 3] = place
+        exact = PLANNED[name].exact(T)
+        assert (exact.nearest(T) == where).all()
+    np.testing.assert_allclose(exact.differences(T), 0, atol=1e-9)
+    assert exact.differences(T).shape == (exact.rows, SAMPLES)
+
+
+@pytest.mark.parametrize("name", PLANNED)
+def test_columns_of_a_plan_are_differences_over_the_noise(name):
+    sensor = PLANNED[name]
+    T = tools()
+    if name.endswith("_camera"):  # in sight
+        T = sensor.targets(np.random.default_rng(5), SAMPLES, 0.6)
+    exact, step = sensor.exact(T), 1e-6
+    by_tool, by_numbers = sensor.columns_of_plan(T)
+    assert by_tool.shape == (sensor.rows, 6, SAMPLES)
+    assert by_numbers.shape == (len(sensor.own), sensor.rows, SAMPLES)
+
+    def read(twist):
+        moved = T.copy()
+        moved[:, :3, 3] += twist[:3]
+        moved[:, :3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ T[:, :3, :3]
+        rows = exact.differences(moved)
+        if exact.whitener.ndim == 1:
+            return np.repeat(exact.whitener, 3)[: len(rows), None] * rows
+        return np.einsum("rcs,cs->rs", exact.whitener, rows)
+
+    for k, twist in enumerate(step * np.eye(6)):
+        slope = (read(twist) - read(-twist)) / (2 * step)
+        np.testing.assert_allclose(by_tool[:, k], slope, atol=1e-6 * np.abs(by_tool).max())
+
+
+@pytest.mark.parametrize("name", READINGS)
+def test_a_simulated_sensor_records_what_it_reads(name):
+    sensor, target, error = READINGS[name].simulate(np.random.default_rng(6), SAMPLES, 0.6, 0.0, 2e-5)
+    assert not error.any()
+    T = tools() if target is None else target
+    read = sensor.record(T, error)
+    if "labels" in read:
+        assert [sensor.names[k] for k in sensor.group] == read["labels"]
+        np.testing.assert_allclose(sensor.differences(T), 0, atol=1e-12)
+    elif "value" in read:
+        np.testing.assert_allclose(read["value"], sensor.exact(T).value)
+    else:
+        assert np.isfinite(read["pixels"]).all((1, 2)).mean() > 0.5
+    assert sensor.declared()
+
+
+def test_noise_is_as_it_was_given_and_other_noise_takes_its_place():
+    sensor = plan_sensor("pose", 3.7e-5, 1.3e-4, joint_noise=1e-5)
+    assert sensor.to_dict() == {
+        "quantity": "pose",
+        "position_noise": 3.7e-5,
+        "orientation_noise": 1.3e-4,
+        "joint_noise": 1e-5,
+    }
+    assert sensor.with_noise(position=2e-5).to_dict() == sensor.to_dict() | {"position_noise": 2e-5}
+    assert plan_sensor("axis", 1e-5, direction=(0.0, 3.0, 4.0)).to_dict()["direction"] == [0.0, 0.6, 0.8]

@@ -29,7 +29,7 @@ from lite6jax.recordings.files import declare_anew, open_table, require_table
 from lite6jax.recordings.inspection import inspect
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
 from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
@@ -423,7 +423,7 @@ class _Search:
             return solved
         poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))
-        target = Measured(position, np.zeros((3, 3, 0)) if rotation is None else rotation, np.ones(2))
+        target = PoseSensor(position, np.zeros((3, 3, 0)) if rotation is None else rotation, np.ones(2))
         missed = target.differences(poses)
         position_error, orientation_error = (np.linalg.norm(part, axis=0) for part in (missed[:3], missed[3:]))
         return solved._replace(position_error=position_error, orientation_error=orientation_error)

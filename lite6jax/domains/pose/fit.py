@@ -208,7 +208,6 @@ def fit_touches(begun: RigidArm) -> Solution:
 
 def _places_of(sensor: PointSensor, covariance: Array) -> tuple[GeometricElement, ...]:
     """What is known of each point, plane, anchor or axis, with the covariance `(number, number)` of its unknowns."""
-    kind = type(sensor).__name__.lower().replace("distance", "anchor")
     places = []
     moved = [sensor.displaced(_STEP * unit) for unit in np.eye(sensor.numbers)]
     for k, name in enumerate(sensor.names):
@@ -217,7 +216,7 @@ def _places_of(sensor: PointSensor, covariance: Array) -> tuple[GeometricElement
         for key, at in values.items():
             J = np.array([(np.array(displaced.place(k)[key]) - at) / _STEP for displaced in moved]).reshape(-1, len(at))
             std[key] = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", J, covariance, J), 0.0)).tolist()
-        places.append(GeometricElement(name if name == kind else f"{kind} {name}", values, std))
+        places.append(GeometricElement(sensor.place_name(name), values, std))
     return tuple(places)
 
 

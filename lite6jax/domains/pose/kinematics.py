@@ -17,8 +17,8 @@ from lite6jax.calibration.start import measured_rotations
 from lite6jax.effects.deflection import Deflection
 from lite6jax.model import ArmModel, predict_bent
 from lite6jax.recordings import Recording
-from lite6jax.sensors.pose import Measured
-from lite6jax.sensors.sensor import SensorModel
+from lite6jax.sensors.pose import PoseSensor
+from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
 Site = tuple[str, int, int]
@@ -68,7 +68,7 @@ def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) ->
     return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
 
 
-def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: SensorModel) -> Array:
+def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Sensor) -> Array:
     """The sensor's differences of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
     residuals = np.empty((measured.rows, joint_position.shape[1]))
 
@@ -96,7 +96,7 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
 
 
 def site_columns(
-    model: ArmModel, joint_position: Array, measured: SensorModel, sliding: tuple[int, ...]
+    model: ArmModel, joint_position: Array, measured: Sensor, sliding: tuple[int, ...]
 ) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position, sliding)
@@ -153,13 +153,13 @@ def unit_quaternions(rotation: Array) -> Array:
     return Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True)
 
 
-def measured_poses(recording: Recording, whitener: Array) -> Measured:
+def measured_poses(recording: Recording, whitener: Array) -> PoseSensor:
     """The poses of a recording."""
     position = recording.position
     turned = measured_rotations(recording)
     assert position is not None
     rotation = np.zeros((3, 3, 0)) if turned is None else np.moveaxis(turned, 0, -1)
-    measured = Measured(np.ascontiguousarray(position.T), rotation, whitener)
+    measured = PoseSensor(np.ascontiguousarray(position.T), rotation, whitener)
     if recording.stations:
         further = np.tile(np.eye(4), (len(recording.stations), 1, 1))
         measured = replace(measured, station=recording.station, stations=further)
@@ -179,7 +179,7 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
     )
 
 
-def rigid_columns(rigid: RigidFrames, measured: SensorModel) -> tuple[Array, Array, Array]:
+def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
     """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F = rigid.frames
     tool = rigid.tool
@@ -196,7 +196,7 @@ def rigid_columns(rigid: RigidFrames, measured: SensorModel) -> tuple[Array, Arr
 
 @partial(jax.jit, static_argnums=0)
 def bent_residual(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: SensorModel
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Sensor
 ) -> jax.Array:
     """Whitened residuals `(row, sample)` of a deflected arm."""
     return measured.residual(predict_bent(form, model, joint_position, deflection)[1])

@@ -25,7 +25,7 @@ from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
 from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, at_estimate, search
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
 
 Array = NDArray[np.floating]
 
@@ -62,7 +62,12 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     """
     recording = problem.recording
     moving = problem.recording.motion == "trajectory"
-    if not moving or recording.time is None or problem.samples < _FEWEST or not isinstance(problem.measured, Measured):
+    if (
+        not moving
+        or recording.time is None
+        or problem.samples < _FEWEST
+        or not isinstance(problem.measured, PoseSensor)
+    ):
         return 0.0
     measured = problem.measured.position
     predicted = problem.rigid.tool[:, :3, 3].T

@@ -41,7 +41,7 @@ from lite6jax.recordings import Recording, read_motion, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -344,7 +344,7 @@ class Derivatives:
         for first in range(0, q.shape[1], _ROWS_AT_ONCE):
             rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
             tool = rigid_tool(self.model.model, q[:, rows], sliding)
-            shown = Measured(tool[:, :3, 3].T, np.moveaxis(tool[:, :3, :3], 0, -1), np.ones(2))
+            shown = PoseSensor(tool[:, :3, 3].T, np.moveaxis(tool[:, :3, :3], 0, -1), np.ones(2))
             sites = site_columns(self.model.model, q[:, rows], shown, sliding)
             frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
             parts = [np.zeros((0, 6, rows.stop - rows.start)), *frames]

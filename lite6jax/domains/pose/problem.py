@@ -41,8 +41,8 @@ from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.sensors.pose import Measured
-from lite6jax.sensors.sensor import SensorModel
+from lite6jax.sensors.pose import PoseSensor
+from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
 
@@ -117,12 +117,12 @@ class PoseProblem(RigidArm):
     @property
     def floored(self) -> bool:
         """Of touches whose noise is declared."""
-        return self.declared and not isinstance(self.measured, Measured)
+        return self.declared and not isinstance(self.measured, PoseSensor)
 
     @lazy
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`, the first sample of each sample's run; of touches each is one of its own, as it seats anew."""
-        if not isinstance(self.measured, Measured) and self.recording.motion == "static":
+        if not isinstance(self.measured, PoseSensor) and self.recording.motion == "static":
             return np.arange(self.samples)
         return np.asarray(self.motion.run)[0]
 
@@ -277,7 +277,7 @@ class PoseProblem(RigidArm):
         """Of every site, as far as the sensor sees them."""
         candidates = columns.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
         return tuple(
-            component for component in candidates if component.site != "sensor" or isinstance(self.measured, Measured)
+            component for component in candidates if component.site != "sensor" or isinstance(self.measured, PoseSensor)
         )
 
     @lazy
@@ -467,7 +467,7 @@ class PoseProblem(RigidArm):
         return {site: float(value) for site, value in pairs if site[0].startswith("moved") and value}
 
     @cached_property
-    def _on_device(self) -> tuple[ArmModel, SensorModel]:
+    def _on_device(self) -> tuple[ArmModel, Sensor]:
         """The arm and the poses as compiled functions take them, copied once."""
         return jax.tree.map(jnp.asarray, (self.start, self.measured))
 
@@ -517,7 +517,7 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    touched = not isinstance(rigid.measured, Measured)
+    touched = not isinstance(rigid.measured, PoseSensor)
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = ()
     if tolerant and geometry != "exact":

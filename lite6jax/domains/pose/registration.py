@@ -32,7 +32,7 @@ from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_one_station, require_samples
 from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.results import PublicResult
-from lite6jax.sensors.pose import Measured
+from lite6jax.sensors.pose import PoseSensor
 
 Array = NDArray[np.floating]
 
@@ -112,7 +112,7 @@ def register(
         T[:3, :3] = tool_rotation
     unknown = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
     turned = np.zeros((3, 3, 0)) if rotation is None else np.moveaxis(rotation, 0, -1)
-    measured = Measured(position.T, turned, 1 / np.array(noise))
+    measured = PoseSensor(position.T, turned, 1 / np.array(noise))
     problem = relinearise(_Frames(flange, measured, F, T, np.flatnonzero(unknown)), DEFAULTS)
     missed = problem.differences[:3].T
     turned = None if rotation is None else problem.differences[3:].T
@@ -211,7 +211,7 @@ class _Frames(NuisanceProblem):
     """
 
     flange: Array
-    measured: Measured
+    measured: PoseSensor
     T_sensor_base: Array
     T_flange_tool: Array
     unknown: NDArray[np.integer]

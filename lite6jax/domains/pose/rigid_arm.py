@@ -4,7 +4,7 @@ Of measured poses all is NumPy, so that a recording is screened in milliseconds 
 are differentiated by JAX.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -40,8 +40,9 @@ from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.sensors.points import Axis, Contact, Distance, Plane, PointSensor, Rod
-from lite6jax.sensors.sensor import SensorModel
+from lite6jax.sensors.points import POINT_SENSORS, Contact, Declaration, PointSensor
+from lite6jax.sensors.sensor import Sensor
+from lite6jax.sensors.usual import ADVICE
 
 Array = NDArray[np.floating]
 
@@ -149,7 +150,7 @@ class RigidArm(NuisanceProblem):
     informative: Mask
     noise: tuple[float, float | None]
     declared_noise: tuple[float | None, float | None]
-    measured: SensorModel
+    measured: Sensor
     exact: bool
     form: ModelForm
 
@@ -300,13 +301,6 @@ _FEWEST_READINGS = 5
 """A fifth of them is held back."""
 _DIRECTION_KNOWN = 0.01
 """rad, the same of a plane's normal or an axis: where a plane is touched at one place, noise passes for its normal."""
-_REMEDIES = {
-    "contact": "touch each socket at ten or more wrist orientations, and more than one socket",
-    "plane": "touch each plane at three or more places far apart, at several wrist orientations",
-    "distance": "record it at poses over the whole workspace",
-    "axis": "record heights at poses over the whole workspace",
-    "camera": "take images at wrist orientations that differ by 30 degrees and more, about two axes",
-}
 
 
 def require_determined(arm: RigidArm) -> None:
@@ -322,7 +316,7 @@ def require_determined(arm: RigidArm) -> None:
     if readings is None:
         return
     if arm.samples < _FEWEST_READINGS:
-        raise InputError(f"{arm.recording.source}: its {arm.samples} readings are too few; {_REMEDIES[readings.kind]}")
+        raise InputError(f"{arm.recording.source}: its {arm.samples} readings are too few; {ADVICE[readings.kind]}")
     sensor_numbers = iter(arm.measured.own)
     numbers = []
     for k, (name, _, axis) in enumerate(arm.unknown):
@@ -343,7 +337,7 @@ def require_determined(arm: RigidArm) -> None:
     strong = [names[k] for k in np.argsort(-np.abs(V[:, 0]))[:3] if abs(V[k, 0]) > 0.3 * np.abs(V[:, 0]).max()]
     raise InputError(
         f"{arm.recording.source}: its {arm.samples} readings say nothing of {' and '.join(dict.fromkeys(strong))}; "
-        f"{_REMEDIES[readings.kind]}"
+        f"{ADVICE[readings.kind]}"
     )
 
 
@@ -372,9 +366,9 @@ def rigid_arm(
         form = declaration.form
         movable = declaration.movable
         values = declaration.values
-        declared = getattr(recording.settings, f"{touches.kind}_noise_m"), None
+        declared = touches.declared_noise(recording.settings), None
         noise = declared[0] or UNDECLARED_TOUCH, None
-        sensor = touch_sensor(recording, noise[0])
+        sensor = recorded_sensor(recording, noise[0])
         if not declaration.calibrated:
             _require_scale(recording, sensor)
         T_tool = declaration.known.T_joint_flange @ (np.eye(4) if form.tool else declared_tool(recording))
@@ -469,13 +463,13 @@ def _locate_tool(arm: RigidArm, tries: int) -> RigidArm:
     return _with_sensor(replace(arm, start=closest.start), closest.measured)
 
 
-def _with_sensor(arm: RigidArm, sensor: SensorModel) -> RigidArm:
+def _with_sensor(arm: RigidArm, sensor: Sensor) -> RigidArm:
     """The arm with another sensor of its kind, and its own frames at the mean of their prior."""
     offset = np.array([*np.zeros(len(arm.unknown) - sensor.numbers), *(number.offset for number in sensor.own)])
     return replace(arm, measured=sensor, offset=offset)
 
 
-def touch_sensor(recording: Recording, noise: float) -> PointSensor:
+def recorded_sensor(recording: Recording, noise: float) -> PointSensor:
     """The sensor of touches, distances or heights, with what is known of its points, planes, anchors or axis.
 
     Args:
@@ -486,70 +480,11 @@ def touch_sensor(recording: Recording, noise: float) -> PointSensor:
         InputError: a ring of known distances, or one place for several anchors.
     """
     readings = recording.touches
-    settings = recording.settings
     assert readings is not None
-    whitener = np.full(2, 1 / noise)
     present, group = np.unique(readings.group, return_inverse=True)
     names = tuple(readings.names[k] for k in present)
-
-    def places(coordinates: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
-        points = np.array([coordinates.get(name, (0.0, 0.0, 0.0)) for name in names], float).T
-        return points, tuple(name not in coordinates for name in names)
-
-    if readings.kind == "contact":
-        points, free = places(settings.contact_points or {})
-        return Contact(group, whitener, points, names, free, _rods(recording, names, free))
-    if readings.kind == "plane":
-        planes = settings.planes or {}
-        declared = [(*planes[name].normal, planes[name].offset_m) if name in planes else (0, 0, 1, 0) for name in names]
-        normal, height = np.split(np.array(declared, float).T / np.linalg.norm(np.array(declared)[:, :3], axis=1), [3])
-        free = tuple(name not in planes for name in names)
-        return Plane(group, whitener, normal, np.zeros_like(normal), height[0], names, free)
-    if readings.kind == "distance":
-        declared = settings.anchor_m
-        anchors = {} if declared == "unknown" else declared
-        if isinstance(declared, tuple):
-            anchors = dict.fromkeys(names, declared)
-        if isinstance(declared, tuple) and len(names) > 1:
-            raise InputError(
-                f"{recording.source}: has anchors {', '.join(names)} and one place for all; write anchor_m as "
-                f"{{{names[0]}: [x, y, z], ...}}, or unknown"
-            )
-        points, free = places(anchors)  # type: ignore[arg-type]
-        offset_free = settings.distance_offset == "unknown"
-        return Distance(group, whitener, readings.value, points, np.zeros(1), names, free, offset_free)
-    free = settings.axis == "unknown"
-    direction = np.array((0.0, 0.0, 1.0) if free else settings.axis, float)
-    return Axis(group, whitener, readings.value, direction / np.linalg.norm(direction), np.zeros(1), free)
-
-
-def _rods(recording: Recording, names: tuple[str, ...], free: tuple[bool, ...]) -> tuple[Rod, ...]:
-    """The known distances as a forest: each contact hangs on one before it.
-
-    Raises:
-        InputError: a ring of distances, or one between contacts of which both are known.
-    """
-    source = recording.source
-    place = {name: k for k, name in enumerate(names)}
-    remaining = [distance for distance in recording.settings.contact_distances if set(distance.between) <= place.keys()]
-    rods: list[Rod] = []
-    fixed = {k for k in range(len(names)) if not free[k]}
-    reached = set(fixed)
-    while remaining:
-        at = next(
-            (distance for distance in remaining if {place[name] for name in distance.between} & reached), remaining[0]
-        )
-        remaining.remove(at)
-        a, b = (place[name] for name in at.between)
-        a, b = (b, a) if b in reached and a not in reached else (a, b)
-        if b in reached:
-            raise InputError(
-                f"{source}: the distance of contacts {at.between[0]} and {at.between[1]} closes a ring of known ones; "
-                "give the coordinates of all contacts as contact_points instead"
-            )
-        reached |= {a, b}
-        rods.append(Rod(a, b, at.distance_m, at.noise_m))
-    return tuple(rods)
+    declaration = Declaration(recording.settings, names, group, readings.value, noise, recording.source)
+    return POINT_SENSORS[readings.kind].from_declaration(declaration)
 
 
 def _require_scale(recording: Recording, sensor: PointSensor) -> None:

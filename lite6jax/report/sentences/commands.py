@@ -72,14 +72,8 @@ def simulated_noise(recording: Recording, joint_noise: float) -> str:
 def _length_noise(recording: Recording) -> float:
     """The declared noise of positions or of readings that are lengths, m; zero where none is."""
     settings = recording.settings
-    noises = {
-        "contact": settings.contact_noise_m,
-        "plane": settings.plane_noise_m,
-        "distance": settings.distance_noise_m,
-        "axis": settings.axis_noise_m,
-    }
     if recording.readings is not None:
-        return noises[recording.readings.kind] or 0.0
+        return recording.readings.declared_noise(settings) or 0.0
     return settings.position_noise_m or 0.0
 
 

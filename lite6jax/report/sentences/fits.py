@@ -13,6 +13,7 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.model import ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.report.words import counted, number, significant
+from lite6jax.sensors.kinds import KINDS
 
 _MOST_ROWS = 5
 """Outliers that are listed."""
@@ -122,9 +123,7 @@ def hayati_remarks(form: HayatiForm, prior: Sequence[float] | None) -> list[str]
 def undetermined_by_touches(form: ModelForm, recording: Recording) -> list[str]:
     """Says what touches, distances or heights leave open, and where their scale is from."""
     settings = recording.settings
-    kind = ""
-    if recording.touches is not None:
-        kind = recording.touches.kind
+    touches = recording.touches
     remarks = []
     if not form.frame:
         remarks.append(
@@ -135,9 +134,9 @@ def undetermined_by_touches(form: ModelForm, recording: Recording) -> list[str]:
     )
     if settings.factory_calibration is not None:
         remarks.append("The scale is that of the factory calibration.")
-    elif kind == "contact" and settings.contact_distances:
+    elif touches is not None and touches.kind == "contact" and settings.contact_distances:
         remarks.append("The scale is that of the known distances between contacts.")
-    elif kind in ("distance", "axis"):
+    elif touches is not None and not KINDS[touches.kind].touched:
         remarks.append("The scale is that of the readings.")
     return remarks
 

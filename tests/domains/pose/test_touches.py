@@ -10,7 +10,6 @@ from typed import refusal
 from lite6jax.arms import frames
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm
-from lite6jax.design.readings import READERS
 from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.fit import fit_recording
@@ -20,6 +19,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import read_recording, write_recording
 from lite6jax.report.faults import fault_statement
+from lite6jax.sensors.usual import READINGS
 from lite6jax.simulation import simulate
 from lite6jax.simulation.motions import draw_calibration
 
@@ -46,7 +46,7 @@ def test_a_fit_finds_the_tool_within_its_standard_deviations(tmp_path, sensor):
     tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
     std = solution.standard_deviation[-6:-3]
     assert (std > 0).all()
-    assert (np.abs(tool - READERS[sensor].tool) < 4 * std).all()
+    assert (np.abs(tool - READINGS[sensor].usual_tool) < 4 * std).all()
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
     assert solution.quality.verdict == "good"
     assert all(np.isfinite(value).all() for place in solution.places for value in place.std.values())
@@ -93,7 +93,7 @@ def test_the_nuisance_of_touches_moves_residuals_as_its_columns_say(tmp_path):
 def test_images_of_a_board_tell_where_camera_and_board_are(tmp_path, sensor):
     solution = fit_recording(recording_of(tmp_path, sensor, samples=50))
     tool = np.asarray(solution.model.T_flange_tool)[:3, 3]
-    assert (np.abs(tool - READERS[sensor].tool) < 4 * solution.standard_deviation[-6:-3]).all()
+    assert (np.abs(tool - READINGS[sensor].usual_tool) < 4 * solution.standard_deviation[-6:-3]).all()
     assert solution.noise.over_declared == pytest.approx(1.0, abs=0.35)
 
 
