@@ -49,8 +49,9 @@ _REACHED = 0.7
 _PRIOR = 1.5
 """Standard deviation of the prior of the logarithm of a servo's unknown number; columns differ by 0.02 of it."""
 NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
-_QUANTITIES = ("position", "velocity", "direction of motion", "gravity torque")
-"""Of each joint; a function of the speed is one of the velocity and the direction of motion."""
+_QUANTITIES = ("position", "speed", "direction of motion", "gravity torque")
+"""Of each joint. Friction is a function of the direction of motion, and of the speed and others beside it; one of the
+velocity would have to fall through zero, where friction holds."""
 _LEAST_VARIED = 1e-3
 """Range of a driver below which it did not vary."""
 _FAR = 1e3
