@@ -561,9 +561,21 @@ class Selector:
         return None if likeliest is None or likeliest.net < net + MARGIN else likeliest
 
     def _likeliest_pair_at(self, test: ScoreTest, site: str, excluded: set[str]) -> Pair | None:
-        """The likeliest two names of a site, neither of them `excluded`."""
+        """The likeliest two names of a site, neither of them `excluded`; where one has a number, with the likeliest."""
         pairs = ModelScan(self.scan, test).pairs_at(site)
-        return next((pair for pair in pairs if not any(name.cause[0] in excluded for name in pair.names)), None)
+        pair = next((pair for pair in pairs if not any(name.cause[0] in excluded for name in pair.names)), None)
+        if pair is None:
+            return None
+        for name in pair.names:
+            numbered = name.make()
+            # those that are tried first, and then those near the likeliest of them
+            while self._has_number(numbered):
+                closer = self._likeliest_pair(test, numbered, pair.net, excluded)
+                if closer is None:
+                    break
+                pair = closer
+                numbered = pair.names[0].make()
+        return pair
 
     def _named(self, state: State, k: int) -> State | None:
         """The state with names, one or several, in the place of a process, where that is likelier; else None.
