@@ -499,7 +499,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             if effect not in self.fit.terms.terms:
                 status = self._distinction(k, effect)
         numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
-        stated_numbers = {name: value for name, value in numbers.items() if value is not None}
+        stated_numbers = {name: value for name, value in numbers.items() if value not in (None, "")}
         if "period_m" in stated_numbers:  # what an order is of a prismatic joint
             del stated_numbers["order"]
         return {**effect_entry(effect), **stated_numbers, "log_likelihood_gap": alternative.gap, "status": status}

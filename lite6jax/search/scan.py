@@ -603,8 +603,12 @@ class ModelScan:
 
     def _columns_of(self, terms: Sequence[Term]) -> list[Array]:
         """The columns `(number, row, sample)` of names beside the model; those of linear ones are computed once."""
-        by_term = {term: self._marginal.columns_of(term) for term in terms if term.linear}
-        new = [term for term in terms if by_term.get(term) is None]
+        by_term = dict[Term, Array]()
+        for term in terms:
+            columns = self._marginal.columns_of(term) if term.linear else None
+            if columns is not None:
+                by_term[term] = columns
+        new = [term for term in terms if term not in by_term]
         columns = self._problem.columns(new, beside=(self._test.fit.terms, self._test.fit.values))
         ends = np.cumsum([term.size for term in new], dtype=int)
         for term, end in zip(new, ends, strict=True):
@@ -828,7 +832,7 @@ class ModelScan:
         family = self._scan.family_of(component.site)
         if family is None or not partners or not np.any(component.column[self._rows]):
             return []
-        sizes = np.stack([np.asarray(self._scan.quantities[j].values) for j in partners])
+        sizes = self._problem.seen(np.stack([np.asarray(self._scan.quantities[j].values) for j in partners]))
         orders, gains = modulated_spectrum(self._test, family, sizes)
         if not gains.size:
             return []
