@@ -47,12 +47,12 @@ def test_the_links_of_a_document_lead_somewhere(document):
 
 def test_the_faults_of_poses_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.screen import SCREENS
-    from lite6jax.report.faults import POSE_FAULTS
+    from lite6jax.report.sentences.faults import FAULTS
 
     documented = [row[0] for row in table_rows((ROOT / "docs/reference/faults.md").read_text())[2:]]
     screened = list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
     assert documented[: len(screened)] == screened
-    assert set(documented) == set(POSE_FAULTS)
+    assert set(documented) == set(FAULTS["poses"])
 
 
 def test_the_verdicts_of_a_diagnosis_and_the_keys_of_its_model_are_documented():
