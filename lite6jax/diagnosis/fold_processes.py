@@ -31,7 +31,7 @@ _at_hand: ContextVar[FoldWorkers | None] = ContextVar("fold_workers", default=No
 
 @contextmanager
 def folds_shared_with(processes: FoldWorkers) -> Iterator[None]:
-    """Has the folds of the diagnoses within worked on by other processes too; all compute with one thread."""
+    """Has the folds of the diagnoses within worked on by other processes too. The caller computes with one thread."""
     before = _at_hand.set(processes)
     try:
         yield

@@ -126,7 +126,7 @@ def places(hypothesis: Hypothesis) -> set[tuple[str, tuple[int, ...]]]:
 
 
 def signs_of_sets(code: str, dof: int, most_joints: int) -> Iterator[Hypothesis]:
-    """Reversed signs of any set of joints; of more joints than `most_joints` of one and of two: there are too many."""
+    """Reversed signs of any set of joints; of more than `most_joints` joints of one and of two: there are too many."""
     largest_set = dof if dof <= most_joints else 2
     for joints in chain.from_iterable(combinations(range(dof), count) for count in range(1, largest_set + 1)):
         yield tuple(SuspectedFault(code, (joint,)) for joint in joints)

@@ -59,11 +59,9 @@ _FRACTIONS = (1, 2, 3)
 _OFF_ORDER = (0.3, 0.08, 0.02)
 """How far that order may be off in each round, in orders that the angles resolve."""
 _MODULATED = 4
-"""Waves whose size follows a quantity, of each site the likeliest, that are weighed exactly."""
-_MODULATED_GAIN = 0.6
-"""Of its cost, that such a wave must gain at the order of the rough spectrum."""
+"""Waves whose size follows a quantity, of each component the likeliest, that are weighed exactly."""
 _ROUGH = 1.3
-"""By which its exact gain is larger than that at most."""
+"""The exact gain of such a wave is at most this times that of the rough spectrum."""
 _REFINED_GAIN = 0.4
 """Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
 _REFINED_LESS = 5.0
@@ -367,16 +365,18 @@ class Scan:
     ) -> Array:
         """The functions of a kernel of one quantity at every sample, before any filter."""
         key = quantity_indices, kernel, rolloff, in_product
-        if key not in self._features:
-            (k,) = quantity_indices
-            if kernel in kernels.SCALED:
-                self._features[key] = kernels.root(kernel, in_product).T @ self._every_spline(k)
-            else:
-                values: Any = self.quantities[k].values[None]
-                run: Any = self.problem.every_run
-                functions = kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff)
-                self._features[key] = np.asarray(functions)
-        return self._features[key]
+        if key in self._features:
+            return self._features[key]
+        (k,) = quantity_indices
+        if kernel in kernels.SCALED:
+            functions = kernels.root(kernel, in_product).T @ self._every_spline(k)
+        else:
+            values: Any = self.quantities[k].values[None]
+            run: Any = self.problem.every_run
+            functions = np.asarray(kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff))
+        if kernel != "sine":  # of any order
+            self._features[key] = functions
+        return functions
 
     def _every_spline(self, k: int) -> Array:
         key = (k,), "spline"
@@ -553,7 +553,9 @@ class ModelScan:
         weighed = []
         for (a, b), joint_evidence in zip(pairs, evidence, strict=True):
             cost_beside = self._scan.cost_of_wave(second[b], [first[a]])
-            costs = [self._scan.cost_of_name(first[a]), cost_beside or self._scan.cost_of_name(second[b])]
+            if cost_beside is None:
+                cost_beside = self._scan.cost_of_name(second[b])
+            costs = [self._scan.cost_of_name(first[a]), cost_beside]
             names = [
                 _of_term(joint_evidence, cost, name, self._label(name))
                 for name, cost in zip((first[a], second[b]), costs, strict=True)
@@ -602,10 +604,13 @@ class ModelScan:
         return list(likeliest.values())
 
     def _columns_of(self, terms: Sequence[Term]) -> list[Array]:
-        """The columns `(number, row, sample)` of names beside the model; those of linear ones are computed once."""
+        """The columns `(number, row, sample)` of names beside the model.
+
+        Those of linear names are computed once, but of problems whose columns depend on what else the model has.
+        """
         by_term = dict[Term, Array]()
         for term in terms:
-            columns = self._marginal.columns_of(term) if term.linear else None
+            columns = self._marginal.columns_of(term) if term.linear and not self._problem.curved else None
             if columns is not None:
                 by_term[term] = columns
         new = [term for term in terms if term not in by_term]
@@ -655,7 +660,7 @@ class ModelScan:
         pulls = []
         informations = []
         limits = []
-        for component in self.components:
+        for component in self.components if continuous else ():
             pull, information, residual_sum, freedom = self._equations(
                 component, splines, [((k,), "splines") for k in continuous]
             )
@@ -822,9 +827,7 @@ class ModelScan:
                     candidates += self._modulated_at(component, k, self._scan.partners(component, k), least)
         return _best_of_each(candidates)
 
-    def _modulated_at(
-        self, component: Component, k: int, partners: Sequence[int], least: float = -np.inf
-    ) -> list[Ranked]:
+    def _modulated_at(self, component: Component, k: int, partners: Sequence[int], least: float = 0.0) -> list[Ranked]:
         """Waves of an angle whose size follows one of its partners, each of the likeliest order.
 
         Orders are those of rough spectra; of the likeliest partners they are refined exactly.
@@ -849,8 +852,8 @@ class ModelScan:
         order_step = float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
         candidates = []
         for place in np.argsort(costs - rough)[:_MODULATED]:
-            if rough[place] < max(_MODULATED_GAIN * costs[place], (costs[place] + least) / _ROUGH):
-                break
+            if rough[place] < (costs[place] + least) / _ROUGH:
+                continue
             order = likeliest_orders[place]
             for width in (order_step, order_step / 5):
                 near = order + width * np.linspace(-1, 1, 5)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lite6jax.errors import InputError
 from lite6jax.sensors.camera import Lens, Mounted, linearise_corners, project
 from lite6jax.sensors.kinds import Kind
 from lite6jax.sensors.points import Simulated, draw_point
@@ -142,6 +143,13 @@ class Camera(PoseReading, ABC):
         picture = dict(zip(("width", "height"), PICTURE, strict=True))
         camera = {"mounted": self.mounted, **pinhole, "distortion": DISTORTION, **picture}
         return {"pixel_noise_px": self.pixel_noise, "camera": camera, "board": BOARD}
+
+    def with_noise(
+        self, position: float | None = None, orientation: float | None = None, joint: float | None = None
+    ) -> Self:
+        if position is not None or orientation is not None:
+            raise InputError("position and orientation noise: a camera has that of its corners in pixels; leave it out")
+        return super().with_noise(joint=joint)
 
     def record(self, tool: Array, error: Array) -> dict[str, Any]:
         """The `pixels` `(sample, corner, 2)` of tools `(sample, 4, 4)` in the arm's base, NaN where none is seen."""

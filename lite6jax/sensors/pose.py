@@ -155,7 +155,8 @@ class PoseReading(Sensor):
 
     def exact(self, tool: Array) -> Self:
         rotation = np.moveaxis(tool[:, :3, :3], 0, -1) if self.rows == 6 else np.zeros((3, 3, 0))
-        return replace(self, position=tool[:, :3, 3].T, rotation=rotation)
+        alone = replace(self, station=np.zeros(0, np.int64), stations=np.zeros((0, 4, 4)))  # one that was not moved
+        return replace(alone, position=tool[:, :3, 3].T, rotation=rotation)
 
 
 @final

@@ -1,7 +1,7 @@
 """Sensors by name, as they are usually declared, and sensors to plan with; a further sensor is one more entry here."""
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -46,8 +46,11 @@ def plan_sensor(
         source: of a sensor of positions or poses, `pose_source` of its recordings.
 
     Raises:
-        InputError: noise that is not positive, no orientation noise for a pose, a direction of no length.
+        InputError: another quantity, noise that is not positive, no orientation noise for a pose, a direction of no
+            length.
     """
+    if quantity not in get_args(Quantity):
+        raise InputError(f"quantity {quantity!r}: give one of {', '.join(get_args(Quantity))}")
     sigma = positive_noise("position noise", position_noise, "m")
     if not np.isfinite(center).all():
         raise InputError(f"center {center}: give three finite numbers, in m")

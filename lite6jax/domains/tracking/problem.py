@@ -60,8 +60,8 @@ _KEPT = 4096
 """Columns that are kept."""
 _ROLLOUTS_KEPT = 64
 """Of a log of 60 000 rows and six joints 180 MB."""
-_UNITS_KEPT = 60
-"""Effects whose functions along the motion are kept: of 100 coefficients and 2 000 rows 200 MB."""
+_UNITS_KEPT = 1 << 28
+"""Bytes of the functions of effects along the motion that are kept: of 2 000 rows 80 effects of 100 coefficients."""
 _SETTLED = 0.003
 """Of the noise, RMS by which rollouts of the coupled arm differ in the last two sweeps: of 10 000 rows a tenth of what
 one fitted number explains of noise."""
@@ -333,7 +333,7 @@ class TrackingProblem:
 
     def _exerted(self, model: TrackingModel) -> Array | None:
         """`(joint, 2, every sample)` Nm, as `TrackingModel.exerted` along the motion of the recording."""
-        if len(self.known.units) > _UNITS_KEPT:
+        if sum(units.nbytes for units in self.known.units.values()) > _UNITS_KEPT:
             self.known.units.clear()
         return model.exerted(self.data.dynamics, self.known.units)
 

@@ -272,7 +272,7 @@ class _Joint(NamedTuple):
         """rad/s after a step of h s, from a velocity, with at most so much friction in Nm.
 
         A joint slides, sticks, and slides on: the instants between these lie anywhere in the step. Forces are more by
-        some Nm sooner in the step, and by others afterwards, in a later share of it.
+        `sooner` Nm before a command switches, and by `afterwards` after that, in the share `later` of the step.
         """
         rise = self.mass * RETURN - self.drag
         is_heavy = rise > self.drag
