@@ -58,19 +58,12 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
 
     The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
-    q = family.angle
     site = family.column
     training = test.fit.training
-    options = test.options
     score = np.sum(site * test.left_of_rows, 0)[training]
     weight = np.sum(site**2, 0)[training]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
-    span = max(float(np.ptp(q)), 1e-3)
-    length = 2 ** int(np.ceil(np.log2(2 * np.pi / (_BIN * min(0.5 * np.pi / span, 0.5)))))
-    place = np.rint((q[training] - q.min()) / _BIN).astype(int)
-    step = 2 * np.pi / (_BIN * length)
-    highest = family.highest or options.highest_order
-    at = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
+    place, length, step, at = _histogram(test, family, _BIN)
     e = _transform(place, score, length)[at]
     w = _transform(place, weight, length)
     total = float(weight.sum())
@@ -92,23 +85,17 @@ def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) ->
         sizes: `(driver, sample)`, the values of drivers.
     """
     training = test.fit.training
-    angle = family.angle[training]
     score = np.sum(family.column * test.left_of_rows, 0)[training]
     weight = np.sum(family.column**2, 0)[training]
     total = float(weight.sum())
-    span = max(float(np.ptp(angle)), 1e-3)
-    length = 2 ** int(np.ceil(np.log2(2 * np.pi / (_COARSE_BIN * min(0.5 * np.pi / span, 0.5)))))
-    step = 2 * np.pi / (_COARSE_BIN * length)
-    highest = min(family.highest or test.options.highest_order, np.pi / _COARSE_BIN)
-    at = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
+    place, length, step, at = _histogram(test, family, _COARSE_BIN)
     if not total > 0 or not len(at):
         return at * step, np.zeros((len(sizes), len(at)))
     centred = sizes[:, training]
     centred = centred - (centred @ weight)[:, None] / total
     length_of = np.sqrt(centred**2 @ weight / total)
     centred = centred / np.maximum(length_of, 1e-12 * max(float(length_of.max(initial=0.0)), 1e-300))[:, None]
-    place = np.rint((angle - angle.min()) / _COARSE_BIN).astype(int)
-    weighted = score * np.concatenate([np.ones_like(angle)[None], centred])
+    weighted = score * np.concatenate([np.ones_like(weight)[None], centred])
     histograms = np.stack([np.bincount(place, values) for values in weighted])
     transformed: Any = rfft(histograms.astype(np.float32), length)  # rough gains need no more digits
     transformed = transformed[:, at]
@@ -120,6 +107,23 @@ def lines(test: ScoreTest) -> list[Line]:
     """The best order of each family, refined, the best family first."""
     best_lines = [line for family in test.problem.periodic if (line := line_of(test, family)) is not None]
     return sorted(best_lines, key=lambda line: -line.gain)
+
+
+def _histogram(
+    test: ScoreTest, family: PeriodicFamily, width: float
+) -> tuple[NDArray[np.integer], int, float, NDArray[np.integer]]:
+    """Bins of this width, rad, of a family's angle, whose Fourier transform has the orders that are searched.
+
+    Returns:
+        the bin of each training sample, the length of the transform, its step in orders, and the places of the orders.
+    """
+    q = family.angle
+    span = max(float(np.ptp(q)), 1e-3)
+    length = 2 ** int(np.ceil(np.log2(2 * np.pi / (width * min(0.5 * np.pi / span, 0.5)))))
+    step = 2 * np.pi / (width * length)
+    highest = min(family.highest or test.options.highest_order, np.pi / width)
+    orders = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
+    return np.rint((q[test.fit.training] - q.min()) / width).astype(int), length, step, orders
 
 
 def line_of(test: ScoreTest, family: PeriodicFamily) -> Line | None:
