@@ -17,7 +17,7 @@ from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import AS_NOISE, NEARLY_SIGNIFICANT, STATISTICS, DomainDiagnosis
+from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.growth import grown
@@ -45,14 +45,12 @@ from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import Selection, chance_of, nearest_of, search
+from lite6jax.search.search import Selection, search
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, refitted
 
 Array = NDArray[np.floating]
 
-_NOISE_OF_ENCODERS = 1e-3
-"""rad RMS, up to which what is left in a log may be the noise of its read-outs where that is not declared."""
 _BLOCKS = 5
 """Of each run; every other one is held out of the fit that is judged. Each has slow and fast parts of the motion."""
 _STARTS = 8
@@ -99,14 +97,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
     @property
     def _leaves_noise(self) -> bool:
         most = self.most_over_noise
-        if most is not None and most <= AS_NOISE:
-            return True
-        # noise that is not declared may be of any kind, which no effect explains better than chance does
-        if self.problem.declared or self.findings or self.withdrawn is not None:
-            return False
-        size = np.sqrt(np.mean(self.after[:, ~self.outliers] ** 2, 1))
-        nearest = self.nearest
-        return bool(size.max() < _NOISE_OF_ENCODERS) and (nearest is None or nearest[1] >= NEARLY_SIGNIFICANT)
+        return most is not None and most <= AS_NOISE
 
     @property
     def _noise(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -281,20 +272,12 @@ def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: Engi
     """The selection of some terms, fitted from these numbers, each weighed beside the others.
 
     Noise is white: beside errors of the simulation, fits in autocorrelated noise trade what moves slowly for the rest.
-    How likely chance explains as much is that of the noise as it is: the larger of the evidence's and of the test's by
-    blocks.
     """
     baseline = fit(problem, Terms(), options, training=problem.valid)
     both = fit(problem, terms, options, values, training=problem.valid)
-    selector = Selector(problem, options)
-    named = tuple(SelectedTerm(term, cost=selector.scan.cost_of_name(term)) for term in terms.terms)
-    state = selector.weighed(State(baseline, both, named))
-    tested = tuple(
-        replace(one, p_value=max(min(float(np.exp(-one.net)), 1.0), chance_of(selector, state, k)))
-        for k, one in enumerate(state.tested)
-    )
-    nearest = None if tested else nearest_of(selector, replace(state, fit=selector.in_likeliest_noise(both)))
-    return Selection(problem, problem, replace(state, tested=tested), nearest=nearest)
+    state = Selector(problem, options).weighed(State(baseline, both, tuple(SelectedTerm(term) for term in terms.terms)))
+    tested = tuple(replace(one, p_value=min(float(np.exp(-one.net)), 1.0)) for one in state.tested)
+    return Selection(problem, problem, replace(state, tested=tested))
 
 
 def _is_as_described(selection: Selection) -> bool:

@@ -27,9 +27,9 @@ Array = NDArray[np.floating]
 
 FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
-INEXACT = 5e-6
-"""rad RMS at a joint, by which rollouts differ all along a motion, most where friction lets go: half the step moves
-them by 1 µrad. What moves every joint by less is no effect that is known to be there."""
+INEXACT = 1e-5
+"""rad RMS at a joint, by which rollouts differ all along a motion, most where friction lets go: steps of integration a
+fourth as long move them by 8 µrad. What moves every joint by less is no effect that is known to be there."""
 COARSE = 3e-4
 """rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
 _LONG = 0.005

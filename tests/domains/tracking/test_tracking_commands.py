@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.csv
 import pytest
-from scipy.signal import lfilter
 from typed import flat, refused, run
 
 from lite6jax import cli
@@ -129,20 +128,6 @@ def test_a_clean_log_has_no_finding(tmp_path, capsys):
     before, after = (document[stage]["heldout_rollout_rms_rad"] for stage in ("before", "after"))
     assert before == after
     assert "nothing is missing from the model" in flat(out)
-
-
-@pytest.mark.long
-def test_a_clean_log_of_undeclared_and_autocorrelated_noise_is_not_unexplained(tmp_path):
-    command = commands_of(SAMPLES)
-    columns = columns_of(command, 0.0, fine=400)
-    white = np.random.default_rng(9).normal(0.0, 1.0, SAMPLES)
-    wandering = lfilter([1.0], [1.0, -0.9], white)
-    columns["q1_rad"] = columns["q1_rad"] + NOISE * wandering / wandering.std()
-    log = write_log(tmp_path, columns, servo=None, noise=0.0)
-    found = diagnose(log, domain="tracking")
-    assert not found.findings
-    assert found.over_noise["joint1"] > 3
-    assert found.verdict == "consistent"
 
 
 def two_joints(first, second):
