@@ -190,13 +190,11 @@ def orders_of(bounds: Sequence[float]) -> NDArray:
 
 
 def highest_order(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> float:
-    """The highest order of a spectrum, of what repeats, or of a sine; 0 of other kernels."""
+    """The highest order of a spectrum, or of what repeats; 0 of other kernels."""
     if kernel == "spectrum":
         return float(orders_of(bounds)[-1])
     if kernel == "repeat":
         return float((rolloff or (1.0,))[0] * _MULTIPLES[-1])
-    if kernel in MODULATED:
-        return float((rolloff or (1.0,))[0])
     return 0.0
 
 

@@ -341,7 +341,7 @@ class Marginal:
             for k, columns in enumerate(groups)
             if (entry := entries[k]) is None
             or (needed[k] and not entry[2].size)
-            or not np.array_equal(entry[0], columns)
+            or not (entry[0] is columns or np.array_equal(entry[0], columns))
         ]
         computed = self._beside_whole([groups[k] for k in missing], [needed[k] for k in missing])
         for k, entry in zip(missing, computed, strict=True):

@@ -242,12 +242,9 @@ class Scan:
         if wave is None:
             return None
         family, order = wave
+        cost = self._cost_of_order("wave", family, order)
         if term in self.names:  # the lowest orders are candidates of their own
             cost = self.cost_of_name(term)
-        else:
-            families = max(len(self.problem.periodic), 1)
-            searched = log_orders_of(family, order, self.options)
-            cost = float(self.prior.cost("wave") + np.log(families) + searched)
         waves = [wave_of(self.problem, other) for other in others if other.site == term.site]
         for other_family, other_order in (other for other in waves if other is not None):
             multiple = max(order, other_order) / min(order, other_order)
@@ -257,15 +254,20 @@ class Scan:
 
     def cost_of_repeating(self, family: PeriodicFamily, order: float) -> float:
         """Of what repeats with the turns of an angle, any of them, at any order, and is no sine."""
-        families = max(len(self.problem.periodic), 1)
-        cost = self.prior.cost("repeating") + np.log(families) + np.log(len(_SLOPES))
-        return float(cost + log_orders_of(family, order, self.options))
+        return self._cost_of_order("repeating", family, order) + float(np.log(len(_SLOPES)))
 
     def cost_of_modulated(self, family: PeriodicFamily, order: float, k: int) -> float:
         """Of a wave of the turns of an angle, any of them, of any order, whose size follows a quantity."""
+        return self._cost_of_order("modulated", family, order) + float(self._cost_of_quantity(family.site, k))
+
+    def _cost_of_order(self, kind: str, family: PeriodicFamily, order: float) -> float:
+        """Of a kind, an angle, any of them, and an order of it."""
         families = max(len(self.problem.periodic), 1)
-        cost = self.prior.cost("modulated") + np.log(families) + self._cost_of_quantity(family.site, k)
-        return float(cost + log_orders_of(family, order, self.options))
+        return float(self.prior.cost(kind) + np.log(families) + log_orders_of(family, order, self.options))
+
+    def turns(self, component: Component, k: int) -> bool:
+        """Whether a quantity counts the turns of a component's site."""
+        return self.quantities[k].driver.turns == component.site
 
     def family_of(self, site: str) -> PeriodicFamily | None:
         """The waves of a site's own turns; None where it has none, or of a slide, whose turns are its strokes."""
@@ -762,10 +764,8 @@ class ModelScan:
     def repeating(self) -> list[Ranked]:
         """What repeats with the turns of each site, at the likeliest order, and is no sine."""
         candidates = []
-        for component in self.components:
-            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
-                if quantity.driver.turns == component.site:
-                    candidates += self._repeating_at(component, k)
+        for component, k in self._turning():
+            candidates += self._repeating_at(component, k)
         return candidates
 
     def _repeating_at(self, component: Component, k: int) -> list[Ranked]:
@@ -821,10 +821,8 @@ class ModelScan:
     def modulated(self, least: float) -> list[Ranked]:
         """Waves of the turns of each site, of any order, whose size follows a quantity, that may exceed `least`."""
         candidates = []
-        for component in self.components:
-            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
-                if quantity.driver.turns == component.site:
-                    candidates += self._modulated_at(component, k, self._scan.partners(component, k), least)
+        for component, k in self._turning():
+            candidates += self._modulated_at(component, k, self._scan.partners(component, k), least)
         return _best_of_each(candidates)
 
     def _modulated_at(self, component: Component, k: int, partners: Sequence[int], least: float = 0.0) -> list[Ranked]:
@@ -848,7 +846,7 @@ class ModelScan:
                 for order, j in zip(likeliest_orders, partners, strict=True)
             ]
         )
-        rough = np.array([_of_equal_directions(row[peak]) for row, peak in zip(gains, peaks, strict=True)])
+        rough = _of_equal_directions(gains[np.arange(len(gains)), peaks])
         order_step = float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
         candidates = []
         for place in np.argsort(costs - rough)[:_MODULATED]:
@@ -877,13 +875,18 @@ class ModelScan:
             for rolloff, numbers in zip(rolloffs, zip(*evidence, strict=True), strict=True)
         ]
 
+    def _turning(self) -> Iterator[tuple[Component, int]]:
+        """The components of sites that turn, each with the quantity that counts the turns."""
+        for component in self.components:
+            for k in range(self._scan.drivers):
+                if self._scan.turns(component, k):
+                    yield component, k
+
     def spectra(self) -> list[Ranked]:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         candidates = []
-        for component in self.components:
-            for k, quantity in enumerate(self._scan.quantities[: self._scan.drivers]):
-                if quantity.driver.turns == component.site:
-                    candidates += self._of_rolloffs(component, k, "spectrum", exact=True)
+        for component, k in self._turning():
+            candidates += self._of_rolloffs(component, k, "spectrum", exact=True)
         return _best_of_each(candidates)
 
     def _of_rolloffs(self, component: Component, k: int, kernel: str, exact: bool = False) -> list[Ranked]:
@@ -969,7 +972,7 @@ class ModelScan:
         if len(which) > 1:
             candidates = [self.of_kernel(component, which, name, exact=exact) for name in names]
             for k, partner in (which, which[::-1]):
-                if self._scan.quantities[k].driver.turns == component.site:
+                if self._scan.turns(component, k):
                     candidates += self._modulated_at(component, k, [partner])
             return candidates
         candidates = list[Ranked]()
@@ -989,7 +992,7 @@ class ModelScan:
         candidates += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if k == self._scan.time and self._scan.may_wander(component):
             candidates += self._steps(component)
-        if self._scan.quantities[k].driver.turns == component.site:
+        if self._scan.turns(component, k):
             candidates += self._of_rolloffs(component, k, "spectrum", exact)
             candidates += self._repeating_at(component, k)
         return candidates
@@ -1090,8 +1093,9 @@ class ModelScan:
         if kernel == "step":
             cost = self._scan.cost_of_step
         elif kernel in kernels.AT_ANY_ORDER and (family := self._scan.family_of(site)) is not None:
-            cost = self._scan.cost_of_repeating(family, rolloff[0])
-            if kernel in kernels.MODULATED:
+            if kernel == "repeat":
+                cost = self._scan.cost_of_repeating(family, rolloff[0])
+            else:
                 partner = quantity_indices[kernels.factors_of(kernel).index("line")]
                 cost = self._scan.cost_of_modulated(family, rolloff[0], partner)
         cause = tuple(self._scan.phrases[k] for k in quantity_indices)
@@ -1128,10 +1132,10 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
     return list(likeliest.values())
 
 
-def _of_equal_directions(gain: float, directions: int = 4) -> float:
-    """The evidence of a gain in log-likelihood, of so many directions of equal information."""
-    excess = max(2 * gain / directions, 1.0)
-    return 0.5 * directions * (excess - 1 - float(np.log(excess)))
+def _of_equal_directions(gains: Array, directions: int = 4) -> Array:
+    """The evidence of gains in log-likelihood, each of so many directions of equal information."""
+    excess = np.maximum(2 * gains / directions, 1.0)
+    return 0.5 * directions * (excess - 1 - np.log(excess))
 
 
 def _by_net(candidate: Ranked) -> float:

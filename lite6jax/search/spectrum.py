@@ -26,8 +26,6 @@ _SCORED_PEAKS = 4
 _BIN = 2 * np.pi / 2**15
 """rad, to which angles are rounded: at order 400 that is a 25th of a radian of phase at most, and at order 1000
 a tenth, by which a gain is a third of a per cent too low."""
-
-
 _COARSE_BIN = 4 * _BIN
 """rad, the same where only the likeliest order is sought."""
 
@@ -103,12 +101,6 @@ def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) ->
     return at * step, powers[0] + powers[1:]
 
 
-def lines(test: ScoreTest) -> list[Line]:
-    """The best order of each family, refined, the best family first."""
-    best_lines = [line for family in test.problem.periodic if (line := line_of(test, family)) is not None]
-    return sorted(best_lines, key=lambda line: -line.gain)
-
-
 def _histogram(
     test: ScoreTest, family: PeriodicFamily, width: float
 ) -> tuple[NDArray[np.integer], int, float, NDArray[np.integer]]:
@@ -124,6 +116,12 @@ def _histogram(
     highest = min(family.highest or test.options.highest_order, np.pi / width)
     orders = np.arange(int(np.ceil(LOWEST_ORDER / step)), int(highest / step))
     return np.rint((q[test.fit.training] - q.min()) / width).astype(int), length, step, orders
+
+
+def lines(test: ScoreTest) -> list[Line]:
+    """The best order of each family, refined, the best family first."""
+    best_lines = [line for family in test.problem.periodic if (line := line_of(test, family)) is not None]
+    return sorted(best_lines, key=lambda line: -line.gain)
 
 
 def line_of(test: ScoreTest, family: PeriodicFamily) -> Line | None:

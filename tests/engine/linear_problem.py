@@ -132,6 +132,13 @@ class Driver:
 
 
 @dataclass(frozen=True)
+class Turning(Driver):
+    """A driver as above; the angle of the wheel counts the turns of its site."""
+
+    turns = property(lambda self: "wheel" if self.phrase == "angle" else "")
+
+
+@dataclass(frozen=True)
 class Process:
     """A Gaussian process of one driver or of two."""
 

@@ -1,6 +1,6 @@
 """A wave of any order whose size follows a driver is one term; a wave of one size keeps its name."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,16 +13,9 @@ from lite6jax.search.search import search
 OPTIONS = EngineOptions()
 
 
-@dataclass(frozen=True)
-class Turning(linear.Driver):
-    """The angle of the wheel counts the turns of its site."""
-
-    turns = property(lambda self: "wheel" if self.phrase == "angle" else "")
-
-
 @pytest.fixture(autouse=True)
 def turning(monkeypatch):
-    monkeypatch.setattr(linear, "Driver", Turning)
+    monkeypatch.setattr(linear, "Driver", linear.Turning)
 
 
 def made(seed, order, constant, slope):

@@ -1,6 +1,6 @@
 """What repeats at any order and is no sine is one term; a single wave, or a few, keep their names."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,16 +14,9 @@ OPTIONS = EngineOptions()
 PERIOD = 0.8
 
 
-@dataclass(frozen=True)
-class Turning(linear.Driver):
-    """The angle of the wheel counts the turns of its site."""
-
-    turns = property(lambda self: "wheel" if self.phrase == "angle" else "")
-
-
 @pytest.fixture(autouse=True)
 def turning(monkeypatch):
-    monkeypatch.setattr(linear, "Driver", Turning)
+    monkeypatch.setattr(linear, "Driver", linear.Turning)
 
 
 def made(seed, planted):
