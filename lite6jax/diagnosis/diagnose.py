@@ -399,8 +399,7 @@ def diagnose_poses(
         folds = held_out_folds(explanation.problem, options)
         of_all = selection
         if selection.state.tested or explanation.screened.found:
-            searched = replace(case, among=selection.considered), explanation.final_decisions
-            errors = errors_of_folds(errors_of_search, searched, folds)
+            errors = errors_of_folds(errors_of_search, (case, explanation.final_decisions), folds)
         else:  # nothing was found that a search without some rows might not find
             errors = refitted_errors(selection, folds, options)
         inliers = ~_outliers(of_all)

@@ -31,8 +31,7 @@ from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
-from lite6jax.search.scan import Considered
-from lite6jax.search.search import Selection
+from lite6jax.search.search import Selection, Start, supported
 
 Array = NDArray[np.floating]
 
@@ -44,17 +43,21 @@ _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
 @final
 @dataclass(frozen=True)
 class Decisions:
-    """What has been decided between faults and physics.
+    """What has been decided between faults and physics, and which physics was found.
 
     Attributes:
         corrections: which of the faults that physics resembles are corrected.
         published: the calibration file in whose place a nominal table is held exactly, or None.
         sigma: standard deviation, m and rad, of the errors of all numbers of the calibration; None where it is exact.
+        physics: the terms, of which those are kept that the rows support; searched where None.
+        accelerated: whether the loads of these terms have inertial forces.
     """
 
     corrections: Corrections = field(default_factory=Corrections)
     published: str | None = None
     sigma: float | None = None
+    physics: Start | None = None
+    accelerated: bool = False
 
 
 @final
@@ -94,10 +97,12 @@ class Explanation:
 
     @property
     def final_decisions(self) -> Decisions:
-        """The decisions, with the frame jumps that were corrected."""
+        """The decisions, with the frame jumps that were corrected and the physics that was found."""
         numbers = [fault.numbers for fault in self.screened.found if fault.code == "frame_jump"]
         jumps = tuple((int(n["row"]), str(n["part"])) for n in numbers)
-        return replace(self.decisions, corrections=replace(self.decisions.corrections, known_jumps=jumps))
+        corrections = replace(self.decisions.corrections, known_jumps=jumps)
+        accelerated = self.problem.motion.joint_acceleration is not None
+        return replace(self.decisions, corrections=corrections, physics=self.selection.start, accelerated=accelerated)
 
     @property
     def labels(self) -> list[str]:
@@ -119,8 +124,6 @@ class Case:
         factory: the arm's calibration; from the sidecar where not given.
         training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
             search use no other.
-        thorough: as in `search`.
-        among: as in `search`.
     """
 
     recording: Recording
@@ -130,8 +133,6 @@ class Case:
     effects: tuple[Effect, ...] = ()
     factory: FactoryCalibration | None = None
     training: Mask | None = None
-    thorough: bool = True
-    among: Considered | None = None
 
     def screened(self, corrections: Corrections) -> Screened:
         """With these faults corrected, from the training rows."""
@@ -161,14 +162,20 @@ class Case:
         return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
 
     def search(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
-        """With the physics that a search finds under these decisions."""
+        """With the physics that a search finds under these decisions, or that they name and the rows support."""
         screened, problem = self.prepared(screened, decisions)
         training = self.training
         engine = self.options.engine
         require_samples(screened.recording, problem.undeclared + 1)
         entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
-        selection = search_load_model(at_offset, reference, engine, training, self.thorough, self.among)
+        if decisions.physics is None:
+            selection = search_load_model(at_offset, reference, engine, training)
+        else:
+            at_offset = at_offset.with_loads(decisions.accelerated)
+            reference = reference.with_loads(decisions.accelerated)
+            rows = problem.valid if training is None else training
+            selection = supported(at_offset, decisions.physics, engine, rows, reference)
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())
             price_ = price(screened, readings, problem.samples)

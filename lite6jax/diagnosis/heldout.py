@@ -1,13 +1,12 @@
 """Errors on rows that were not used, and which findings hold there.
 
-Of poses, screening, clock, linearisation and search are repeated without each block. Only which faults are corrected
-rather than explained by physics, and at which rows frames jumped, is decided once, in all rows: a search beside every
-uncorrected fault would take each fold as long as the diagnosis itself, and a block that holds the jump cannot be
-predicted without its row. The size of a jump is estimated anew.
+Of poses, screening, clock and linearisation are repeated without each block. Of the terms that a search of all rows
+found, those are kept that the other rows support, with amplitudes, kernels and noise chosen anew. Which faults are
+corrected rather than explained by physics, and at which rows frames jumped, is decided once, in all rows: a block that
+holds the jump cannot be predicted without its row. The size of a jump is estimated anew.
 
 Where these errors reject what was found, its terms are fitted again without shorter blocks that are spread over the
-recording. A contiguous fifth may hold the only rows that show how a drift begins, and without it the search may select
-another model of the same effect; neither says that the effect is not there.
+recording: a contiguous fifth may hold the only rows that show how a drift begins.
 """
 
 from collections.abc import Callable, Sequence
@@ -173,11 +172,11 @@ def verify(
     refitted: Callable[[Sequence[Mask]], HeldOut],
     judge: Judge,
 ) -> Verification:
-    """The findings of a selection of all rows, unless both a search and a fit without some rows reject them.
+    """The findings of a selection of all rows, unless errors on contiguous and on spread rows reject them.
 
     Args:
         selection: of all rows.
-        errors: on contiguous `folds`, each searched without.
+        errors: on contiguous `folds`, by the terms that the other rows support.
         folds: these.
         kept: `(sample,)`, the rows that count.
         refitted: the errors on other folds, by the terms of the selection fitted to the other rows.
@@ -284,8 +283,8 @@ def _ratio(before: Array, after: Array) -> float:
 
 
 def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
-    """The errors on the rows `(sample,)` of a fold, from a search of the others with the decisions of all rows."""
-    explanation = explain(replace(case, training=~held, thorough=False), decisions)
+    """The errors on the rows `(sample,)` of a fold, by what the others support of the decisions of all rows."""
+    explanation = explain(replace(case, training=~held), decisions)
     return errors_of_selection(explanation.selection, held)
 
 

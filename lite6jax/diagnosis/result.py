@@ -150,10 +150,10 @@ class HeldOut(NamedTuple):
     Attributes:
         before: `(group, sample)`, with the nuisance alone: lengths in m and rad, of orientations zero where none were
             measured; or Nm, N of prismatic joints.
-        after: likewise, with the effects that a search of the other rows selects, or that are fitted to them.
+        after: likewise, with those of the effects that the other rows support, fitted to these.
         before_over_noise: as `before`, over the noise of each row. A camera sees depth worse than the rest.
         after_over_noise: likewise with the effects.
-        with_effects: `(sample,)` bool, whether the search without a row and its fold found effects.
+        with_effects: `(sample,)` bool, whether the rows without a row's fold support any effect.
     """
 
     before: Array
@@ -184,12 +184,12 @@ class Withdrawn:
 @final
 @dataclass(frozen=True, eq=False)
 class SearchedAgain:
-    """Errors on contiguous blocks, each searched without, which rejected effects that hold when they are fitted again.
+    """Errors on contiguous blocks, which rejected effects that hold when they are fitted without shorter ones.
 
     Attributes:
         blocks: how many.
-        ratio: of the held-out errors with the effects that the search of the other blocks selects to those without; of
-            poses that of the root mean squares of position, of torques the mean of the logarithms over blocks.
+        ratio: of the held-out errors with the effects that the other blocks support to those without; of poses that of
+            the root mean squares of position, of torques the mean of the logarithms over blocks.
     """
 
     blocks: int
@@ -222,8 +222,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         problem: the screened recording as an estimation problem, linearised where its model is.
         selection: the search's result: fits without and with the effects.
         findings: the effects, in the order of their numbers in `fit`.
-        errors: on held-out rows, with the nuisance alone, and with the effects that a search of the other blocks
-            selects; where that rejected the findings and these hold when they are fitted again, with the findings.
+        errors: on held-out rows, with the nuisance alone, and with those of the effects that the other blocks support;
+            where that rejected the findings and these hold when they are fitted again, with the findings.
         faults: of the data, in the order in which they were corrected.
         ruled_out: faults that were tested for and are not there.
         options: thresholds.
@@ -231,7 +231,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         outliers: `(sample,)` bool, outlying rows, of torques contacts, and rows without joints; statistics of `errors`
             omit them.
         withdrawn: effects that were not kept, because they do not hold on held-out rows; None where there are none.
-        searched_again: errors where the search was repeated; None where `errors` are these.
+        searched_again: errors on contiguous blocks; None where `errors` are these.
         against: how the recording was compared with a reference; None where it was not.
         separating: poses that separate findings from their alternatives.
         beside: the diagnoses of the same recording by other domains.

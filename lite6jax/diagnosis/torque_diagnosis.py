@@ -47,8 +47,7 @@ from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.scan import Considered
-from lite6jax.search.search import Selection, search
+from lite6jax.search.search import Selection, Start, search, supported
 from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
@@ -318,6 +317,7 @@ def _diagnose_alone(
             selection = search(problem, options.engine)
             problem = selection.problem
             assert isinstance(problem, TorqueProblem)
+            start = selection.start
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
         # postures are few and independent: a model of half of them says little of the rest
@@ -327,10 +327,10 @@ def _diagnose_alone(
         blocks = contiguous_blocks(used, count)
         folds = [block[np.maximum(np.cumsum(problem.valid) - 1, 0)] for block in blocks]
         unlinearised = replace(unlinearised, valid=problem.valid)
-        errors = errors_of_folds(errors_without, (unlinearised, options, selection.considered), folds)
+        errors = errors_of_folds(errors_without, (unlinearised, options, start), folds)
 
         def refitted(spread: Sequence[Mask]) -> HeldOut:
-            return errors_of_folds(errors_without, (unlinearised, options, frozenset(), selection.state), spread, False)
+            return errors_of_folds(errors_without, (unlinearised, options, start, selection.state), spread, False)
 
         verified = verify(selection, errors, folds, problem.valid, refitted, judge_by_folds)
         if not verified.findings:
@@ -346,7 +346,7 @@ def _diagnose_alone(
 
 
 def errors_without(
-    held: Mask, problem: TorqueProblem, options: Options, among: Considered, state: State | None = None
+    held: Mask, problem: TorqueProblem, options: Options, start: Start, state: State | None = None
 ) -> HeldOut:
     """The errors on the samples of a fold `(sample,)`, by a model of the others, at which the problem is linearised.
 
@@ -356,12 +356,12 @@ def errors_without(
         held: the fold.
         problem: not linearised.
         options: thresholds.
-        among: the processes that a search of the others chooses among.
-        state: whose terms are fitted to the others; searched where not given.
+        start: terms, of which those are kept that the others support.
+        state: whose terms are all fitted to the others, in the place of these.
     """
     training = ~(np.convolve(held, np.ones(3), "same") > 0) & problem.valid
     fold_problem = linearised(problem, options.engine, training)
     if state is None:
-        return errors_of_selection(search(fold_problem, options.engine, training, thorough=False, among=among), held)
+        return errors_of_selection(supported(fold_problem, start, options.engine, training), held)
     again = fitted_again(fold_problem, fold_problem, state, training, options.engine)
     return errors_of_selection(Selection(fold_problem, fold_problem, again), held)

@@ -256,7 +256,7 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
     likely = along_rollout(with_likely_grip(problem), Terms(), np.zeros(0))
     if not problem.data.coupled or follows_as_described(likely):
         return likely
-    fit = search(problem.thinned(_ROUGHLY), options, thorough=False, among=frozenset()).state.fit
+    fit = search(problem.thinned(_ROUGHLY), options, names_alone=True).state.fit
     return along_rollout(with_likely_grip(problem, fit.terms, fit.values), fit.terms, fit.values)
 
 
@@ -309,7 +309,7 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     if np.all(again.scale < _FOLLOWS):
         return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
     likely = with_likely_grip(relinearise(problem, options, problem.valid, _STARTS))
-    named = search(_with_discrepancy(likely), options, thorough=False, among=frozenset())
+    named = search(_with_discrepancy(likely), options, names_alone=True)
     f = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)
@@ -423,7 +423,7 @@ def diagnose_tracking(
                 selection = _with_servos(problem, engine)
                 if _is_as_described(selection):
                     problem, named = _exactly(problem, selection, engine)
-                    selection = search(problem, engine, start=named)
+                    selection = search(problem, engine, start=named.start)
                 else:
                     engine = replace(engine.rough, most_exact=0)  # no digit counts beside its errors
             else:

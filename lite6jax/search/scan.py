@@ -66,11 +66,6 @@ _REFINED_GAIN = 0.4
 """Of its cost, that what repeats must gain at the order of the likeliest wave: at its own it gains up to twice that."""
 _REFINED_LESS = 5.0
 """By which it may gain less there than that wave alone."""
-_Considered = tuple[str, str, tuple[str, ...], str, tuple[float, ...]]
-Considered = frozenset[_Considered]
-"""Processes by site, component, phrases of their quantities, kernel and rolloff."""
-_CONSIDERED = 40
-"""Processes of each scan, the likeliest, among which a search of fewer rows chooses."""
 NEARLY = 2.0
 """Log odds within which the priority of names decides."""
 _TURNS = 1.5 * np.pi
@@ -181,18 +176,15 @@ class Scan:
         listed: the same as a set.
         quantities: what processes may depend on, and at last the order of recording, in which read-outs may wander.
         drivers: how many they are without that order.
-        among: the processes to choose from; None where that is all.
+        names_alone: whether no process is tried but what repeats and what wanders.
         prior: the probabilities of kinds.
-        considered: the processes that were among the likeliest of a scan, each as its likeliest kernel.
     """
 
-    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
-        """Tries all processes, or those `among` which it is to choose."""
+    def __init__(self, problem: Problem, options: EngineOptions, names_alone: bool = False) -> None:
         self.problem = problem
         self.options = options
-        self.among = among
+        self.names_alone = names_alone
         self.prior = options.prior
-        self.considered = set[_Considered]()
         drivers = [quantity for quantity in problem.quantities if not quantity.driver.is_order]
         orders = [quantity for quantity in problem.quantities if quantity.driver.is_order]
         self.quantities = [*drivers, *orders]
@@ -307,15 +299,7 @@ class Scan:
 
     def partners(self, component: Component, k: int) -> list[int]:
         """The quantities that the size of a wave of a component's angle may follow, of those that are to be tried."""
-        partners = range(self.drivers)
-        if self.among is not None:
-            chosen = [
-                which
-                for place, which, kernel, _ in self.processes
-                if place is component and kernel in kernels.MODULATED
-            ]
-            partners = sorted({j for which in chosen if k in which for j in which})
-        return [j for j in partners if j != k and self.may_act(component.site, k, j)]
+        return [j for j in range(self.drivers) if j != k and self.may_act(component.site, k, j)]
 
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
         """Whether a kernel is one of these quantities."""
@@ -411,17 +395,6 @@ class Scan:
         weights = np.concatenate([0.6 ** np.minimum(np.arange(len(part)), 3) for part in parts])
         return np.concatenate(parts), start, weights
 
-    @cached_property
-    def processes(self) -> list[tuple[Component, tuple[int, ...], str, tuple[float, ...]]]:
-        """Those that are tried, where it is not all of them."""
-        components = {(component.site, component.name): component for component in self.problem.components}
-        place = {phrase: k for k, phrase in enumerate(self.phrases)}
-        return [
-            (components[site, name], tuple(place[phrase] for phrase in phrases), kernel, rolloff)
-            for site, name, phrases, kernel, rolloff in sorted(self.among or ())
-            if (site, name) in components and all(phrase in place for phrase in phrases)
-        ]
-
     def has_numbers(self, term: Term) -> bool:
         """Whether a name is one of several that differ in a number that is tried."""
         return sum(name.label == term.label for name in self.names) > 1
@@ -446,28 +419,25 @@ class ModelScan:
 
     def ranked(self, least: float = 0.0) -> list[Ranked]:
         """All that is worth its cost, and the best that is not, the likeliest first; of log odds from `least` on."""
-        scan = self._scan
+        return self._ranked([*self.named(), *self.waves()], least)
+
+    def processes_of(self, component: Component) -> list[Ranked]:
+        """The processes of a component that are worth their cost, and the best that is not, the likeliest first."""
+        alone = ModelScan(self._scan, self._test)
+        alone.components = [component]
+        return alone._ranked([], 0.0)
+
+    def _ranked(self, candidates: list[Ranked], least: float) -> list[Ranked]:
+        """As `ranked`, of some candidates and all processes."""
         white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        candidates = [*self.named(), *self.waves(), *self.repeating(), *self.of_read_outs()]
-        candidates += self.modulated(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
-        if scan.among is None:
+        candidates = [*candidates, *self.repeating(), *self.of_read_outs()]
+        if not self._scan.names_alone:
+            candidates += self.modulated(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
             candidates += self.spectra()
             singles = self.singles(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
             candidates += [*singles, *self.pairs(singles, 0.0 if white else least)]
-        else:
-            processes = (
-                process
-                for process in scan.processes
-                if process[0] in self.components and process[2] not in ("wander", *kernels.MODULATED)
-            )
-            weighed = (self.of_kernel(*process, exact=process[2] in _VARIES_FAST) for process in processes)
-            candidates += (candidate for candidate in weighed if candidate.gain > 0)
         candidates.sort(key=lambda candidate: -candidate.net)
-        # what repeats is weighed in any search
-        processes_alone = (candidate for candidate in candidates if candidate.process)
-        likely = [candidate for candidate in processes_alone if candidate.process[2] != "repeat"][:_CONSIDERED]
-        scan.considered |= {(*candidate.key, *candidate.process[2:]) for candidate in likely}
         if white:
             return _in_order(candidates)
         exact = list[Ranked]()

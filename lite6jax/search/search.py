@@ -1,9 +1,11 @@
-"""The search of one problem: which terms, together, its residuals require."""
+"""The search of one problem: which terms, together, its residuals require, and which of them other samples support."""
 
 from dataclasses import dataclass, replace
-from typing import cast, final
+from itertools import compress
+from typing import NamedTuple, cast, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -12,9 +14,11 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
-from lite6jax.search.scan import Considered, ModelScan
+from lite6jax.search.scan import ModelScan
 from lite6jax.search.select import Selector, is_wander
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
+
+Array = NDArray[np.floating]
 
 SAME_LINEARISATION = 0.1
 """Sum of the squared differences of residuals, in standard deviations, below which linearisations are the same.
@@ -24,6 +28,23 @@ A tenth of what each fitted number explains of noise.
 
 _ROUNDS = 3
 """Linearisations: the first about the nuisance alone, each next about what the one before has found."""
+
+
+class Start(NamedTuple):
+    """Terms to begin with.
+
+    Attributes:
+        tested: each term, with what it was worth.
+        values: `(term.size,)` of each.
+        refused: names whose numbers were not possible.
+    """
+
+    tested: tuple[SelectedTerm, ...] = ()
+    values: tuple[Array, ...] = ()
+    refused: frozenset[Term] = frozenset()
+
+
+NO_TERMS = Start()
 
 
 @final
@@ -37,7 +58,6 @@ class Selection:
         state: the terms with their fit.
         confounded: candidates that are confounded with the nuisance.
         nearest: the likeliest term that was not selected, and the probability that chance alone makes it so likely.
-        considered: processes that were among the likeliest at any time.
         wandering: what read-outs do by themselves, which is nuisance of `problem`.
         cost_of_wandering: what their priors and their choice cost in log evidence.
     """
@@ -47,7 +67,6 @@ class Selection:
     state: State
     confounded: tuple[Term, ...] = ()
     nearest: tuple[Term, float] | None = None
-    considered: Considered = frozenset()
     wandering: tuple[SelectedTerm, ...] = ()
     cost_of_wandering: float = 0.0
 
@@ -56,15 +75,21 @@ class Selection:
         """Log evidence of the terms and of the read-outs that wander, less what their choice costs."""
         return self.state.evidence - self.cost_of_wandering
 
+    @property
+    def start(self) -> Start:
+        """Its terms, and the read-outs that wander."""
+        fit = self.state.fit
+        values = (*(fit.values[part] for part in fit.terms.slices), *(np.zeros(w.term.size) for w in self.wandering))
+        return Start((*self.state.tested, *self.wandering), values, self.state.refused)
+
 
 def search(
     problem: Problem,
     options: EngineOptions,
     training: Mask | None = None,
     reference: Problem | None = None,
-    thorough: bool = True,
-    among: Considered | None = None,
-    start: Selection | None = None,
+    names_alone: bool = False,
+    start: Start = NO_TERMS,
 ) -> Selection:
     """Selects terms by evidence, in a linearisation about what has been found.
 
@@ -76,28 +101,63 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        thorough: whether terms are exchanged, as soon as there are any, and whether alternatives, what is confounded
-            and what is nearest are determined.
-        among: the processes to choose from, of another search of the same recording; all where not given.
-        start: of another search of the same problem, whose terms it begins with; none where not given.
+        names_alone: whether no process is tried but what repeats and what wanders, no term exchanged, and neither
+            alternatives, what is confounded nor what is nearest is determined.
+        start: the terms that it begins with.
     """
     training = problem.valid if training is None else training & problem.valid
     if reference is None:
         reference = problem
     valid = int(problem.valid.sum())  # so that a search with held-out samples takes the same strides
     strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
-    found = start
+    from_terms = start
+    exchanging = not names_alone
     for every in dict.fromkeys(strides):
-        some = (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
-        begun = _begun(*some, training[::every], options, found)
-        found = _selected(
-            begun, options, thorough and (found is None or found is start or not found.state.tested), among
-        )
+        begun = _begun(*_every(problem, reference, every), training[::every], options, from_terms)
+        selection = _selected(begun, options, exchanging, names_alone)
+        from_terms = selection.start
+        exchanging = exchanging and not selection.state.tested
     if strides[-1] > 1:
-        found = at_estimate(_begun(problem, reference, training, options, found), options)
-    assert found is not None
-    selection = _confirmed(_with_wandering_as_noise(found, training, options), options)
-    return _reviewed(selection, options) if thorough else selection
+        selection = at_estimate(_begun(problem, reference, training, options, from_terms), options)
+    selection = _confirmed(_with_wandering_as_noise(selection, training, options), options)
+    return selection if names_alone else _reviewed(selection, options)
+
+
+def supported(
+    problem: Problem, start: Start, options: EngineOptions, training: Mask, reference: Problem | None = None
+) -> Selection:
+    """The terms of an earlier search that some of its samples support, in a linearisation about these.
+
+    Of each term and its alternatives, and of all processes of a process's component, the likeliest is kept where it is
+    worth its cost, with amplitude, kernel and tried numbers chosen anew, in the likeliest noise. No further term is
+    added. Of many samples every n-th decides that, and the terms are fitted to all at last.
+
+    Args:
+        problem: the data, linearised.
+        start: the terms.
+        options: thresholds.
+        training: `(sample,)` bool, the samples to use.
+        reference: as of `search`.
+    """
+    training = training & problem.valid
+    if reference is None:
+        reference = problem
+    every = _stride(int(problem.valid.sum()), options.most_samples)
+    some = _every(problem, reference, every)
+    known = Selector(some[0], options.rough).is_known
+    kept = [known(selected.term) for selected in start.tested]
+    start = start._replace(tested=tuple(compress(start.tested, kept)), values=tuple(compress(start.values, kept)))
+    begun = at_estimate(_begun(*some, training[::every], options, start), options)
+    state = Selector(begun.problem, options.rough).supported(begun.state)
+    selection = at_estimate(replace(begun, state=state), options)
+    if every > 1:
+        selection = at_estimate(_begun(problem, reference, training, options, selection.start), options)
+    return _confirmed(_with_wandering_as_noise(selection, training, options), options)
+
+
+def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, Problem]:
+    """Both of every n-th sample."""
+    return (problem, reference) if every == 1 else (problem.thinned(every), reference.thinned(every))
 
 
 def _with_wandering_as_noise(selection: Selection, training: Mask, options: EngineOptions) -> Selection:
@@ -122,20 +182,17 @@ def _stride(samples: int, most: int) -> int:
     return 1 if samples < 2 * most else -(-samples // most)
 
 
-def _begun(
-    problem: Problem, reference: Problem, training: Mask, options: EngineOptions, start: Selection | None
-) -> Selection:
+def _begun(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, start: Start) -> Selection:
     """The nuisance, the terms that the domain has estimated before the search, and those to start from."""
     entered("selecting")
     baseline = fit(reference, Terms(), options, training=training)
     preset, values = problem.preset
     tested = [SelectedTerm(term) for term in preset.terms]
     known = [values[part] for part in preset.slices]
-    before = State(baseline, baseline) if start is None else start.state
-    for one, part in zip(before.tested, before.fit.terms.slices, strict=True):
-        if one.term not in preset.terms:
-            tested.append(one)
-            known.append(before.fit.values[part])
+    for selected, numbers in zip(start.tested, start.values, strict=True):
+        if selected.term not in preset.terms:
+            tested.append(selected)
+            known.append(numbers)
     state = State(baseline, baseline)
     if tested:
         terms = Terms(tuple(one.term for one in tested))
@@ -144,20 +201,19 @@ def _begun(
         cost = np.log(3 * max(len(problem.candidates), 1))
         for k, term in enumerate(preset.terms):
             tested[k] = SelectedTerm(term, gain, cost, p_value=min(float(np.exp(cost - gain)), 1.0))
-        state = State(baseline, fitted, tuple(tested), before.refused)
-    return Selection(problem, reference, state, considered=frozenset() if start is None else start.considered)
+        state = State(baseline, fitted, tuple(tested), start.refused)
+    return Selection(problem, reference, state)
 
 
-def _selected(selection: Selection, options: EngineOptions, thorough: bool, among: Considered | None) -> Selection:
+def _selected(selection: Selection, options: EngineOptions, exchanging: bool, names_alone: bool) -> Selection:
     """The terms, selected anew where those that were found move residuals by more than what a term must gain.
 
     They are exchanged in the first linearisation alone.
     """
     for turn in range(_ROUNDS):
-        selector = Selector(selection.problem, options.rough, among)
-        state = selector.selected(selection.state, thorough and not turn)
-        considered = selection.considered | selector.scan.considered
-        selection = at_estimate(replace(selection, state=state, considered=considered), options)
+        selector = Selector(selection.problem, options.rough, names_alone)
+        state = selector.selected(selection.state, exchanging and not turn)
+        selection = at_estimate(replace(selection, state=state), options)
         f = selection.state.fit
         moved = (f.residuals.rows - state.fit.residuals.rows) / f.scale[selection.problem.groups, None]
         if np.sum(moved[..., f.training] ** 2) < MARGIN:

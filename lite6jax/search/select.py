@@ -33,7 +33,7 @@ from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, sco
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.estimation.whitening import Whitened
-from lite6jax.search.scan import NEARLY, Considered, ModelScan, Pair, Ranked, Scan
+from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -61,10 +61,10 @@ _PRODUCTS = 1 << 25
 class Selector:
     """A problem with all that is tried in it."""
 
-    def __init__(self, problem: Problem, options: EngineOptions, among: Considered | None = None) -> None:
+    def __init__(self, problem: Problem, options: EngineOptions, names_alone: bool = False) -> None:
         self.problem = problem
         self.options = options
-        self.scan = Scan(problem, options, among)
+        self.scan = Scan(problem, options, names_alone)
         self._preset = problem.preset[0].terms
         self._latest: ScoreTest | None = None
         self._grams: dict[Hashable, Array] = {}
@@ -73,7 +73,7 @@ class Selector:
 
     # -------------------------------------------------------------- the search
 
-    def selected(self, state: State, thorough: bool) -> State:
+    def selected(self, state: State, exchanging: bool) -> State:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
@@ -84,11 +84,11 @@ class Selector:
         if any(one.term not in self._preset for one in state.tested):
             state = self._settled(self._estimated(autocorrelated))
             asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
-            return self.above_noise(self._grown(state, thorough, asked))
-        grown = self._grown(autocorrelated, thorough, set())
+            return self.above_noise(self._grown(state, exchanging, asked))
+        grown = self._grown(autocorrelated, exchanging, set())
         if not autocorrelated.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            instead = self._grown(state, thorough, set())
+            instead = self._grown(state, exchanging, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
             clearly = instead.fit.noise.white and not grown.fit.noise.white
             if instead.evidence > grown.evidence + (CLOSE if clearly else 0.0):
@@ -96,6 +96,40 @@ class Selector:
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
+
+    def supported(self, state: State) -> State:
+        """The terms of a state, or likelier ones in their place, that are worth their cost in the likeliest noise."""
+        state = replace(state, fit=self.in_likeliest_noise(state.fit))
+        state = self._estimated(self._with_likeliest_alternatives(state))
+        return self.above_noise(self._settled(state))
+
+    def _with_likeliest_alternatives(self, state: State) -> State:
+        """The state with the likeliest of each term, its alternatives and, of a process, those of its component."""
+        for selected in state.tested:
+            term = selected.term
+            rivals = [alternative.term for alternative in selected.alternatives if self.is_known(alternative.term)]
+            rivals = [rival for rival in rivals if rival not in state.fit.terms.terms]
+            if term in self._preset or not (rivals or is_process(term)):
+                continue
+            k = state.fit.terms.terms.index(term)
+            weighed = ModelScan(self.scan, self.beside(state, k))
+            before = self._as_it_is(weighed, term)
+            candidates = [ranked for rival in rivals if (ranked := self._as_it_is(weighed, rival)) is not None]
+            if is_process(term) and not is_wander(term):
+                candidates += weighed.processes_of(self._process_of(term)[0])
+            likeliest = max(candidates, key=lambda candidate: candidate.net, default=None)
+            if likeliest is not None and (before is None or likeliest.net > before.net):
+                state = self._with(self._left_out(state, k), likeliest)
+        return state
+
+    def is_known(self, term: Term) -> bool:
+        """Whether the problem has what a term acts on and depends on."""
+        if is_process(term):
+            places = {(component.site, component.name) for component in self.problem.components}
+            return (term.site, term.component) in places and set(_phrases(term)) <= set(self.scan.phrases)
+        if term.periodic:
+            return any(family.site == term.site for family in self.problem.periodic)
+        return any(candidate.label == term.label for candidate in self.problem.candidates)
 
     def _noise_instead(self, state: State) -> State | None:
         """The state with other noise in the place of a process, where that is likelier; else None."""
@@ -111,7 +145,7 @@ class Selector:
         likeliest = self._dropped(self._estimated(max(trials, key=lambda trial: trial.evidence)))
         return likeliest if likeliest.evidence > state.evidence else None
 
-    def _grown(self, state: State, thorough: bool, asked: set[tuple[object, ...]]) -> State:
+    def _grown(self, state: State, exchanging: bool, asked: set[tuple[object, ...]]) -> State:
         """With all that is worth adding; names are tried for the processes that are not among those `asked`."""
         exchanged = 0
         while True:
@@ -120,7 +154,7 @@ class Selector:
             if named is not state:
                 state = named
                 continue
-            if not thorough or exchanged >= EXCHANGES:
+            if not exchanging or exchanged >= EXCHANGES:
                 return state
             better = self._exchanged(state)
             if better is None:
@@ -426,13 +460,17 @@ class Selector:
         term = tested.term
         test = self.beside(state, k)
         weighed = ModelScan(self.scan, test)
-        if is_process(term):
-            worth = weighed.of_kernel(*self._process_of(term), term.kernel, term.rolloff, exact=True)
-        elif self.problem.curved:
+        if self.problem.curved and not is_process(term):
             worth = weighed.by_columns(term, self._columns_at_estimate(test, state, k))
         else:
-            worth = weighed.as_is(term)
+            worth = self._as_it_is(weighed, term)
         return replace(tested, gain=0.0) if worth is None else replace(tested, gain=worth.gain, volume=worth.volume)
+
+    def _as_it_is(self, weighed: ModelScan, term: Term) -> Ranked | None:
+        """A name with its number, a process with its kernel; None of a name that says nothing."""
+        if is_process(term):
+            return weighed.of_kernel(*self._process_of(term), term.kernel, term.rolloff, exact=True)
+        return weighed.as_is(term)
 
     @staticmethod
     def _columns_at_estimate(test: ScoreTest, state: State, k: int) -> Array:

@@ -41,14 +41,14 @@ def test_orders_that_are_one_wave_at_taught_positions_are_named_beside_the_lowes
     q = np.radians(np.round(np.degrees(still["joint_position"]) / 2) * 2)
     taught = {**still, "joint_position": q}
     recording = deflected(arm, taught, 2, 6e-4 * np.sin(2 * q[:, 1] + 0.5))
-    (tested,) = explain(Case(recording, None, "declared", OPTIONS, thorough=True)).selection.state.tested
+    (tested,) = explain(Case(recording, None, "declared", OPTIONS)).selection.state.tested
     assert (tested.term.site, tested.term.order) == ("joint2", 2.0)
     same = [one.term.order for one in tested.alternatives if isinstance(one.term, JointHarmonic) and one.gap < 1e-6]
     assert same == [178.0, 182.0, 358.0]
 
 
-def terms(recording, thorough=False):
-    found = explain(Case(recording, None, "declared", OPTIONS, thorough=thorough)).selection.state
+def terms(recording):
+    found = explain(Case(recording, None, "declared", OPTIONS)).selection.state
     return found.fit.terms.terms
 
 
@@ -222,7 +222,7 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
 
 
 def test_effects_are_kept_that_hold_where_they_are_fitted_again(judged):
-    """A search without a block may select something else; that the effect is not there follows only from a refit."""
+    """Terms chosen anew without a block may be others; that the effect is not there follows only from a refit."""
     diagnosis = judged(2e-4, 2.4e-4, refitted=False)
     assert [finding.effect.label for finding in diagnosis.findings] == ["joint_compliance:joint2"]
     assert diagnosis.withdrawn is None
@@ -232,7 +232,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(judged):
     assert document["searched_again"] == {"blocks": 5, "heldout_ratio": pytest.approx(1.2)}
     said = held_out(document)
     assert said.startswith("Errors of 40 rows, held out in 25 contiguous blocks, several at a time")
-    assert "without each of 5 contiguous blocks predicts them worse" in said
+    assert "Of 5 contiguous blocks, the errors with effects are 1.2 times those without" in said
 
 
 FEW = np.arange(40) < 16

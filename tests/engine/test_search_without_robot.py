@@ -511,7 +511,7 @@ def test_a_name_that_is_a_part_of_one_function_is_not_all_that_may_be(seed):
     process = Process("x", (Driver("u1"),), (float(u1.min()), float(u1.max())), "medium", 1.0)
     begun = [SelectedTerm(Column("sign"), cost=4.0), SelectedTerm(process, cost=6.0)]
     selector = Selector(problem, OPTIONS)
-    state = selector.selected(refitted(problem, State(baseline, baseline), begun, OPTIONS), thorough=True)
+    state = selector.selected(refitted(problem, State(baseline, baseline), begun, OPTIONS), exchanging=True)
     possible = [
         [test.term, *(other.term for other in others)]
         for test, others in zip(state.tested, selector.alternatives(state), strict=True)

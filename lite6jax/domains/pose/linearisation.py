@@ -23,7 +23,6 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
-from lite6jax.search.scan import Considered
 from lite6jax.search.search import Selection, at_estimate, search
 from lite6jax.sensors.pose import PoseSensor
 
@@ -122,8 +121,6 @@ def search_load_model(
     reference: PoseProblem,
     options: EngineOptions,
     training: Mask | None = None,
-    thorough: bool = True,
-    among: Considered | None = None,
 ) -> Selection:
     """The search under the more likely load model.
 
@@ -133,7 +130,7 @@ def search_load_model(
     Arguments are as of `search`.
     """
     problem, reference = _first(problem, reference, options, training)
-    selection = search(problem, options, training, reference, thorough, among)
+    selection = search(problem, options, training, reference)
     alternative = with_alternative(selection.problem, selection.state.fit, options)
     if alternative is None:
         return selection
@@ -141,7 +138,7 @@ def search_load_model(
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
-    again = search(other_problem, options, training, other_reference, thorough, among)
+    again = search(other_problem, options, training, other_reference)
     state = replace(selection.state, fit=alternative)
     if gain > CLOSE or again.evidence > replace(selection, state=state).evidence:
         return again

@@ -411,6 +411,12 @@ class PoseProblem(RigidArm):
             return []
         return [term for term in self.candidates if isinstance(term, PayloadError) and term not in terms.terms]
 
+    def with_loads(self, accelerated: bool) -> "PoseProblem":
+        """With inertial forces in the loads, or without, where that is known of the arm."""
+        if (self.motion.joint_acceleration is not None) == accelerated:
+            return self
+        return self.with_other_loads() or self
+
     def with_other_loads(self) -> "PoseProblem | None":
         """With inertial forces in the loads, or without; None for an arm at rest, or without masses or times."""
         if self.motion.joint_acceleration is None:

@@ -276,13 +276,12 @@ def held_out(document: Document) -> str:
     again = document["searched_again"]
     if again:
         sentence = (
-            f"{start}, several at a time: the effects found in all rows were fitted again without them. A new search "
-            f"without each of {again['blocks']} contiguous blocks predicts them worse: with its effects, the errors "
-            f"are {significant(again['heldout_ratio'])} times those without. Either a block alone shows a part of the "
-            "effects, or the search selects others in its absence."
+            f"{start}, several at a time: the effects found in all rows were fitted again without them. Of "
+            f"{again['blocks']} contiguous blocks, the errors with effects are {significant(again['heldout_ratio'])} "
+            "times those without: a block alone may show a part of the effects."
         )
     else:
-        sentence = f"{start}: screening, search and fit of each did without it."
+        sentence = f"{start}: screening and fit of each did without it, and so did the choice among the effects found."
     if document["quick"]:
         sentence += (
             " This was a quick diagnosis: fewer blocks than usual, so that each is predicted from fewer rows and the "
