@@ -322,7 +322,8 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
 def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With a calibration whose numbers all have random errors, where that is more likely than some physics.
 
-    An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere.
+    An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere. Where the two are
+    not distinguished, less physics is claimed.
     """
     settings = explanation.screened.recording.settings
     exact = case.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
@@ -331,17 +332,18 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     # physics that is not modelled resembles autocorrelated noise, and so do a chain's errors, in a trajectory
     fit = explanation.selection.state.fit
     models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(explanation.problem.groups)]
-    gain, sigma = max(_gain_of_uncertainty(explanation, case, model) for model in models)
-    if gain <= 0:
+    odds, sigma = max(_odds_of_uncertainty(explanation, case, model) for model in models)
+    if odds <= 0:
         return explanation
     rival = case.search(explanation.screened, replace(explanation.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - explanation.evidence - case.options.prior.cost("calibration_off")
-    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": abs(gap), "rival_terms": explanation.labels}
-    if gap <= 0:
+    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
+    if gap + _allowance(len(rival.labels), len(explanation.labels)) <= 0:
         likely = gap > -CLOSE
-        ruled_out = DataFault("calibration_off", (), {"reason": "physics" if likely else "unlikely", **numbers})
+        numbers |= {"reason": "physics" if likely else "unlikely", "log_likelihood_gap": -gap}
+        ruled_out = DataFault("calibration_off", (), numbers)
         return replace(
             explanation, screened=replace(explanation.screened, ruled_out=(*explanation.screened.ruled_out, ruled_out))
         )
@@ -349,11 +351,17 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 
 
-def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
-    """The gain of an uncertain calibration over the physics found, and its standard deviation (m and rad).
+def _allowance(terms: int, before: int) -> float:
+    """By how much an explanation with so many terms may be less likely than one with more, and is still said."""
+    return CLOSE if terms < before else 0.0
 
-    To first order, in one noise model, with those of the effects beside it that are still needed; the standard
-    deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
+
+def _odds_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
+    """Log odds of an uncertain calibration over the physics found, and its standard deviation (m and rad).
+
+    To first order, in one noise model, with as many of the effects beside it as make the largest odds, with the
+    `_allowance` for fewer; the standard deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation,
+    Neural Computation 4, 1992).
     """
     problem = explanation.problem
     fit = explanation.selection.state.fit
@@ -397,17 +405,14 @@ def _gain_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
         k = int(np.argmax(gains))
         return plain, plain + float(gains[k]) - 0.5 * float(np.log(explanation.readings)), float(_UNCERTAINTIES[k])
 
-    needed_terms = tuple(range(len(terms)))
-    exact, off, sigma = weighed(needed_terms)
-    while needed_terms:
-        fewer = (tuple(index for index in needed_terms if index != k) for k in needed_terms)
-        (reduced_evidence, size), subset = max((weighed(subset)[1:], subset) for subset in fewer)
-        if reduced_evidence < off:
-            break
-        off = reduced_evidence
-        sigma = size
-        needed_terms = subset
-    return off - exact, sigma
+    kept = tuple(range(len(terms)))
+    exact, off, sigma = weighed(kept)
+    likeliest = off - exact, sigma
+    while kept:
+        fewer = (tuple(index for index in kept if index != k) for k in kept)
+        (off, sigma), kept = max((weighed(subset)[1:], subset) for subset in fewer)
+        likeliest = max(likeliest, (off - exact + _allowance(len(kept), len(terms)), sigma))
+    return likeliest
 
 
 def _log_volume_ratio(explanation: Explanation) -> float:

@@ -68,6 +68,11 @@ FOUND = [
         "Declare factory_uncertainty in the sidecar.",
     ),
     (
+        fault("calibration_off", sigma_m=1.5e-5, sigma_rad=1.5e-5, log_likelihood_gap=-1.5,
+              rival_terms=["tool_offset:tool"]),
+        "would be more likely by 1.5 of log-likelihood, which distinguishes nothing",
+    ),
+    (
         fault("wandering_readout", joints=[2, 3], std_rad=[1.5e-4, 1.2e-4], memory_samples=[31.0, 12.0],
               memory_s=[40.0, 16.0], log_likelihood_gap=[200.0, 90.0]),
         "Joints 2 and 3 are read out with an error that wanders by itself: by 150, 120 µrad (one standard deviation), "

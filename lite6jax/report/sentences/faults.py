@@ -70,9 +70,15 @@ def _less_likely(numbers: Numbers, otherwise: str) -> str:
     """Says how much less likely the poses are without a fault; nothing where that was not compared."""
     if "log_likelihood_gap" not in numbers:
         return ""
+    gap = numbers["log_likelihood_gap"]
+    if gap < 0:
+        return (
+            f"{otherwise}, {_terms(numbers['rival_terms'])} would be more likely by {significant(-gap)} of "
+            "log-likelihood, which distinguishes nothing: the explanation with less physics is kept."
+        )
     return (
         f"{otherwise}, the best explanation ({_terms(numbers['rival_terms'])}) is less likely by "
-        f"{significant(numbers['log_likelihood_gap'])} of log-likelihood."
+        f"{significant(gap)} of log-likelihood."
     )
 
 
