@@ -106,7 +106,7 @@ class Kernel(ABC):
         """`(spline, feature)`, by which the splines of a scaled driver become its features."""
         raise NotImplementedError(f"{self.name} is no kernel of a scaled driver")
 
-    @property
+    @cached_property
     def factor(self) -> "Kernel | None":
         """The kernel as a factor of a product, where its rank is lower; None where it is none."""
         return None
@@ -175,8 +175,8 @@ def _no_spectrum(rolloff: Floats) -> str:
 class _Line(Kernel):
     scaled = True
 
-    @property
-    def factor(self) -> Kernel:
+    @cached_property
+    def factor(self) -> "Kernel | None":
         return self
 
     @property
@@ -213,7 +213,7 @@ class _Curve(Kernel):
     goes_on = False
 
     @cached_property
-    def factor(self) -> Kernel:
+    def factor(self) -> "Kernel | None":
         return replace(self, rank=self.rank_in_product)
 
     @property
@@ -280,8 +280,8 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
 
 
 class _Waves(Kernel):
-    @property
-    def factor(self) -> Kernel:
+    @cached_property
+    def factor(self) -> "Kernel | None":
         return self
 
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
