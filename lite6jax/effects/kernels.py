@@ -64,7 +64,9 @@ class Kernel(ABC):
         prior: which of the kinds of a `Prior` it is.
         numbers: what the numbers of its `rolloff` mean.
         grid: values of these that a search tries; but an order and a place are searched.
+        count: how many features it has, where neither driver nor numbers say so.
         scaled: whether splines of its driver express it, by `root`.
+        joins: whether it may be a factor of a product.
         goes_on: whether its functions say all of it beyond the range of its driver too.
         any_order: whether the first of its numbers is the order of a wave, which need not be whole.
         any_sample: whether the first of its numbers is a value, at any sample, from which on it is.
@@ -81,20 +83,22 @@ class Kernel(ABC):
     describes: str
     partners: tuple[str, ...] = ()
 
-    drivers: ClassVar[int] = 1
-    prior: ClassVar[str] = "process"
+    drivers = 1
+    prior = "process"
     numbers: ClassVar[tuple[str, ...]] = ()
     grid: ClassVar[tuple[tuple[float, ...], ...]] = ((),)
-    scaled: ClassVar[bool] = False
-    goes_on: ClassVar[bool] = True
-    any_order: ClassVar[bool] = False
-    any_sample: ClassVar[bool] = False
-    varies_fast: ClassVar[bool] = False
-    takes_driver: ClassVar[bool] = True
-    hysteretic: ClassVar[bool] = False
-    undriven: ClassVar[bool] = False
-    of_gear: ClassVar[bool] = False
-    apart: ClassVar[bool] = False
+    count = 0
+    scaled = False
+    joins = False
+    goes_on = True
+    any_order = False
+    any_sample = False
+    varies_fast = False
+    takes_driver = True
+    hysteretic = False
+    undriven = False
+    of_gear = False
+    apart = False
 
     @property
     def factors(self) -> "tuple[Kernel, ...]":
@@ -108,8 +112,8 @@ class Kernel(ABC):
 
     @cached_property
     def factor(self) -> "Kernel | None":
-        """The kernel as a factor of a product, where its rank is lower; None where it is none."""
-        return None
+        """The kernel as a factor of a product, where its rank may be lower; None where it is none."""
+        return self if self.joins else None
 
     @abstractmethod
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
@@ -122,9 +126,9 @@ class Kernel(ABC):
             rolloff: its `numbers`; usual ones where not given.
         """
 
-    @abstractmethod
     def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
         """How many features it has."""
+        return self.count
 
     def unknown(self, values: Array, bounds: Floats) -> Array:
         """The variance `(sample,)` of the process, for coefficients of unit variance, that its features do not have.
@@ -173,11 +177,9 @@ def _no_spectrum(rolloff: Floats) -> str:
 
 
 class _Line(Kernel):
+    count = 2
     scaled = True
-
-    @cached_property
-    def factor(self) -> "Kernel | None":
-        return self
+    joins = True
 
     @property
     def root(self) -> NDArray:
@@ -187,9 +189,6 @@ class _Line(Kernel):
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
         scaled = _scaled(values[0], bounds)
         return library_of(values).stack([library_of(values).ones_like(scaled), scaled])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return 2
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
         return not driver.is_order
@@ -280,18 +279,14 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
 
 
 class _Waves(Kernel):
-    @cached_property
-    def factor(self) -> "Kernel | None":
-        return self
+    count = 1 + 2 * len(_WAVES)
+    joins = True
 
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
         xp = library_of(values)
         turned = _WAVES[:, None] * values[0]
         over = _WAVES[:, None]
         return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / over, xp.cos(turned) / over])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return 1 + 2 * len(_WAVES)
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
         return super().suits(driver, discrete) and driver.is_angle
@@ -300,15 +295,13 @@ class _Waves(Kernel):
 class _Sine(Kernel):
     """The factor of a modulated wave; alone it is a wave with a name."""
 
+    count = 2
     any_order = True
 
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
         xp = library_of(values)
         (order,) = rolloff or (1.0,)
         return xp.stack([xp.sin(order * values[0]), xp.cos(order * values[0])])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return 2
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
         return bool(driver.turns)
@@ -367,6 +360,7 @@ class _Spectrum(_Orders):
 class _Repeat(_Orders):
     """Waves of the orders k n with the variance spread² / kˢ, of an order n and a slope s; 1 and 2 where not given."""
 
+    count = 2 * len(_MULTIPLES)
     prior = "repeating"
     numbers = ("order", "slope")
     grid = ((2.0,), (4.0,))
@@ -378,9 +372,6 @@ class _Repeat(_Orders):
         xp = library_of(values)
         turned = self.orders(bounds, rolloff)[:, None] * values
         return xp.concatenate([xp.sin(turned), xp.cos(turned)])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return 2 * len(_MULTIPLES)
 
     def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
         _, slope = rolloff or (1.0, 2.0)
@@ -437,6 +428,7 @@ class _Wander(_Orders):
 class _Jump(Kernel):
     """A constant, and what is there from a value on; from the middle of its range on where that is not given."""
 
+    count = 2
     prior = "jump"
     numbers = ("value",)
     any_sample = True
@@ -445,9 +437,6 @@ class _Jump(Kernel):
         xp = library_of(values)
         (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
         return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return 2
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
         return driver.is_time
@@ -459,6 +448,7 @@ class _Jump(Kernel):
 
 
 class _Plays(Kernel):
+    count = len(_PLAYS) + 2
     hysteretic = True
 
     def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
@@ -474,9 +464,6 @@ class _Plays(Kernel):
         # a spring that slips at the end of its play, from -1 to 1: friction and lost motion are sums of such
         slipping = (centred - behind) / (_PLAYS * half)[:, None]
         return xp.concatenate([xp.ones_like(centred)[None], centred[None] / half, slipping])
-
-    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
-        return len(_PLAYS) + 2
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
         return super().suits(driver, discrete) and driver.is_remembered
