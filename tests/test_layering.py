@@ -77,7 +77,7 @@ EFFECTS = {
     if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
 }
 WORDS = re.compile(r"\b(joints?|poses?|robots?|arms?|links?|encoders?|trackers?)\b", re.IGNORECASE)
-GENERIC = {"Basis", "Domain", "Coordinate", "Estimate"}
+GENERIC = {"Basis", "Domain", "Coordinate", "Estimate", "Kernel"}
 """Words of English as well."""
 
 

@@ -18,7 +18,6 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.predict import motion_of_joint
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import Dynamics, Scaling, TorqueEffect
-from lite6jax.effects.kernels import orders_of
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.evidence import Marginal, log_orders, of_process
@@ -204,8 +203,9 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     engine = found.options.engine
     tests = [score_test(problem, fit, engine) for problem, fit in stages(found)]
     effects = [finding.effect for finding in found.findings]
-    gears = [effect for effect in effects if isinstance(effect, Unnamed) and effect.kernel == "spectrum"]
-    exact_below = max([EXACT_BELOW, *(orders_of(effect.bounds)[-1] for effect in gears)])
+    gear_effects = [effect for effect in effects if isinstance(effect, Unnamed) and effect.covariance.of_gear]
+    gears = [(effect.site, effect.covariance.orders(effect.bounds)) for effect in gear_effects]
+    exact_below = max([EXACT_BELOW, *(orders[-1] for _, orders in gears)])
     spectra = []
     for k, family in enumerate(found.problem.periodic):
         site = family.site
@@ -221,7 +221,7 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),
-                spectra=tuple((at[0], at[-1]) for e in gears if e.site == site for at in [orders_of(e.bounds)]),
+                spectra=tuple((orders[0], orders[-1]) for gear_site, orders in gears if gear_site == site),
                 observed=bool(found.problem.sites["joint", int(site.removeprefix("joint")) - 1, 0].any()),
             )
         )

@@ -21,7 +21,6 @@ from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import JointTorque, Scaling, TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
-from lite6jax.effects.kernels import highest_order
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
@@ -294,7 +293,7 @@ def _process_curve(
     effect: Any = finding.effect
     if effect.hysteretic or len(drivers) > 1:
         return _curve(diagnosis, k, "driver", effect.drivers[0], x, of, scattered=True)
-    highest = highest_order(effect.kernel, effect.bounds, effect.rolloff)
+    highest = np.max(effect.covariance.orders(effect.bounds, effect.rolloff), initial=0.0)
     periods = max(highest * np.ptp(x) / (2 * np.pi), 1.0)
     at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
     functions = np.asarray(effect.functions_at(at[None])) - np.reshape(mean, (-1, 1))

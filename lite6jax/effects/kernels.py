@@ -8,32 +8,26 @@ Beyond the range of its driver a process is what it is given the same wᵢ: the 
 constant over the length of the kernel (the extension of E. Nyström), and what they no longer say of it is `unknown`.
 A line goes on, and so does play; waves and spectra are functions of an angle everywhere.
 
-| kernel | covariance of a driver u that is scaled to [-1, 1] | describes |
-|---|---|---|
-| line | u v | what is in proportion |
-| cubic | 4 exp(-d² / 8) | what is nearly a cubic |
-| smooth, medium, fine | exp(-d² / 2 l²), l = 0.7, 0.3, 0.13 | curves, one finer than the other |
-| rough | exp(-d) | steps and kinks |
-| wave | Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x | what repeats after a turn |
-| spectrum | Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60 | the errors of a gear |
-| sine | cos(n (x - y)), of an angle x, n any order; beside a line alone | a wave whose size follows another driver |
-| repeat | Σ cos(k n (x - y)) / kˢ, k = 1 to 8, of an angle x, n any order | what repeats with any period and is no
-sine: a sawtooth, a ratchet |
-| wander | nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), c = 1 / (π m) | what
-wanders by itself, a first-order autoregression |
-| step | 1 from a value of u on, else 0 | a jump |
-| play | line, and Σ of what play operators of seven widths lag behind, over the width | hysteresis |
+A kernel is one object in `KERNELS`, with all that a search, a prediction and a report ask of it. They look it up by its
+name, `kernel_of`; a search tries all that are there.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from functools import cache, lru_cache
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.effects.deflection import library_of
+from lite6jax.effects.drivers import Driver
+from lite6jax.errors import InputError
+
+Floats = Sequence[float]
 
 PIECES = 24
 """Intervals of the splines in which kernels of a scaled driver are expressed: three to the length of the finest."""
@@ -50,40 +44,6 @@ _MULTIPLES = np.arange(1.0, 9.0)
 """Of the order of what repeats: of a sawtooth's variance 7 % are above them."""
 _PLAYS = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7])
 """Half-widths of play operators over half the range of their driver."""
-
-
-class Kernel(NamedTuple):
-    """A kernel of a scaled driver.
-
-    Attributes:
-        covariance: of two values and their distance.
-        rank: of its features, the constant not counted.
-        rank_in_product: the same where it is a factor.
-    """
-
-    covariance: Callable[[NDArray, NDArray, NDArray], NDArray]
-    rank: int
-    rank_in_product: int
-
-
-def _squared_exponential(length: float, variance: float = 1.0) -> Callable[[NDArray, NDArray, NDArray], NDArray]:
-    return lambda u, v, d: variance * np.exp(-0.5 * (d / length) ** 2)
-
-
-SCALED: dict[str, Kernel] = {
-    "line": Kernel(lambda u, v, d: u * v, 1, 1),
-    "cubic": Kernel(_squared_exponential(2.0, 4.0), 6, 3),
-    "smooth": Kernel(_squared_exponential(0.7), 10, 5),
-    "medium": Kernel(_squared_exponential(0.3), 14, 10),
-    "fine": Kernel(_squared_exponential(0.13), 26, 16),
-    "rough": Kernel(lambda u, v, d: np.exp(-d), 18, 8),
-}
-OF_ANGLES = ("wave", "spectrum", "repeat")
-MODULATED = ("sine*line", "line*sine")
-"""Kernels of a wave of any order whose size follows another driver."""
-AT_ANY_ORDER = ("repeat", *MODULATED)
-"""Kernels of an angle whose order is no whole number, and is searched."""
-KERNELS = (*SCALED, *OF_ANGLES, "play", "wander", "step")
 _FASTEST = 96
 """Highest order of what wanders, in half-waves over a recording: with the rest of the samples' noise beside it, what
 is faster is hardly told from that noise."""
@@ -91,169 +51,215 @@ _CORNERS = 30.0
 """Orders that are kept, over the corner: 98 % of the variance of an autoregression."""
 
 
-def factors_of(kernel: str) -> list[str]:
-    """The kernels of each driver: one, or two that are joined by `*`."""
-    return kernel.split("*")
+@dataclass(frozen=True, eq=False)
+class Kernel(ABC):
+    """A Gaussian process of one driver or of two: its functions, and what a search has to know of it.
 
-
-def is_kernel(kernel: str, drivers: int) -> bool:
-    """Whether a kernel of so many drivers has this name; spectra and plays are of one driver."""
-    factors = factors_of(kernel)
-    is_known = set(factors) <= set(KERNELS) and (len(factors) == 1 or set(factors) <= {*SCALED, "wave"})
-    return (is_known or kernel in MODULATED) and len(factors) == drivers
-
-
-def features(
-    kernel: str, values: Array, bounds: Sequence[float], run: Array | None = None, rolloff: Sequence[float] = ()
-) -> Array:
-    """The functions φ `(feature, sample)` of a kernel. Of NumPy values on the host.
-
-    Args:
-        kernel: its name.
-        values: `(driver, sample)`.
-        bounds: lower and upper of each driver, in its unit.
-        run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
-        rolloff: of a spectrum, the corner c and the slope s; without them its features are of unit variance. Of what
-            repeats, the order n and the slope s; 1 and 2 where not given. Of a sine its order n, else 1. Of a step,
-            the value from which on it is; the middle of its range where not given.
+    Attributes:
+        name: by which documents know it; of two drivers the kernels of each, joined by `*`.
+        formula: its covariance of a driver u that is scaled to [-1, 1], or of an angle x.
+        describes: what it is for.
+        partners: kernels with which a search tries its products, each of the two first.
+        drivers: how many it depends on.
+        prior: which of the kinds of a `Prior` it is.
+        numbers: what the numbers of its `rolloff` mean.
+        grid: values of these that a search tries; but an order and a place are searched.
+        count: how many features it has, where neither driver nor numbers say so.
+        scaled: whether splines of its driver express it, by `root`.
+        joins: whether it may be a factor of a product.
+        goes_on: whether its functions say all of it beyond the range of its driver too.
+        any_order: whether the first of its numbers is the order of a wave, which need not be whole.
+        any_sample: whether the first of its numbers is a value, at any sample, from which on it is.
+        varies_fast: whether a search weighs it exactly at once in autocorrelated noise.
+        takes_driver: whether another driver may join its own, in one process of both.
+        hysteretic: whether it depends on the way to a value of its driver.
+        undriven: whether it is what a read-out does by itself, so that its driver is the order of recording.
+        of_gear: whether it is the errors of a gear, which do not depend on loads or postures.
+        apart: whether names and processes at its site are told apart from it.
     """
-    xp = library_of(values)
-    names = factors_of(kernel)
-    if kernel == "play":
-        return _play_features(values[0], bounds, run)
-    if kernel == "spectrum":
-        turned = orders_of(bounds)[:, None] * values[0]
-        waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
-        return waves * spectrum_deviations(bounds, rolloff)[:, None]
-    if kernel == "repeat":
-        order, slope = rolloff or (1.0, 2.0)
-        turned = order * _MULTIPLES[:, None] * values[0]
-        waves = xp.concatenate([xp.sin(turned), xp.cos(turned)])
-        return waves * deviations(kernel, bounds, (order, slope))[:, None]
-    if kernel == "wander":
-        size = wander_deviations(rolloff)
-        place = (values[0] - bounds[0]) / (bounds[1] - bounds[0])
-        return xp.cos(np.pi * np.arange(len(size))[:, None] * place) * size[:, None]
-    if kernel == "step":
-        (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
-        return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
-    by_factor = _factors(names, values, bounds, rolloff)
-    if len(by_factor) == 1:
-        return by_factor[0]
-    return (by_factor[0][:, None] * by_factor[1][None]).reshape(-1, by_factor[0].shape[-1])
+
+    name: str
+    formula: str
+    describes: str
+    partners: tuple[str, ...] = ()
+
+    drivers = 1
+    prior = "process"
+    numbers: ClassVar[tuple[str, ...]] = ()
+    grid: ClassVar[tuple[tuple[float, ...], ...]] = ((),)
+    count = 0
+    scaled = False
+    joins = False
+    goes_on = True
+    any_order = False
+    any_sample = False
+    varies_fast = False
+    takes_driver = True
+    hysteretic = False
+    undriven = False
+    of_gear = False
+    apart = False
+
+    @property
+    def factors(self) -> "tuple[Kernel, ...]":
+        """The kernels of each driver."""
+        return (self,)
+
+    @property
+    def root(self) -> NDArray:
+        """`(spline, feature)`, by which the splines of a scaled driver become its features."""
+        raise NotImplementedError(f"{self.name} is no kernel of a scaled driver")
+
+    @cached_property
+    def factor(self) -> "Kernel | None":
+        """The kernel as a factor of a product, where its rank may be lower; None where it is none."""
+        return self if self.joins else None
+
+    @abstractmethod
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        """The functions φ `(feature, sample)`. Of NumPy values on the host.
+
+        Args:
+            values: `(driver, sample)`.
+            bounds: lower and upper of each driver, in its unit.
+            run: `(2, sample)`, where runs begin and end, which plays require; one run where not given.
+            rolloff: its `numbers`; usual ones where not given.
+        """
+
+    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
+        """How many features it has."""
+        return self.count
+
+    def unknown(self, values: Array, bounds: Floats) -> Array:
+        """The variance `(sample,)` of the process, for coefficients of unit variance, that its features do not have.
+
+        Within the bounds it is zero. Of NumPy values on the host; arguments as of `features`.
+        """
+        xp = library_of(values)
+        if all(factor.goes_on for factor in self.factors):
+            return xp.zeros(values.shape[-1])
+        process_variance = 1.0
+        feature_variance = 1.0
+        for k, factor in enumerate(self.factors):
+            ends = bounds[2 * k : 2 * k + 2]
+            row = values[k : k + 1]
+            inside = row if factor.goes_on else xp.clip(row, *ends)
+            process_variance = process_variance * xp.sum(factor.features(inside, ends) ** 2, 0)
+            feature_variance = feature_variance * xp.sum(factor.features(row, ends) ** 2, 0)
+        return xp.maximum(process_variance - feature_variance, 0.0)  # type: ignore[return-value]
+
+    def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
+        """`(feature,)`, the prior's standard deviation of each coefficient over the spread."""
+        return np.ones(self.size(bounds, rolloff))
+
+    def orders(self, bounds: Floats, rolloff: Floats = ()) -> NDArray:
+        """`(order,)`, the orders of a spectrum or of what repeats, the highest last; none of other kernels."""
+        return np.zeros(0)
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        """Whether it may be a kernel of a driver, which may be `discrete`: of few values."""
+        return not driver.is_order and not discrete
+
+    def hides(self, other: "Kernel") -> bool:
+        """Whether another process at its site cannot be told apart from it, so that it is not added beside that one."""
+        return not other.apart and not other.of_gear
+
+    def fault(self, bounds: Floats, rolloff: Floats) -> str:
+        """What is wrong with these numbers; empty where they are possible."""
+        return _no_spectrum(rolloff) if rolloff else ""
 
 
-def unknown(kernel: str, values: Array, bounds: Sequence[float]) -> Array:
-    """The variance `(sample,)` of a process, for coefficients of unit variance, that its features do not have.
-
-    Within the bounds it is zero. Of NumPy values on the host; arguments as of `features`.
-    """
-    xp = library_of(values)
-    names = factors_of(kernel)
-    if not set(names) & set(SCALED) - {"line"}:
-        return xp.zeros(values.shape[-1])
-    inside = xp.stack([
-        xp.clip(values[k], bounds[2 * k], bounds[2 * k + 1]) if name in SCALED and name != "line" else values[k]
-        for k, name in enumerate(names)
-    ])  # fmt: skip
-    process_variance = 1.0
-    feature_variance = 1.0
-    for of_process, of_features in zip(_factors(names, inside, bounds), _factors(names, values, bounds), strict=True):
-        process_variance = process_variance * xp.sum(of_process**2, 0)
-        feature_variance = feature_variance * xp.sum(of_features**2, 0)
-    return xp.maximum(process_variance - feature_variance, 0.0)  # type: ignore[return-value]
+def _no_spectrum(rolloff: Floats) -> str:
+    return f"rolloff {rolloff} is not possible; give corner and slope of a spectrum"
 
 
-@lru_cache(maxsize=4096)
-def size_of(kernel: str, bounds: tuple[float, ...], rolloff: tuple[float, ...] = ()) -> int:
-    """How many features a kernel has."""
-    if kernel == "wander":
-        return len(wander_deviations(rolloff))
-    if kernel == "step":
-        return 2
-    if kernel == "repeat":
-        return 2 * len(_MULTIPLES)
-    if kernel == "play":
-        return len(_PLAYS) + 2
-    if kernel == "spectrum":
-        return 2 * len(orders_of(bounds))
-    names = factors_of(kernel)
-    of_angle = {"wave": 7, "sine": 2}
-    sizes = [of_angle.get(name) or root(name, len(names) > 1).shape[1] for name in names]
-    return int(np.prod(sizes))
+# ------------------------------------------------------------------ of a scaled driver
 
 
-def orders_of(bounds: Sequence[float]) -> NDArray:
-    """The orders of a spectrum: whole ones; so fine that the range of an angle that turns far is within one period."""
-    lowest = float(np.clip(2 * np.pi / (_PERIOD * max(bounds[1] - bounds[0], 1e-3)), 0.25, 1.0))
-    return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+class _Line(Kernel):
+    count = 2
+    scaled = True
+    joins = True
 
-
-def highest_order(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> float:
-    """The highest order of a spectrum, or of what repeats; 0 of other kernels."""
-    if kernel == "spectrum":
-        return float(orders_of(bounds)[-1])
-    if kernel == "repeat":
-        return float((rolloff or (1.0,))[0] * _MULTIPLES[-1])
-    return 0.0
-
-
-def spectrum_deviations(bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:
-    """`(feature,)`, the prior's standard deviation of sine and cosine of each order: 1 at low ones."""
-    orders = orders_of(bounds)
-    corner, slope = rolloff or (1.0, 0.0)
-    return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
-
-
-def deviations(kernel: str, bounds: Sequence[float], rolloff: Sequence[float]) -> NDArray:
-    """`(feature,)`, the prior's standard deviation of each order of a spectrum, of what repeats, or of what wanders."""
-    if kernel == "repeat":
-        return np.tile(_MULTIPLES ** (-0.5 * rolloff[1]), 2)
-    return spectrum_deviations(bounds, rolloff) if kernel == "spectrum" else wander_deviations(rolloff)
-
-
-def wander_deviations(rolloff: Sequence[float]) -> NDArray:
-    """`(order,)`, the prior's standard deviation of each order of what wanders with unit variance; 1 without a corner.
-
-    A first-order autoregression of memory m in a recording of length T has the spectrum 1 / (1 + (k / c)²) of its
-    half-waves k, c = T / (π m).
-
-    Args:
-        rolloff: corner c and slope 2; empty for orders of unit variance.
-    """
-    if not rolloff:
-        return np.ones(_FASTEST + 1)
-    corner, slope = rolloff
-    highest = min(int(np.ceil(_CORNERS * corner)), _FASTEST)
-    variance = 4 / (np.pi * corner) / (1 + (np.arange(highest + 1) / corner) ** slope)
-    variance[0] /= 2
-    return np.sqrt(variance)
-
-
-@cache
-def root(name: str, in_product: bool = False) -> NDArray:
-    """`(spline, feature)`, by which the splines of a scaled driver become the features of a kernel."""
-    return _table(name, in_product)[_OUTER : _OUTER + PIECES + 3]
-
-
-@cache
-def _table(name: str, in_product: bool) -> NDArray:
-    """As `root`, with the splines from `_REACH` half ranges before the range of the driver to as many beyond.
-
-    The coefficients of the splines are the process at their centres. Features are the largest principal components of
-    the process over an even grid of the range, and what they say of its values elsewhere.
-    """
-    kernel = SCALED[name]
-    centres = np.arange(-_OUTER - 1, PIECES + _OUTER + 2) * (2 / PIECES) - 1
-    if name == "line":
+    @property
+    def root(self) -> NDArray:
+        centres = _centres(0)
         return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
-    inner = centres[_OUTER : _OUTER + PIECES + 3]
-    covariance = kernel.covariance(centres[:, None], inner, np.abs(centres[:, None] - inner)) + 1.0
-    grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T  # type: ignore[arg-type]
-    eigenvalues, V = np.linalg.eigh(covariance[_OUTER : _OUTER + PIECES + 3])
-    U, S, _ = np.linalg.svd(grid @ (V * np.sqrt(np.maximum(eigenvalues, 0.0))), full_matrices=False)
-    rank = (kernel.rank_in_product if in_product else kernel.rank) + 1
-    return covariance @ grid.T @ U[:, :rank] / S[:rank]
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        scaled = _scaled(values[0], bounds)
+        return library_of(values).stack([library_of(values).ones_like(scaled), scaled])
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return not driver.is_order
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Curve(Kernel):
+    """A stationary covariance.
+
+    Attributes:
+        of_distance: the covariance of two values by their distance.
+        rank: of its features, the constant not counted.
+        rank_in_product: the same where it is a factor.
+    """
+
+    of_distance: Callable[[NDArray], NDArray]
+    rank: int
+    rank_in_product: int
+
+    scaled = True
+    goes_on = False
+
+    @cached_property
+    def factor(self) -> "Kernel | None":
+        return replace(self, rank=self.rank_in_product)
+
+    @property
+    def root(self) -> NDArray:
+        return self._table[_OUTER : _OUTER + PIECES + 3]
+
+    @cached_property
+    def _table(self) -> NDArray:
+        """As `root`, with the splines from `_REACH` half ranges before the range of the driver to as many beyond.
+
+        The coefficients of the splines are the process at their centres. Features are the largest principal components
+        of the process over an even grid of the range, and what they say of its values elsewhere.
+        """
+        inner = _centres(0)
+        covariance = self.of_distance(np.abs(_centres(_OUTER)[:, None] - inner)) + 1.0
+        grid = spline_basis(np.linspace(-1, 1, 20 * PIECES), -1.0, 1.0).T  # type: ignore[arg-type]
+        eigenvalues, V = np.linalg.eigh(covariance[_OUTER : _OUTER + PIECES + 3])
+        U, S, _ = np.linalg.svd(grid @ (V * np.sqrt(np.maximum(eigenvalues, 0.0))), full_matrices=False)
+        rank = self.rank + 1
+        return covariance @ grid.T @ U[:, :rank] / S[:rank]
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        xp = library_of(values)
+        u = xp.clip((_scaled(values[0], bounds) + 1) * (PIECES / 2) + _OUTER, 0.0, PIECES + 2.0 * _OUTER)
+        first = xp.clip(xp.floor(u), 0, PIECES + 2 * _OUTER - 1).astype(int)
+        t = u - first
+        # the four cubic B-splines that are not zero there
+        weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
+        columns = xp.asarray(self._table.T / 6)
+        return sum(columns[:, first + k] * weight for k, weight in enumerate(weights))  # type: ignore[return-value]
+
+    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
+        return self.rank + 1
+
+
+def _scaled(values: Array, bounds: Floats) -> Array:
+    lower, upper = bounds
+    return 2 * (values - lower) / (upper - lower) - 1
+
+
+def _centres(outer: int) -> NDArray:
+    """Of the splines on the range, and on so many intervals to each side of it."""
+    return np.arange(-outer - 1, PIECES + outer + 2) * (2 / PIECES) - 1
+
+
+def _squared_exponential(length: float, variance: float = 1.0) -> Callable[[NDArray], NDArray]:
+    return lambda d: variance * np.exp(-0.5 * (d / length) ** 2)
 
 
 def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES) -> Array:
@@ -269,49 +275,198 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
-def _factors(
-    names: Sequence[str], values: Array, bounds: Sequence[float], rolloff: Sequence[float] = ()
-) -> list[Array]:
-    """The features `(feature, sample)` of each factor at values `(driver, sample)`."""
-    return [
-        _factor(name, values[k], bounds[2 * k], bounds[2 * k + 1], len(names) > 1, rolloff)
-        for k, name in enumerate(names)
-    ]
+# ------------------------------------------------------------------ of an angle
 
 
-def _factor(
-    name: str, values: Array, lower: float, upper: float, in_product: bool, rolloff: Sequence[float] = ()
-) -> Array:
-    xp = library_of(values)
-    if name == "sine":
-        (order,) = rolloff or (1.0,)
-        return xp.stack([xp.sin(order * values), xp.cos(order * values)])
-    if name == "wave":  # of an angle, each order over itself
-        turned = _WAVES[:, None] * values
+class _Waves(Kernel):
+    count = 1 + 2 * len(_WAVES)
+    joins = True
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        xp = library_of(values)
+        turned = _WAVES[:, None] * values[0]
         over = _WAVES[:, None]
         return xp.concatenate([xp.ones_like(turned[:1]), xp.sin(turned) / over, xp.cos(turned) / over])
-    scaled = 2 * (values - lower) / (upper - lower) - 1
-    if name == "line":
-        return xp.stack([xp.ones_like(scaled), scaled])
-    u = xp.clip((scaled + 1) * (PIECES / 2) + _OUTER, 0.0, PIECES + 2.0 * _OUTER)
-    first = xp.clip(xp.floor(u), 0, PIECES + 2 * _OUTER - 1).astype(int)
-    t = u - first
-    # the four cubic B-splines that are not zero there
-    weights = (1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3
-    columns = xp.asarray(_table(name, in_product).T / 6)
-    return sum(columns[:, first + k] * weight for k, weight in enumerate(weights))  # type: ignore[return-value]
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return super().suits(driver, discrete) and driver.is_angle
 
 
-def _play_features(values: Array, bounds: Sequence[float], run: Array | None) -> Array:
-    xp = library_of(values)
-    half = 0.5 * (bounds[1] - bounds[0])
-    single_run = np.stack([np.zeros(values.size, int), np.full(values.size, values.size - 1)])
-    centred = values - 0.5 * (bounds[0] + bounds[1])
-    behind = plays(jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(single_run if run is None else run))
-    behind = np.asarray(behind) if xp is np else behind
-    # a spring that slips at the end of its play, from -1 to 1: friction and lost motion are sums of such
-    slipping = (centred - behind) / (_PLAYS * half)[:, None]
-    return xp.concatenate([xp.ones_like(centred)[None], centred[None] / half, slipping])
+class _Sine(Kernel):
+    """The factor of a modulated wave; alone it is a wave with a name."""
+
+    count = 2
+    any_order = True
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        xp = library_of(values)
+        (order,) = rolloff or (1.0,)
+        return xp.stack([xp.sin(order * values[0]), xp.cos(order * values[0])])
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return bool(driver.turns)
+
+
+class _Orders(Kernel):
+    """Waves of many orders, of less variance the higher their order is."""
+
+    varies_fast = True
+    takes_driver = False
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        return self.waves(values[0], bounds, rolloff) * self.deviations(bounds, rolloff)[:, None]
+
+    @abstractmethod
+    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+        """The same of unit variance."""
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return bool(driver.turns)
+
+    def fault(self, bounds: Floats, rolloff: Floats) -> str:
+        return _no_spectrum(rolloff) if rolloff and (len(rolloff) != 2 or rolloff[0] <= 0) else ""
+
+
+class _Spectrum(_Orders):
+    """Waves of order k with the variance spread² / (1 + (k / c)ˢ), of a corner c and a slope s; else spread²."""
+
+    numbers = ("corner", "slope")
+    grid = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
+    of_gear = True
+
+    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+        xp = library_of(values)
+        turned = self.orders(bounds)[:, None] * values
+        return xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
+
+    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
+        return 2 * len(self.orders(bounds))
+
+    def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
+        """Of sine and cosine of each order: 1 at low ones; 1 of all without a corner."""
+        orders = self.orders(bounds)
+        corner, slope = rolloff or (1.0, 0.0)
+        return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
+
+    def orders(self, bounds: Floats, rolloff: Floats = ()) -> NDArray:
+        """Whole ones; so fine that the range of an angle that turns far is within one period."""
+        lowest = float(np.clip(2 * np.pi / (_PERIOD * max(bounds[1] - bounds[0], 1e-3)), 0.25, 1.0))
+        return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+
+    def hides(self, other: Kernel) -> bool:
+        return other.of_gear
+
+
+class _Repeat(_Orders):
+    """Waves of the orders k n with the variance spread² / kˢ, of an order n and a slope s; 1 and 2 where not given."""
+
+    count = 2 * len(_MULTIPLES)
+    prior = "repeating"
+    numbers = ("order", "slope")
+    grid = ((2.0,), (4.0,))
+    """Slopes: of a sawtooth, and of a triangle."""
+    any_order = True
+    apart = True
+
+    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+        xp = library_of(values)
+        turned = self.orders(bounds, rolloff)[:, None] * values
+        return xp.concatenate([xp.sin(turned), xp.cos(turned)])
+
+    def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
+        _, slope = rolloff or (1.0, 2.0)
+        return np.tile(_MULTIPLES ** (-0.5 * slope), 2)
+
+    def orders(self, bounds: Floats, rolloff: Floats = ()) -> NDArray:
+        order, _ = rolloff or (1.0, 2.0)
+        return order * _MULTIPLES
+
+    def hides(self, other: Kernel) -> bool:
+        return other.of_gear or other is self
+
+
+class _Wander(_Orders):
+    """A first-order autoregression of unit variance.
+
+    With the memory m in a recording of length T it has the spectrum 1 / (1 + (k / c)²) of its half-waves k,
+    c = T / (π m). Corners are half-waves over the recording: memories of a fifth, a 13th, a 31st and a 75th of it.
+    """
+
+    prior = "wandering"
+    numbers = ("corner", "slope")
+    grid = tuple(product((1.6, 4.0, 10.0, 24.0), (2.0,)))
+    undriven = True
+    apart = True
+
+    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+        place = (values - bounds[0]) / (bounds[1] - bounds[0])
+        return library_of(values).cos(np.pi * np.arange(self.size(bounds, rolloff))[:, None] * place)
+
+    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
+        return 1 + (min(int(np.ceil(_CORNERS * rolloff[0])), _FASTEST) if rolloff else _FASTEST)
+
+    def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
+        """Of each order; 1 of all without a corner."""
+        orders = np.arange(self.size(bounds, rolloff))
+        if not rolloff:
+            return np.ones(len(orders))
+        corner, slope = rolloff
+        variance = 4 / (np.pi * corner) / (1 + (orders / corner) ** slope)
+        variance[0] /= 2
+        return np.sqrt(variance)
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return driver.is_order
+
+    def hides(self, other: Kernel) -> bool:
+        return other.undriven
+
+
+# ------------------------------------------------------------------ jumps and hysteresis
+
+
+class _Jump(Kernel):
+    """A constant, and what is there from a value on; from the middle of its range on where that is not given."""
+
+    count = 2
+    prior = "jump"
+    numbers = ("value",)
+    any_sample = True
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        xp = library_of(values)
+        (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
+        return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return driver.is_time
+
+    def fault(self, bounds: Floats, rolloff: Floats) -> str:
+        if len(rolloff) == 1 and bounds[0] < rolloff[0] <= bounds[1]:
+            return ""
+        return f"a step is not possible at {rolloff}; give one value within its range"
+
+
+class _Plays(Kernel):
+    count = len(_PLAYS) + 2
+    hysteretic = True
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        xp = library_of(values)
+        half = 0.5 * (bounds[1] - bounds[0])
+        count = values.shape[-1]
+        single_run = np.stack([np.zeros(count, int), np.full(count, count - 1)])
+        centred = values[0] - 0.5 * (bounds[0] + bounds[1])
+        behind = plays(
+            jnp.asarray(centred), jnp.asarray(_PLAYS * half), jnp.asarray(single_run if run is None else run)
+        )
+        behind = np.asarray(behind) if xp is np else behind
+        # a spring that slips at the end of its play, from -1 to 1: friction and lost motion are sums of such
+        slipping = (centred - behind) / (_PLAYS * half)[:, None]
+        return xp.concatenate([xp.ones_like(centred)[None], centred[None] / half, slipping])
+
+    def suits(self, driver: Driver, discrete: bool) -> bool:
+        return super().suits(driver, discrete) and driver.is_remembered
 
 
 @jit
@@ -334,3 +489,129 @@ def plays(values: Array, widths: Array, run: Array) -> Array:
 
     begins = run[0] == jnp.arange(run.shape[1])
     return lax.scan(pushed, jnp.zeros_like(widths), (values, begins))[1].T
+
+
+# ------------------------------------------------------------------ of two drivers
+
+
+@dataclass(frozen=True, eq=False)
+class _Product(Kernel):
+    both: tuple[Kernel, ...] = ()
+
+    drivers = 2
+    prior = "product"
+
+    @property
+    def factors(self) -> tuple[Kernel, ...]:
+        return self.both
+
+    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+        first, second = (
+            factor.features(values[k : k + 1], bounds[2 * k : 2 * k + 2], run, rolloff)
+            for k, factor in enumerate(self.both)
+        )
+        return (first[:, None] * second[None]).reshape(-1, first.shape[-1])
+
+    def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
+        first, second = (factor.size(bounds[2 * k : 2 * k + 2], rolloff) for k, factor in enumerate(self.both))
+        return first * second
+
+
+class _Modulated(_Product):
+    """A sine of an order, which is 1 where not given, whose size is a constant and follows a line."""
+
+    prior = "modulated"
+    numbers = ("order",)
+    any_order = True
+    varies_fast = True
+
+    def fault(self, bounds: Floats, rolloff: Floats) -> str:
+        if len(rolloff) == 1 and rolloff[0] > 0:
+            return ""
+        return f"a sine of order {rolloff} is not possible; give one positive order"
+
+
+# ------------------------------------------------------------------ the table
+
+_LINE = _Line("line", "u v", "what is in proportion", ("line", "smooth", "medium", "fine", "rough", "wave"))
+_SINE = _Sine(
+    "sine",
+    "cos(n (x - y)), of an angle x, n any order; beside a line alone",
+    "a wave whose size follows another driver",
+)
+KERNELS: dict[str, Kernel] = {
+    kernel.name: kernel
+    for kernel in (
+        _LINE,
+        _Curve("cubic", "4 exp(-d² / 8)", "what is nearly a cubic", ("cubic", "wave"),
+               of_distance=_squared_exponential(2.0, 4.0), rank=6, rank_in_product=3),
+        _Curve("smooth", "exp(-d² / 2 l²), l = 0.7", "curves", ("smooth",),
+               of_distance=_squared_exponential(0.7), rank=10, rank_in_product=5),
+        _Curve("medium", "the same, l = 0.3", "finer ones",
+               of_distance=_squared_exponential(0.3), rank=14, rank_in_product=10),
+        _Curve("fine", "the same, l = 0.13", "the finest",
+               of_distance=_squared_exponential(0.13), rank=26, rank_in_product=16),
+        _Curve("rough", "exp(-d)", "steps and kinks", ("rough",),
+               of_distance=lambda d: np.exp(-d), rank=18, rank_in_product=8),
+        _Waves("wave", "Σ cos(k (x - y)) / k², k = 1, 2, 3, of an angle x", "what repeats after a turn", ("wave",)),
+        _Spectrum("spectrum", "Σ cos(k (x - y)) / (1 + (k / c)ˢ), k to 60", "the errors of a gear"),
+        _Repeat("repeat", "Σ cos(k n (x - y)) / kˢ, k = 1 to 8, of an angle x, n any order",
+                "what repeats with any period and is no sine: a sawtooth, a ratchet"),
+        _Plays("play", "line, and Σ of what play operators of seven widths lag behind, over the width", "hysteresis"),
+        _Wander("wander", "nearly exp(-d / m) of the order of recording: Σ cos(π k s) cos(π k t) / (1 + (k / c)²), "
+                "c = 1 / (π m)", "what wanders by itself, a first-order autoregression"),
+        _Jump("step", "1 from a value of u on, else 0", "a jump"),
+    )
+}  # fmt: skip
+"""All kernels of one driver by their names."""
+MODULATED: tuple[Kernel, Kernel] = (
+    _Modulated("sine*line", _SINE.formula, _SINE.describes, both=(_SINE, _LINE)),
+    _Modulated("line*sine", _SINE.formula, _SINE.describes, both=(_LINE, _SINE)),
+)
+"""Waves of any order of the first and of the second of two drivers, whose size follows the other."""
+SCALED = tuple(name for name, kernel in KERNELS.items() if kernel.scaled)
+SINGLE = tuple(name for name, kernel in KERNELS.items() if not kernel.numbers)
+"""Kernels of one driver that have no numbers."""
+PAIRS = (
+    *(f"{name}*{name}" for name, kernel in KERNELS.items() if name in kernel.partners),
+    *(
+        f"{first}*{second}"
+        for name, kernel in KERNELS.items()
+        for partner in kernel.partners
+        if partner != name
+        for first, second in ((name, partner), (partner, name))
+    ),
+)
+"""Kernels of two drivers that are tried."""
+__doc__ = "\n".join([
+    f"{__doc__}\n| kernel | covariance of a driver u that is scaled to [-1, 1] | describes |\n|---|---|---|",
+    *(f"| {kernel.name} | {kernel.formula} | {kernel.describes} |" for kernel in (*KERNELS.values(), _SINE)),
+])  # fmt: skip
+
+
+@lru_cache(maxsize=1024)
+def _kernel(name: str) -> Kernel | None:
+    by_name = KERNELS | {kernel.name: kernel for kernel in MODULATED}
+    if name in by_name:
+        return by_name[name]
+    factors = [KERNELS[part].factor if part in KERNELS else None for part in name.split("*")]
+    both = tuple(factor for factor in factors if factor is not None)
+    return _Product(name, "", "", both=both) if len(both) == len(factors) == 2 else None
+
+
+def kernel_of(name: str) -> Kernel:
+    """The kernel of this name: one of `KERNELS`, or two that are joined by `*`, such as smooth*line.
+
+    Raises:
+        InputError: no kernel has this name.
+    """
+    kernel = _kernel(name)
+    if kernel is None:
+        raise InputError(f"no kernel is called {name!r}; give one of {', '.join(KERNELS)}, or two that are joined by *")
+    return kernel
+
+
+def is_kernel(name: str, drivers: int) -> bool:
+    """Whether a kernel of so many drivers has this name."""
+    kernel = _kernel(name)
+    return kernel is not None and kernel.drivers == drivers

@@ -25,8 +25,6 @@ SCALE = "scale"
 
 _MOST = 0.5
 """rad, m, or a share of the readings: the largest coefficient that is possible."""
-_ROLLED_OFF = ("spectrum", "wander", "repeat")
-"""Kernels whose functions are of less variance the higher their order is."""
 _MEASURES = {**dict.fromkeys("xyz", ("m", "_m")), SCALE: ("1", "")}
 """Unit of a component that is no rotation, and how the names of its coefficients end."""
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
@@ -53,10 +51,7 @@ class Process(Effect, ABC):
         kernel: of `kernels`; for two drivers one of each, such as "smooth*line".
         further: lower and upper of the second driver.
         spread: the prior's standard deviation of a coefficient; None where nothing is known of it.
-        rolloff: corner order c and slope s of a spectrum: its coefficients of order k have the variance
-            spread² / (1 + (k / c)ˢ); likewise of what wanders. Of what repeats, its order n and the slope s: its
-            multiples k n have the variance spread² / kˢ. Of a sine, its order n. Of a step, the value from which on
-            it is.
+        rolloff: the `numbers` of its kernel, such as corner and slope of a spectrum; empty for a kernel without any.
 
     Raises:
         InputError: no such kernel or driver, bounds that are not those of the drivers, or an empty range.
@@ -88,15 +83,14 @@ class Process(Effect, ABC):
             raise InputError(
                 f"{self.label}: the bounds {bounds} are not those of {count} drivers; give lower < upper of each"
             )
-        rolloff = self.rolloff
-        if self.kernel == "step":
-            if len(rolloff) != 1 or not self.lower < rolloff[0] <= self.upper:
-                raise InputError(f"{self.label}: a step is not possible at {rolloff}; give one value within its range")
-        elif self.kernel in kernels.MODULATED:
-            if len(rolloff) != 1 or rolloff[0] <= 0:
-                raise InputError(f"{self.label}: a sine of order {rolloff} is not possible; give one positive order")
-        elif rolloff and (len(rolloff) != 2 or rolloff[0] <= 0 or self.kernel not in _ROLLED_OFF):
-            raise InputError(f"{self.label}: rolloff {rolloff} is not possible; give corner and slope of a spectrum")
+        fault = self.covariance.fault(bounds, self.rolloff)
+        if fault:
+            raise InputError(f"{self.label}: {fault}")
+
+    @property
+    def covariance(self) -> kernels.Kernel:
+        """The kernel."""
+        return kernels.kernel_of(self.kernel)
 
     @property
     @abstractmethod
@@ -111,7 +105,7 @@ class Process(Effect, ABC):
     @property
     def size(self) -> int:
         """How many coefficients it has: thousands of such effects are counted, and few have their coordinates."""
-        return kernels.size_of(self.kernel, self.bounds, self.rolloff)
+        return self.covariance.size(self.bounds, self.rolloff)
 
     @property
     def bounds(self) -> tuple[float, ...]:
@@ -131,7 +125,7 @@ class Process(Effect, ABC):
     @property
     def hysteretic(self) -> bool:
         """Whether it depends on the way to a value of its driver."""
-        return self.kernel == "play"
+        return self.covariance.hysteretic
 
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the drivers, `(driver, sample)`."""
@@ -140,14 +134,14 @@ class Process(Effect, ABC):
 
     def functions_at(self, values: Array, run: Array | None = None) -> Array:
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers; `run` as of a `Motion`."""
-        return kernels.features(self.kernel, values, self.bounds, run, self.rolloff)
+        return self.covariance.features(values, self.bounds, run, self.rolloff)
 
     def unknown_at(self, values: Array) -> Array:
         """The variance `(sample,)` of what the coefficients do not say of the process: beyond its range.
 
         None of a process without a prior, of which nothing is known there.
         """
-        return kernels.unknown(self.kernel, values, self.bounds) * (self.spread or 0.0) ** 2
+        return self.covariance.unknown(values, self.bounds) * (self.spread or 0.0) ** 2
 
 
 @final_effect

@@ -221,7 +221,7 @@ class Problem(LinearisedProblem, Protocol):
             quantities: on what it depends.
             kernel: its name.
             spread: the prior's standard deviation of a coefficient.
-            rolloff: corner and slope of a spectrum.
+            rolloff: its `numbers`.
         """
         ...
 

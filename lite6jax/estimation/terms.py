@@ -93,7 +93,7 @@ class ProcessTerm(Term, Protocol):
     Attributes:
         component: of its site, in which it moves; empty where the site has but one.
         kernel: by name.
-        rolloff: numbers of the kernel, as of `kernels.features`.
+        rolloff: the `numbers` of the kernel.
     """
 
     @property

@@ -42,8 +42,8 @@ Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
 SCREENED = {
-    SPLINES: tuple(kernels.root(name) for name in ("cubic", "medium", "rough")),
-    CUBICS: (np.eye(kernels.size_of(CUBICS, ())),),
+    SPLINES: tuple(kernels.kernel_of(name).root for name in ("cubic", "medium", "rough")),
+    CUBICS: (np.eye(kernels.kernel_of(CUBICS).size(())),),
 }
 """`(function, feature)`, by which functions become those of the kernels that processes are screened by."""
 _ORDERS_AT_ONCE = 1 << 21

@@ -10,13 +10,13 @@ from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect, Loading, Wave
+from lite6jax.effects.kernels import PAIRS, SINGLE
 from lite6jax.effects.nonparametric import Process
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.fields import field_values
 from lite6jax.fleet.reduced import Heading, ReducedArm, readings
 from lite6jax.fleet.terms import Candidate, FleetComponent, Varied
-from lite6jax.search.scan import PAIRS, SINGLE
 
 
 def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:

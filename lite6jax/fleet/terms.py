@@ -17,7 +17,7 @@ from lite6jax.estimation.evidence import log_orders
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Problem
 from lite6jax.estimation.terms import Term
-from lite6jax.search.scan import PAIRS, SINGLE, Scan
+from lite6jax.search.scan import Scan
 
 Array = NDArray[np.floating]
 
@@ -100,7 +100,7 @@ class FleetProcess:
     @property
     def candidate(self) -> Candidate:
         """As a report names it."""
-        count = kernels.size_of(self.kernel, self.bounds)
+        count = kernels.kernel_of(self.kernel).size(self.bounds)
         names = tuple(f"coefficient{k + 1}_{self.unit}" for k in range(count))
         sizes = ((_TYPICAL,) * count, (-np.inf,) * count, (np.inf,) * count)
         return Candidate(self.key, "unnamed", self.site, " and ".join(self.drivers), names, *sizes)
@@ -110,7 +110,7 @@ class FleetProcess:
         if self.kernel == SPLINES:
             lower, upper = self.bounds
             return np.asarray(kernels.spline_basis(cast(Any, values[0]), lower, upper))
-        return np.asarray(kernels.features(self.kernel, cast(Any, values), self.bounds, cast(Any, run)))
+        return np.asarray(kernels.kernel_of(self.kernel).features(cast(Any, values), self.bounds, cast(Any, run)))
 
 
 Tested = PooledTerm | FleetProcess
@@ -203,7 +203,7 @@ class Tried:
     def with_every_kernel(self, process: FleetProcess) -> list[FleetProcess]:
         """The processes of the same quantities at the same component."""
         quantity_indices = tuple(self._place_of[phrase] for phrase in process.drivers)
-        names = SINGLE if len(quantity_indices) == 1 else PAIRS
+        names = kernels.SINGLE if len(quantity_indices) == 1 else kernels.PAIRS
         return [replace(process, kernel=name) for name in names if self._scan.suits(name, quantity_indices)]
 
     def candidate(self, term: Tested) -> Candidate:

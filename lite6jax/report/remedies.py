@@ -182,8 +182,10 @@ def component(where: Entry) -> str:
 
 def shape(where: Entry) -> str:
     """What a nonparametric effect looks like; `where` has its fields."""
-    two = "a curve in each direction" if "direction of motion" in where["driver"] else "a surface"
-    text = _SHAPES.get(where.get("kernel", "smooth"), two)
+    usual = "a surface" if " and " in where["driver"] else "a curve"
+    if "direction of motion" in where["driver"]:
+        usual = "a curve in each direction"
+    text = _SHAPES.get(where.get("kernel", "smooth"), usual)
     rolloff = where.get("rolloff")
     if "{{" in text and rolloff:
         return fill(text, {"order": f"{rolloff[0]:.4g}", "period": f"{2 * math.pi / rolloff[0]:.3g}"})

@@ -18,6 +18,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
 """
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +28,17 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects import kernels
+from lite6jax.effects.kernels import (
+    KERNELS,
+    MODULATED,
+    PAIRS,
+    PIECES,
+    SCALED,
+    SINGLE,
+    Kernel,
+    kernel_of,
+    spline_basis,
+)
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, log_orders_of, of_process
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
@@ -38,22 +49,15 @@ from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
 
 Array = NDArray[np.floating]
 
-SINGLE = (*kernels.SCALED, "wave", "play")
-PAIRS = (
-    *("line*line", "cubic*cubic", "smooth*smooth", "rough*rough", "wave*wave"),
-    *(f"{a}*{b}" for pair in (("line", "smooth"), ("line", "medium"), ("line", "fine"), ("line", "rough"),
-                              ("line", "wave"), ("cubic", "wave")) for a, b in (pair, pair[::-1])),
-)  # fmt: skip
-_ROLLOFFS = {
-    "spectrum": tuple(product((3.0, 8.0, 20.0), (2.0, 4.0))),
-    "wander": tuple(product((1.6, 4.0, 10.0, 24.0), (2.0,))),
-}
-"""Corner and slope that are tried. Of what wanders, corners are half-waves over the recording: memories of a fifth, a
-13th, a 31st and a 75th of it."""
-_VARIES_FAST = ("spectrum", "wander", *kernels.AT_ANY_ORDER)
-"""Kernels that are weighed exactly at once in autocorrelated noise."""
-_SLOPES = (2.0, 4.0)
-"""Of the variances of multiples that are tried of what repeats: of a sawtooth, and of a triangle."""
+_KERNELS_OF = {**Counter(kernel.prior for kernel in KERNELS.values()), "product": len(PAIRS) / 2}
+"""How many kernels each kind of process has."""
+_ROLLED_OFF = [name for name, kernel in KERNELS.items() if len(kernel.grid) > 1 and not kernel.any_order]
+"""Kernels of which several roll-offs are tried."""
+_PLAYS = [name for name in SINGLE if KERNELS[name].hysteretic]
+_UNSCALED = [name for name in SINGLE if name not in (*SCALED, *_PLAYS)]
+_REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
+_JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
+_MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
 _FRACTIONS = (1, 2, 3)
 """Parts of the order of the likeliest wave that are tried as the order of what repeats: its multiple may be larger."""
 _OFF_ORDER = (0.3, 0.08, 0.02)
@@ -195,7 +199,7 @@ class Scan:
         self._features: dict[tuple[Any, ...], Array] = {}
         self._products: dict[tuple[Any, ...], Array] = {}
         self._kept = 0
-        self._costs: dict[tuple[str, tuple[int, ...]], float] = {}
+        self._costs: dict[tuple[str, tuple[int, ...], str], float] = {}
         self.discrete = [_is_discrete(quantity) for quantity in self.quantities]
         sites = {component.site for component in problem.components}
         self.own = {site: [k for k, quantity in enumerate(drivers) if _is_own(quantity, site)] for site in sites}
@@ -212,17 +216,18 @@ class Scan:
         number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
         return float(self.prior.cost("named") + np.log(max(len(self.names), 1)) + number)
 
-    def cost_of_process(self, site: str, which: tuple[int, ...]) -> float:
-        """Of a process of one quantity or of two, any kernel, any component."""
+    def cost_of_process(self, site: str, which: tuple[int, ...], kind: str = "") -> float:
+        """Of a process of one quantity or of two, any kernel of its kind, any component."""
         if which == (self.drivers,):
-            return float(self.prior.cost("wandering") + np.log(len(self.wandering)) + np.log(len(_ROLLOFFS["wander"])))
-        if (site, which) in self._costs:
-            return self._costs[site, which]
-        cost = self.prior.cost("process" if len(which) == 1 else "product")
+            return float(self.prior.cost("wandering") + np.log(len(self.wandering)) + np.log(_MEMORIES))
+        kind = kind or ("process" if len(which) == 1 else "product")
+        if (site, which, kind) in self._costs:
+            return self._costs[site, which, kind]
+        cost = self.prior.cost(kind)
         cost += np.log(max(len(self.problem.components), 1))
         cost += sum(self._cost_of_quantity(site, k) for k in which)
-        cost += np.log(1 + len(SINGLE)) if len(which) == 1 else np.log(len(PAIRS) / 2)  # the spectrum is one more
-        return self._costs.setdefault((site, which), float(cost))
+        cost += np.log(_KERNELS_OF[kind])
+        return self._costs.setdefault((site, which, kind), float(cost))
 
     def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
         """Of a wave beside other terms; None of a term that is no wave of a fixed order.
@@ -244,13 +249,20 @@ class Scan:
                 cost = min(cost, float(log_orders_of(family, multiple, self.options)))
         return cost
 
-    def cost_of_repeating(self, family: PeriodicFamily, order: float) -> float:
-        """Of what repeats with the turns of an angle, any of them, at any order, and is no sine."""
-        return self._cost_of_order("repeating", family, order) + float(np.log(len(_SLOPES)))
-
-    def cost_of_modulated(self, family: PeriodicFamily, order: float, k: int) -> float:
-        """Of a wave of the turns of an angle, any of them, of any order, whose size follows a quantity."""
-        return self._cost_of_order("modulated", family, order) + float(self._cost_of_quantity(family.site, k))
+    def cost_of_kernel(self, site: str, which: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...]) -> float:
+        """Of a process of one kernel at a site; where its order or its sample is searched, of the choice of that."""
+        if kernel.any_sample:
+            return float(
+                self.prior.cost(kernel.prior) + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples)
+            )
+        if not kernel.any_order:
+            return self.cost_of_process(site, which, kernel.prior)
+        family = self.family_of(site)
+        if family is None:
+            return self.cost_of_process(site, which)
+        cost = self._cost_of_order(kernel.prior, family, rolloff[0]) + float(np.log(len(kernel.grid)))
+        others = [k for k, factor in zip(which, kernel.factors, strict=True) if not factor.any_order]
+        return cost + sum(float(self._cost_of_quantity(site, k)) for k in others)
 
     def _cost_of_order(self, kind: str, family: PeriodicFamily, order: float) -> float:
         """Of a kind, an angle, any of them, and an order of it."""
@@ -264,11 +276,6 @@ class Scan:
     def family_of(self, site: str) -> PeriodicFamily | None:
         """The waves of a site's own turns; None where it has none, or of a slide, whose turns are its strokes."""
         return next((family for family in self.problem.periodic if family.site == site and family.whole), None)
-
-    @cached_property
-    def cost_of_step(self) -> float:
-        """Of a read-out that jumps, any of them, at any sample."""
-        return float(self.prior.cost("jump") + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples))
 
     @cached_property
     def time(self) -> int | None:
@@ -303,19 +310,10 @@ class Scan:
 
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
         """Whether a kernel is one of these quantities."""
-        for name, k in zip(kernels.factors_of(kernel), which, strict=True):
-            driver = self.quantities[k].driver
-            if driver.is_order or name == "wander":
-                return bool(driver.is_order) and kernel == "wander"
-            if name == "step":
-                return bool(driver.is_time)
-            if name in ("repeat", "sine"):
-                return bool(driver.turns)
-            if self.discrete[k] and name != "line":
-                return False
-            if (name == "wave" and not driver.is_angle) or (name == "play" and not driver.is_remembered):
-                return False
-        return True
+        factors = kernel_of(kernel).factors
+        return all(
+            factor.suits(self.quantities[k].driver, self.discrete[k]) for factor, k in zip(factors, which, strict=True)
+        )
 
     # -------------------------------------------------------------- features
 
@@ -324,9 +322,9 @@ class Scan:
         key = which, kernel, rolloff
         if key not in self._features:
             if len(which) == 1:
-                self._features[key] = self.problem.seen(self._factor(*key))
+                self._features[key] = self.problem.seen(self._factor(which, kernel_of(kernel), rolloff))
                 return self._features[key]
-            if "sine" in kernels.factors_of(kernel):  # of any order
+            if kernel_of(kernel).any_order:
                 return self._product(which, kernel, rolloff)
             if key not in self._products:
                 functions = self._product(which, kernel)
@@ -341,26 +339,24 @@ class Scan:
 
     def _product(self, quantity_indices: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = ()) -> Array:
         first, second = (
-            self._factor((k,), name, rolloff if name == "sine" else (), in_product=True)
-            for k, name in zip(quantity_indices, kernels.factors_of(kernel), strict=True)
+            self._factor((k,), factor, rolloff if factor.any_order else ())
+            for k, factor in zip(quantity_indices, kernel_of(kernel).factors, strict=True)
         )
         return self.problem.seen((first[:, None] * second).reshape(-1, first.shape[-1]))
 
-    def _factor(
-        self, quantity_indices: tuple[int, ...], kernel: str, rolloff: tuple[float, ...] = (), in_product: bool = False
-    ) -> Array:
+    def _factor(self, quantity_indices: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...] = ()) -> Array:
         """The functions of a kernel of one quantity at every sample, before any filter."""
-        key = quantity_indices, kernel, rolloff, in_product
+        key = quantity_indices, kernel, rolloff
         if key in self._features:
             return self._features[key]
         (k,) = quantity_indices
-        if kernel in kernels.SCALED:
-            functions = kernels.root(kernel, in_product).T @ self._every_spline(k)
+        if kernel.scaled:
+            functions = kernel.root.T @ self._every_spline(k)
         else:
             values: Any = self.quantities[k].values[None]
             run: Any = self.problem.every_run
-            functions = np.asarray(kernels.features(kernel, values, self.quantities[k].bounds, run, rolloff))
-        if kernel != "sine":  # of any order
+            functions = np.asarray(kernel.features(values, self.quantities[k].bounds, run, rolloff))
+        if not kernel.any_order:
             self._features[key] = functions
         return functions
 
@@ -368,14 +364,14 @@ class Scan:
         key = (k,), "spline"
         if key not in self._features:
             values: Any = self.quantities[k].values
-            self._features[key] = np.asarray(kernels.spline_basis(values, *self.quantities[k].bounds))
+            self._features[key] = np.asarray(spline_basis(values, *self.quantities[k].bounds))
         return self._features[key]
 
     @cached_property
     def splines(self) -> tuple[list[int], Array]:
         """The quantities of many values, and splines `(quantity, spline, sample)` that express all their kernels."""
         continuous = [k for k in range(self.drivers) if not self.discrete[k]]
-        none = np.zeros((0, kernels.PIECES + 3, self.problem.samples))
+        none = np.zeros((0, PIECES + 3, self.problem.samples))
         return continuous, np.stack(
             [self.problem.seen(self._every_spline(k)) for k in continuous]
         ) if continuous else none
@@ -660,16 +656,17 @@ class ModelScan:
             pull = np.stack([pulls[i] for i in batch])
             information = np.stack([informations[i] for i in batch])
             residual_sum, freedom = (np.array([at[i][n] for i in batch])[:, None, None] for n in (2, 3))
-            evidence_by_kernel = [
-                self._of_splines(name, pull, information, residual_sum, freedom) for name in kernels.SCALED
-            ]
+            evidence_by_kernel = [self._of_splines(name, pull, information, residual_sum, freedom) for name in SCALED]
             best_kernels = np.argmax([evidence.gain for evidence in evidence_by_kernel], 0)
             for n, (i, k) in enumerate(zip(batch, best_kernels, strict=True)):
                 likeliest = Evidence(*(part[n] for part in evidence_by_kernel[k]))
-                candidates.append(self._process(likeliest, at[i][0], (at[i][1],), list(kernels.SCALED)[k]))
-            processes = [(at[i][0], (at[i][1],), "wave") for i in batch]
+                candidates.append(self._process(likeliest, at[i][0], (at[i][1],), SCALED[k]))
+            processes = [(at[i][0], (at[i][1],), name) for name in _UNSCALED for i in batch]
             processes += [
-                (at[i][0], (at[i][1],), "play") for i in batch if at[i][1] not in self._scan.own[at[i][0].site]
+                (at[i][0], (at[i][1],), name)
+                for name in _PLAYS
+                for i in batch
+                if at[i][1] not in self._scan.own[at[i][0].site]
             ]
             candidates += self._of_all(process for process in processes if self._scan.suits(process[2], process[1]))
             least = max(least, max(candidate.net for candidate in candidates) - CLOSE)
@@ -679,14 +676,15 @@ class ModelScan:
         """The plays of each site's own quantities."""
         for component in self.components:
             for k in self._scan.own[component.site]:
-                if self._scan.suits("play", (k,)) and self._scan.may_act(component.site, k):
-                    yield component, (k,), "play"
+                for name in _PLAYS:
+                    if self._scan.suits(name, (k,)) and self._scan.may_act(component.site, k):
+                        yield component, (k,), name
 
     def _of_splines(
         self, kernel: str, pull: Array, information: Array, residual_sum: Array | float, freedom: Array | float
     ) -> Evidence:
         """The evidence of a scaled kernel, arguments as of `of_process`, of all splines."""
-        R = kernels.root(kernel)
+        R = KERNELS[kernel].root
         return of_process(pull @ R, R.T @ information @ R, residual_sum, freedom, CONFOUNDED)
 
     def of_read_outs(self) -> list[Ranked]:
@@ -694,7 +692,7 @@ class ModelScan:
         candidates = []
         for component in self.components:
             if self._scan.may_wander(component):
-                candidates += self._of_rolloffs(component, self._scan.drivers, "wander", exact=True)
+                candidates += self._of_rolloffs(component, self._scan.drivers, exact=True)
                 candidates += self._steps(component)
         return _best_of_each(candidates)
 
@@ -723,7 +721,7 @@ class ModelScan:
             CONFOUNDED,
         ).gain
         at = float(begins[np.argmax(gains)])
-        return [self.of_kernel(component, (self._scan.time,), "step", (at,), exact=True)]
+        return [self.of_kernel(component, (self._scan.time,), name, (at,), exact=True) for name in _JUMPING]
 
     def _line(self, family: PeriodicFamily) -> Line | None:
         """The likeliest order of an angle; computed once."""
@@ -768,25 +766,24 @@ class ModelScan:
         values: Any = self._scan.quantities[k].values[None]
         bounds = self._scan.quantities[k].bounds
         rounded = [float(f"{order:.6g}") for order in orders]
-        functions = np.stack(
-            [
-                self._problem.seen(np.asarray(kernels.features("repeat", values, bounds, rolloff=(order, 0.0))))
-                for order in rounded
-            ]
-        )
-        keys = [((k,), "repeat", order) for order in rounded]
-        pull, information, residual_sum, freedom = self._equations(component, functions, keys, exact=True)
-        by_slope = []
-        for slope in _SLOPES:
-            size = kernels.deviations("repeat", bounds, (1.0, slope))
-            evidence = of_process(pull * size, information * np.outer(size, size), residual_sum, freedom, CONFOUNDED)
-            by_slope.append(
-                [
-                    self._process(Evidence(*numbers), component, (k,), "repeat", (order, slope))
-                    for order, numbers in zip(rounded, zip(*evidence, strict=True), strict=True)
-                ]
-            )
-        return [max(candidates, key=_by_net) for candidates in zip(*by_slope, strict=True)]
+        by_numbers = []
+        for name in _REPEATING:
+            kernel = KERNELS[name]
+            of_orders = [np.asarray(kernel.features(values, bounds, rolloff=(order, 0.0))) for order in rounded]
+            functions = np.stack([self._problem.seen(of_order) for of_order in of_orders])
+            keys = [((k,), name, order) for order in rounded]
+            pull, information, residual_sum, freedom = self._equations(component, functions, keys, exact=True)
+            for numbers in kernel.grid:
+                size = kernel.deviations(bounds, (1.0, *numbers))
+                scaled = information * np.outer(size, size)
+                evidence = zip(*of_process(pull * size, scaled, residual_sum, freedom, CONFOUNDED), strict=True)
+                by_numbers.append(
+                    [
+                        self._process(Evidence(*parts), component, (k,), name, (order, *numbers))
+                        for order, parts in zip(rounded, evidence, strict=True)
+                    ]
+                )
+        return [max(candidates, key=_by_net) for candidates in zip(*by_numbers, strict=True)]
 
     def modulated(self, least: float) -> list[Ranked]:
         """Waves of the turns of each site, of any order, whose size follows a quantity, that may exceed `least`."""
@@ -812,7 +809,7 @@ class ModelScan:
         likeliest_orders = orders[peaks].tolist()
         costs = np.array(
             [
-                self._scan.cost_of_modulated(family, order, j)
+                self._scan.cost_of_kernel(component.site, *_modulation(k, j), (order,))
                 for order, j in zip(likeliest_orders, partners, strict=True)
             ]
         )
@@ -833,8 +830,8 @@ class ModelScan:
 
     def _modulated(self, component: Component, k: int, partner: int, orders: Array) -> list[Ranked]:
         """Waves of some orders of an angle, whose size follows a partner."""
-        which = (min(k, partner), max(k, partner))
-        kernel = "sine*line" if k < partner else "line*sine"
+        which, modulated = _modulation(k, partner)
+        kernel = modulated.name
         rolloffs = [(float(f"{order:.6g}"),) for order in orders]
         functions = np.stack([self._scan.features(which, kernel, rolloff) for rolloff in rolloffs])
         keys = [(which, kernel, rolloff) for rolloff in rolloffs]
@@ -856,22 +853,26 @@ class ModelScan:
         """Spectra of angles at the sites whose turns they are, exactly: they vary fast."""
         candidates = []
         for component, k in self._turning():
-            candidates += self._of_rolloffs(component, k, "spectrum", exact=True)
+            candidates += self._of_rolloffs(component, k, exact=True)
         return _best_of_each(candidates)
 
-    def _of_rolloffs(self, component: Component, k: int, kernel: str, exact: bool = False) -> list[Ranked]:
-        """Every roll-off that is tried of a kernel: they differ in the size of their functions alone."""
-        functions = self._scan.features((k,), kernel)[None]
-        (pull,), (information,), residual_sum, freedom = self._equations(
-            component, functions, [((k,), kernel, ())], exact
-        )
+    def _of_rolloffs(self, component: Component, k: int, exact: bool = False) -> list[Ranked]:
+        """Every roll-off of kernels of which several are tried: they differ in the size of their functions alone."""
         candidates = []
-        for rolloff in _ROLLOFFS[kernel]:
-            size = kernels.deviations(kernel, self._scan.quantities[k].bounds, rolloff)
-            acting = slice(len(size))
-            scaled = information[acting, acting] * np.outer(size, size)
-            evidence = of_process(pull[acting] * size, scaled, residual_sum, freedom, CONFOUNDED)
-            candidates.append(self._process(evidence, component, (k,), kernel, rolloff))
+        for name in _ROLLED_OFF:
+            if not self._scan.suits(name, (k,)):
+                continue
+            kernel = KERNELS[name]
+            functions = self._scan.features((k,), name)[None]
+            (pull,), (information,), residual_sum, freedom = self._equations(
+                component, functions, [((k,), name, ())], exact
+            )
+            for rolloff in kernel.grid:
+                size = kernel.deviations(self._scan.quantities[k].bounds, rolloff)
+                acting = slice(len(size))
+                scaled = information[acting, acting] * np.outer(size, size)
+                evidence = of_process(pull[acting] * size, scaled, residual_sum, freedom, CONFOUNDED)
+                candidates.append(self._process(evidence, component, (k,), name, rolloff))
         return candidates
 
     def pairs(self, singles: Sequence[Ranked], least: float) -> list[Ranked]:
@@ -948,7 +949,7 @@ class ModelScan:
         candidates = list[Ranked]()
         k = next(iter(which))
         if k == self._scan.drivers:
-            return self._of_rolloffs(component, k, "wander", exact=True)
+            return self._of_rolloffs(component, k, exact=True)
         continuous, splines = self._scan.splines
         if k in continuous:
             (pull,), (information,), *noise = self._equations(
@@ -956,14 +957,14 @@ class ModelScan:
             )
             candidates = [
                 self._process(self._of_splines(name, pull, information, *noise), component, which, name)
-                for name in kernels.SCALED
+                for name in SCALED
             ]
-            names = [name for name in names if name not in kernels.SCALED]
+            names = [name for name in names if name not in SCALED]
         candidates += [self.of_kernel(component, which, name, exact=exact) for name in names]
         if k == self._scan.time and self._scan.may_wander(component):
             candidates += self._steps(component)
         if self._scan.turns(component, k):
-            candidates += self._of_rolloffs(component, k, "spectrum", exact)
+            candidates += self._of_rolloffs(component, k, exact)
             candidates += self._repeating_at(component, k)
         return candidates
 
@@ -1001,7 +1002,7 @@ class ModelScan:
 
     def exact(self, ranked: Ranked) -> Ranked:
         """A process in autocorrelated noise, where all but what varies fast are weighed as if they varied slowly."""
-        if not ranked.process or ranked.process[2] in _VARIES_FAST or self._is_exact(ranked.process[0]):
+        if not ranked.process or kernel_of(ranked.process[2]).varies_fast or self._is_exact(ranked.process[0]):
             return ranked
         component, quantity_indices, kernel, rolloff = ranked.process
         return self.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)
@@ -1059,15 +1060,7 @@ class ModelScan:
             return self._problem.process(component, quantities, kernel, spread, rolloff)
 
         site = component.site
-        cost = self._scan.cost_of_process(site, quantity_indices)
-        if kernel == "step":
-            cost = self._scan.cost_of_step
-        elif kernel in kernels.AT_ANY_ORDER and (family := self._scan.family_of(site)) is not None:
-            if kernel == "repeat":
-                cost = self._scan.cost_of_repeating(family, rolloff[0])
-            else:
-                partner = quantity_indices[kernels.factors_of(kernel).index("line")]
-                cost = self._scan.cost_of_modulated(family, rolloff[0], partner)
+        cost = self._scan.cost_of_kernel(site, quantity_indices, kernel_of(kernel), rolloff)
         cause = tuple(self._scan.phrases[k] for k in quantity_indices)
         process = (component, quantity_indices, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)
@@ -1100,6 +1093,11 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
         if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
             likeliest[candidate.key] = candidate
     return list(likeliest.values())
+
+
+def _modulation(k: int, partner: int) -> tuple[tuple[int, int], Kernel]:
+    """The quantities in their order, and the kernel of a wave of the first whose size follows a partner."""
+    return (min(k, partner), max(k, partner)), MODULATED[k > partner]
 
 
 def _of_equal_directions(gains: Array, directions: int = 4) -> Array:

@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.kernels import AT_ANY_ORDER
+from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
@@ -52,8 +52,6 @@ _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
-_OF_ONE_DRIVER = ("wander", "spectrum", "repeat")
-"""Kernels that take no second driver."""
 _PRODUCTS = 1 << 25
 """Of products of candidates that are kept from one model to the next: 256 MB."""
 
@@ -278,17 +276,16 @@ class Selector:
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
         at_site = [term for term in model if is_process(term) and term.site == one.site]
-        if one.process and one.process[2] == "wander":
-            return not any(term.kernel == "wander" and term.component == one.place for term in at_site)
-        at_site = [term for term in at_site if term.kernel != "wander"]
-        if one.process and one.process[2] == "repeat":
-            return not any(term.kernel in ("repeat", "spectrum") for term in at_site)
-        at_site = [term for term in at_site if term.kernel != "repeat"]  # it leaves what is no function of the turn
-        if not at_site or self._continues(one, model):
-            return True
-        if not one.process or one.cause in map(_phrases, at_site):
-            return False
-        return {term.kernel == "spectrum" for term in at_site} == {one.process[2] != "spectrum"}
+        joined = [term for term in at_site if not kernel_of(term.kernel).apart]
+        if not one.process:
+            return not joined
+        kernel = kernel_of(one.process[2])
+        if kernel.undriven:
+            at_site = [term for term in at_site if term.component == one.place]
+        is_hidden = any(kernel.hides(kernel_of(term.kernel)) for term in at_site)
+        if kernel.apart:
+            return not is_hidden
+        return not joined or self._continues(one, model) or (one.cause not in map(_phrases, joined) and not is_hidden)
 
     def _component_of(self, term: Term) -> Component | None:
         """The component of a process, or of a name at a site that has but one; None where a name may move several.
@@ -387,7 +384,7 @@ class Selector:
         if best is None:
             return replace(one, gain=0.0)
         cost = best.cost
-        if is_process(term) and not {term.kernel, best.process[2]} & set(AT_ANY_ORDER):
+        if is_process(term) and not (kernel_of(term.kernel).any_order or kernel_of(best.process[2]).any_order):
             cost = min(cost, one.cost)
         return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
 
@@ -573,7 +570,7 @@ class Selector:
         own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
-            if process.site != term.site or not is_process(process) or process.kernel in _OF_ONE_DRIVER:
+            if process.site != term.site or not is_process(process) or not kernel_of(process.kernel).takes_driver:
                 continue
             component, quantity_indices = self._process_of(process)
             together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})
@@ -824,7 +821,7 @@ def _phrases(term: Term) -> tuple[str, ...]:
 
 def is_wander(term: Term) -> bool:
     """Whether a term is what a read-out does by itself, which nothing recorded drives."""
-    return is_process(term) and term.kernel == "wander"
+    return is_process(term) and kernel_of(term.kernel).undriven
 
 
 def _either(quantity_indices: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from lite6jax.effects.kernels import KERNELS, PIECES, SCALED, features, is_kernel, root, size_of, spline_basis, unknown
+from lite6jax.effects import kernels
+from lite6jax.effects.kernels import KERNELS, MODULATED, PIECES, SCALED, is_kernel, kernel_of, spline_basis
+from lite6jax.effects.kernels import PAIRS as TRIED_PAIRS
+from lite6jax.errors import InputError
+from lite6jax.estimation.prior import PRIOR
 
 BOUNDS = (-0.7, 2.1)
 RNG = np.random.default_rng(3)
@@ -23,7 +27,7 @@ def scaled(values, bounds=BOUNDS):
 
 def covariance(kernel, values, bounds=BOUNDS):
     """`(sample, sample)`, of the features."""
-    phi = np.asarray(features(kernel, np.atleast_2d(values), bounds))
+    phi = np.asarray(kernel_of(kernel).features(np.atleast_2d(values), bounds))
     return phi.T @ phi
 
 
@@ -47,7 +51,7 @@ def test_a_kernel_is_positive_semidefinite(kernel):
 
 @each
 def test_features_are_as_many_as_is_said(kernel):
-    assert len(features(kernel, INSIDE[None], BOUNDS)) == size_of(kernel, BOUNDS)
+    assert len(kernel_of(kernel).features(INSIDE[None], BOUNDS)) == kernel_of(kernel).size(BOUNDS)
 
 
 @pytest.mark.parametrize("kernel", SCALED)
@@ -61,7 +65,7 @@ def test_waves_and_spectra_are_covariances_of_the_difference_of_two_angles():
     waves = sum(np.cos(k * d) / k**2 for k in (1, 2, 3))
     np.testing.assert_allclose(covariance("wave", INSIDE), 1 + waves, atol=1e-12)
     turn, rolloff = (-np.pi, np.pi), (3.0, 2.0)
-    phi = features("spectrum", INSIDE[None], turn, rolloff=rolloff)
+    phi = kernel_of("spectrum").features(INSIDE[None], turn, rolloff=rolloff)
     orders = 0.8 * np.arange(1, 76)  # 1.25 turns, in which the errors of a gear need not repeat
     spectra = sum(np.cos(k * d) / (1 + (k / 3.0) ** 2) for k in orders)
     np.testing.assert_allclose(phi.T @ phi, spectra, atol=1e-10)
@@ -73,18 +77,18 @@ def test_a_modulated_wave_is_a_wave_of_any_order_times_a_constant_and_a_line(ker
     other = np.sin(7 * INSIDE)
     values = np.stack([INSIDE, other] if kernel == "sine*line" else [other, INSIDE])
     bounds = (*BOUNDS, -2.0, 2.0) if kernel == "sine*line" else (-2.0, 2.0, *BOUNDS)
-    phi = features(kernel, values, bounds, rolloff=(order,))
-    assert len(phi) == size_of(kernel, bounds, (order,)) == 4
+    phi = kernel_of(kernel).features(values, bounds, rolloff=(order,))
+    assert len(phi) == kernel_of(kernel).size(bounds, (order,)) == 4
     d = INSIDE[:, None] - INSIDE
     np.testing.assert_allclose(phi.T @ phi, np.cos(order * d) * (1 + np.outer(other, other) / 4), atol=1e-10)
-    assert not unknown(kernel, 3 * values, bounds).any()
+    assert not kernel_of(kernel).unknown(3 * values, bounds).any()
 
 
 def test_what_repeats_is_a_covariance_of_the_difference_of_two_angles_with_any_period():
     order = 2 * np.pi / 0.8
     values = np.append(INSIDE, INSIDE + 0.8)
-    phi = features("repeat", values[None], BOUNDS, rolloff=(order, 2.0))
-    assert len(phi) == size_of("repeat", BOUNDS, (order, 2.0))
+    phi = kernel_of("repeat").features(values[None], BOUNDS, rolloff=(order, 2.0))
+    assert len(phi) == kernel_of("repeat").size(BOUNDS, (order, 2.0))
     d = INSIDE[:, None] - INSIDE
     wanted = sum(np.cos(k * order * d) / k**2 for k in range(1, 9))
     np.testing.assert_allclose(phi[:, :60].T @ phi[:, :60], wanted, atol=1e-10)
@@ -94,7 +98,7 @@ def test_what_repeats_is_a_covariance_of_the_difference_of_two_angles_with_any_p
 @pytest.mark.parametrize("kernel", sorted(set(KERNELS) - {"spectrum", "repeat"}))
 def test_every_kernel_contains_a_constant_of_unit_variance(kernel):
     """The coefficients by which the features add up to 1 are as likely as those of a unit constant."""
-    phi = np.asarray(features(kernel, INSIDE[None], BOUNDS))
+    phi = np.asarray(kernel_of(kernel).features(INSIDE[None], BOUNDS))
     w, *_ = np.linalg.lstsq(phi.T, np.ones(60), rcond=None)
     np.testing.assert_allclose(w @ phi, 1.0, atol=0.03)
     assert w @ w < 1.05
@@ -106,7 +110,7 @@ def test_the_unit_and_the_zero_of_a_driver_do_not_matter(kernel):
     bounds = walk.min(), walk.max()
     moved, its = 2.5 * walk - 40.0, tuple(2.5 * end - 40.0 for end in bounds)
     np.testing.assert_allclose(
-        features(kernel, moved[None], its), features(kernel, walk[None], bounds), rtol=0, atol=1e-9
+        kernel_of(kernel).features(moved[None], its), kernel_of(kernel).features(walk[None], bounds), rtol=0, atol=1e-9
     )
 
 
@@ -116,7 +120,11 @@ def test_a_product_has_the_product_of_the_covariances(kernel):
     bounds = (*BOUNDS, -2.0, 3.0)
     expected = 1.0
     for k, name in enumerate(kernel.split("*")):
-        phi = values[k] if name == "wave" else root(name, True).T @ spline_basis(values[k], *bounds[2 * k : 2 * k + 2])
+        phi = (
+            values[k]
+            if name == "wave"
+            else kernel_of(name).factor.root.T @ spline_basis(values[k], *bounds[2 * k : 2 * k + 2])
+        )
         expected = expected * (covariance("wave", phi) if name == "wave" else phi.T @ phi)
     np.testing.assert_allclose(covariance(kernel, values, bounds), expected, atol=1e-9)
     assert is_kernel(kernel, 2)
@@ -139,11 +147,11 @@ def test_the_splines_are_scipys_and_constant_beyond(pieces):
 @pytest.mark.parametrize("kernel", SCALED)
 @pytest.mark.parametrize("in_product", [False, True])
 def test_the_splines_of_a_driver_express_all_its_features(kernel, in_product):
-    splines = root(kernel, in_product).T @ spline_basis(INSIDE, *BOUNDS)
+    splines = (kernel_of(kernel).factor if in_product else kernel_of(kernel)).root.T @ spline_basis(INSIDE, *BOUNDS)
     if not in_product:
-        np.testing.assert_allclose(features(kernel, INSIDE[None], BOUNDS), splines, rtol=0, atol=1e-9)
-    traced = features(kernel, jnp.asarray(INSIDE)[None], BOUNDS)
-    np.testing.assert_allclose(traced, features(kernel, INSIDE[None], BOUNDS), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(kernel_of(kernel).features(INSIDE[None], BOUNDS), splines, rtol=0, atol=1e-9)
+    traced = kernel_of(kernel).features(jnp.asarray(INSIDE)[None], BOUNDS)
+    np.testing.assert_allclose(traced, kernel_of(kernel).features(INSIDE[None], BOUNDS), rtol=0, atol=1e-12)
 
 
 # ------------------------------------------------------------------ beyond what was seen
@@ -156,10 +164,10 @@ FURTHER = BOUNDS[1] + 0.7 * (BOUNDS[1] - BOUNDS[0]) * np.linspace(0, 1, 15)
 
 def predicted(kernel, at):
     """Mean and variance `(sample,)` by the features, with what they do not say."""
-    phi, there = (np.asarray(features(kernel, x[None], BOUNDS)) for x in (SEEN, at))
+    phi, there = (np.asarray(kernel_of(kernel).features(x[None], BOUNDS)) for x in (SEEN, at))
     C = np.linalg.inv(phi @ phi.T / SIGMA**2 + np.eye(len(phi)))
     mean = there.T @ (C @ phi @ TRUTH) / SIGMA**2
-    return mean, np.sum(there * (C @ there), 0) + unknown(kernel, at[None], BOUNDS)
+    return mean, np.sum(there * (C @ there), 0) + kernel_of(kernel).unknown(at[None], BOUNDS)
 
 
 @pytest.mark.parametrize("kernel", ["line", "smooth", "medium", "rough"])
@@ -189,26 +197,75 @@ def test_far_beyond_the_range_it_is_the_constant_with_the_variance_of_the_prior(
 
 @pytest.mark.parametrize("kernel", STATIONARY)
 def test_what_is_unknown_grows_from_nothing_at_the_end_of_the_range(kernel):
-    left = unknown(kernel, FURTHER[None], BOUNDS)
+    left = kernel_of(kernel).unknown(FURTHER[None], BOUNDS)
     assert left[0] == 0
     assert np.diff(left).min() > -1e-4
     assert left[-1] > 1e-3
-    assert not unknown(kernel, INSIDE[None], BOUNDS).any()
+    assert not kernel_of(kernel).unknown(INSIDE[None], BOUNDS).any()
 
 
 @pytest.mark.parametrize("kernel", ["line", "wave", "spectrum", "repeat", "play", "line*line", "line*wave"])
 def test_lines_go_on_and_functions_of_an_angle_are_known_everywhere(kernel):
     count = kernel.count("*") + 1
-    assert not unknown(kernel, np.tile([-9.0, 0.3, 70.0], (count, 1)), BOUNDS * count).any()
+    assert not kernel_of(kernel).unknown(np.tile([-9.0, 0.3, 70.0], (count, 1)), BOUNDS * count).any()
     if kernel == "line":
-        np.testing.assert_allclose(features(kernel, np.array([[9.1]]), BOUNDS)[1], scaled(9.1))
+        np.testing.assert_allclose(kernel_of(kernel).features(np.array([[9.1]]), BOUNDS)[1], scaled(9.1))
 
 
 def test_of_a_product_each_driver_beyond_its_range_counts():
     bounds, inside = (*BOUNDS, -1.0, 1.0), np.array([[1.0], [0.5]])
     one, other, both = (
-        unknown("smooth*smooth", inside + beyond, bounds)[0] for beyond in ([[2.0], [0]], [[0], [1.0]], [[2.0], [1.0]])
+        kernel_of("smooth*smooth").unknown(inside + beyond, bounds)[0]
+        for beyond in ([[2.0], [0]], [[0], [1.0]], [[2.0], [1.0]])
     )
     assert 0 < max(one, other) < both
-    steep = unknown("line*smooth", np.array([[9.0, 0.0], [3.0, 3.0]]), bounds)
+    steep = kernel_of("line*smooth").unknown(np.array([[9.0, 0.0], [3.0, 3.0]]), bounds)
     assert steep[0] > 20 * steep[1]  # where the line is far, so is what is not known of its slope
+
+
+# ------------------------------------------------------------------ what a search asks of them
+
+ALL = [*map(kernel_of, KERNELS), *MODULATED, *map(kernel_of, TRIED_PAIRS)]
+
+
+@pytest.mark.parametrize("kernel", ALL, ids=lambda kernel: kernel.name)
+def test_a_kernel_is_priced_and_is_possible_with_all_numbers_that_are_tried(kernel):
+    assert kernel_of(kernel.name) is kernel
+    assert kernel.prior in PRIOR.probabilities
+    bounds = BOUNDS * kernel.drivers
+    searched = (1.0,) * (kernel.any_order or kernel.any_sample)
+    for numbers in kernel.grid:
+        rolloff = (*searched, *numbers)
+        assert kernel.fault(bounds, rolloff) == ""
+        if len(numbers) + len(searched):
+            assert len(rolloff) == len(kernel.numbers)
+        size = kernel.size(bounds, rolloff)
+        assert len(kernel.features(np.tile(INSIDE, (kernel.drivers, 1)), bounds, rolloff=rolloff)) == size
+        assert len(kernel.deviations(bounds, rolloff)) == size
+
+
+def test_what_is_no_number_of_a_kernel_is_its_fault():
+    for name, rolloff in (("smooth", (1.0,)), ("smooth*line", (1.0,)), ("spectrum", (0.0, 2.0)), ("spectrum", (3.0,)),
+                          ("step", ()), ("step", (9.0,)), ("sine*line", (-1.0,)), ("sine*line", ())):  # fmt: skip
+        kernel = kernel_of(name)
+        assert str(rolloff) in kernel.fault(BOUNDS * kernel.drivers, rolloff)
+
+
+@pytest.mark.parametrize("name", ["sine", "play*line", "line*wander", "sine*smooth", "line*line*line", "", "curve"])
+def test_a_name_that_is_no_kernel_is_refused(name):
+    assert not any(is_kernel(name, drivers) for drivers in (1, 2, 3))
+    with pytest.raises(InputError, match="no kernel is called"):
+        kernel_of(name)
+
+
+def test_only_what_another_kernel_does_not_describe_stands_beside_it():
+    """At one site: one curve and one spectrum of its gear; what repeats beside curves, what wanders beside all."""
+    names = ("smooth", "play", "line*line", "spectrum", "repeat", "wander")
+    hidden = {(a, b) for a in names for b in names if kernel_of(a).hides(kernel_of(b))}
+    curves = names[:3]
+    own = {("spectrum", "spectrum"), ("repeat", "repeat"), ("repeat", "spectrum"), ("wander", "wander")}
+    assert hidden == {(a, b) for a in curves for b in curves} | own
+
+
+def test_the_documentation_has_every_kernel():
+    assert all(f"\n| {kernel.name} | {kernel.formula} | " in kernels.__doc__ for kernel in map(kernel_of, KERNELS))

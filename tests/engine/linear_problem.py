@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lite6jax.effects import kernels
+from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Terms
 
@@ -159,13 +159,13 @@ class Process:
     rivals: tuple = ()
 
     coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
-    size = property(lambda self: kernels.size_of(self.kernel, self.bounds))
+    size = property(lambda self: kernel_of(self.kernel).size(self.bounds, self.rolloff))
     label = property(lambda self: f"process:{self.site}")
     phrases = property(lambda self: tuple(driver.phrase for driver in self.drivers))
 
     def basis(self, data):
         values = np.stack([data[phrase] for phrase in self.phrases])
-        return np.asarray(kernels.features(self.kernel, values, self.bounds, data["every_run"], self.rolloff))
+        return np.asarray(kernel_of(self.kernel).features(values, self.bounds, data["every_run"], self.rolloff))
 
 
 def is_free(term):

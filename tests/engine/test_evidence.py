@@ -5,7 +5,7 @@ import pytest
 from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion
 
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kernels import KERNELS, SCALED, root, spline_basis
+from lite6jax.effects.kernels import SCALED, kernel_of, spline_basis
 from lite6jax.effects.kinematic import JointOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation import thresholds
@@ -85,8 +85,8 @@ def test_no_kernel_explains_more_than_all_splines_without_a_prior():
     B, y = spline_basis(x, -1.0, 1.0), np.sin(4 * x) + 0.3 * RNG.normal(size=90)
     most = bound(B @ y, B @ B.T, y @ y, 90.0, CONFOUNDED)
     gains = []
-    for kernel in set(SCALED) & set(KERNELS):
-        R = root(kernel).T @ B
+    for kernel in SCALED:
+        R = kernel_of(kernel).root.T @ B
         gains.append(of_process(R @ y, R @ R.T, y @ y, 90.0, CONFOUNDED).gain)
     assert 20 < max(gains) < most
 
@@ -128,7 +128,7 @@ def test_the_equations_of_a_process_are_those_outside_the_nuisance(beside):
 
 def test_the_evidence_of_a_process_is_that_of_its_covariance_beside_the_nuisance(beside):
     problem, y, Q, test = beside
-    marginal, R = Marginal(test), root("medium")
+    marginal, R = Marginal(test), kernel_of("medium").root
     component = next(one for one in problem.components if one.site == "joint3")
     features = R.T @ spline_basis(np.asarray(problem.motion.joint_position[2]), -3.0, 3.0)
     sums = marginal.sums(component.column)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from engine import linear_problem as linear
 
+from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import search
@@ -44,11 +45,11 @@ def test_a_wave_of_one_size_keeps_its_name():
 def test_its_choice_costs_what_the_table_says():
     problem = made(4, 1.0, 0.0, 0.0)
     scan = Scan(problem, OPTIONS)
-    family = scan.family_of("wheel")
-    place = scan.phrases.index("u2")
-    cost = scan.cost_of_modulated(family, 7.85, place)
+    which = (scan.phrases.index("u2"), scan.phrases.index("angle"))
+    its = "wheel", which, kernel_of("line*sine"), (7.85,)
+    cost = scan.cost_of_kernel(*its)
     likelier = replace(OPTIONS, prior=replace(OPTIONS.prior, modulated=2 * OPTIONS.prior.modulated))
-    assert cost - Scan(problem, likelier).cost_of_modulated(family, 7.85, place) == pytest.approx(np.log(2))
+    assert cost - Scan(problem, likelier).cost_of_kernel(*its) == pytest.approx(np.log(2))
     # the site has one quantity of its own, its angle: u2 has a share of 0.4 of six
     wave = scan.cost_of_wave(linear.Wave(7.85), ())
     price = OPTIONS.prior.cost("modulated") - OPTIONS.prior.cost("wave")

@@ -7,10 +7,10 @@ import pytest
 from engine.linear_problem import Column, Decay, Driver, Wave, linear_problem
 from scipy.integrate import quad
 
-from lite6jax.effects import kernels
+from lite6jax.effects.kernels import PAIRS, SCALED, SINGLE
 from lite6jax.estimation.evidence import RESOLVED_ORDERS, log_orders, log_orders_of
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.search.scan import PAIRS, SINGLE, Scan
+from lite6jax.search.scan import Scan
 
 
 def test_the_probabilities_of_whole_and_other_orders_add_up_to_one():
@@ -137,4 +137,4 @@ def test_a_kernel_of_angles_suits_no_other_quantity(scan):
     names = [quantity.driver.phrase for quantity in scan.quantities]
     suiting = {name: [phrase for k, phrase in enumerate(names) if scan.suits(name, (k,))] for name in SINGLE}
     assert suiting["wave"] == suiting["play"] == ["angle"]
-    assert all(suiting[name] == names for name in kernels.SCALED)
+    assert all(suiting[name] == names for name in SCALED)

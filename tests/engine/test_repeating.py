@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from engine import linear_problem as linear
 
+from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import search
@@ -58,11 +59,12 @@ def test_nothing_repeats_in_noise():
 def test_its_choice_costs_what_the_table_says():
     problem = made(4, np.zeros_like)
     scan = Scan(problem, OPTIONS)
-    family = scan.family_of("wheel")
+    which = (scan.phrases.index("angle"),)
+    its = "wheel", which, kernel_of("repeat"), (7.85, 2.0)
     likelier = replace(OPTIONS, prior=replace(OPTIONS.prior, repeating=2 * OPTIONS.prior.repeating))
-    cost = scan.cost_of_repeating(family, 7.85)
-    assert cost - Scan(problem, likelier).cost_of_repeating(family, 7.85) == pytest.approx(np.log(2))
+    cost = scan.cost_of_kernel(*its)
+    assert cost - Scan(problem, likelier).cost_of_kernel(*its) == pytest.approx(np.log(2))
     wave = scan.cost_of_wave(linear.Wave(7.85), ())
     slopes = np.log(2)
     assert cost - wave == pytest.approx(slopes + OPTIONS.prior.cost("repeating") - OPTIONS.prior.cost("wave"))
-    assert scan.cost_of_repeating(family, 7.0) < cost
+    assert scan.cost_of_kernel(*its[:3], (7.0, 2.0)) < cost

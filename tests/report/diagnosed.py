@@ -13,7 +13,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding, HeldOut
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
-from lite6jax.effects.kernels import orders_of, spectrum_deviations
+from lite6jax.effects.kernels import kernel_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import fit
@@ -102,9 +102,9 @@ def wavy_arm(recorded):
     """The diagnosis of an arm whose first two joints err at five orders each, as a search of real arms finds it."""
     settings = recorded(COMPLIANCE)[0].settings
     effects = tuple(gear(joint) for joint in (1, 2))
-    orders, given = orders_of((-TURNED, TURNED)), []
+    orders, given = kernel_of("spectrum").orders((-TURNED, TURNED)), []
     for effect in effects:
-        values, of = np.zeros((len(orders), 2)), spectrum_deviations(effect.bounds, effect.rolloff)[::2, None]
+        values, of = np.zeros((len(orders), 2)), effect.covariance.deviations(effect.bounds, effect.rolloff)[::2, None]
         values[np.searchsorted(orders, np.array(WAVES) - 1e-9)] = AMPLITUDES.reshape(-1, 2)
         given.append((effect, (values / of).ravel()))
     recording = simulate(LITE6, effects=given, motion="static", samples=400, settings=settings)
