@@ -29,7 +29,8 @@ SOFT = a_hidden("joint_compliance", "joint2", {"compliance_rad_per_Nm": 1e-5}, s
 
 def a_document(*findings, verdict="partly_explained", left=1.0):
     rms = left * 3**0.5 * TRUTH["noise_m"]
-    return {"findings": list(findings), "verdict": verdict, "after": {"heldout_position_rms_m": rms}}
+    after = {"heldout_position_rms_m": rms}
+    return {"findings": list(findings), "data_faults": [], "verdict": verdict, "after": after}
 
 
 def grade(hidden, *findings, rows=300, **said):
@@ -120,6 +121,24 @@ def test_a_verdict_that_nothing_is_left_is_false_where_a_large_effect_was_missed
     assert grade([SOFT | {"moved_m": 6e-5}], verdict="consistent", rows=20) == "partial"  # three times the noise
     assert grade([SOFT | {"seen": 0.1}], verdict="consistent") == "partial"  # most of it looks like a frame
     assert grade([SOFT], verdict="undetermined", rows=20) == "partial"
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "code", "numbers", "expected"),
+    [
+        ("measurement_scale", "sensor", "sensor_scale", {}, "right"),
+        ("joint_offset", "joint5", "joint_turns", {"joint": 5}, "right"),
+        ("joint_offset", "joint4", "joint_turns", {"joint": 5}, "misleading"),
+        ("measurement_scale", "sensor", "frame_jump", {}, "misleading"),
+    ],
+)
+def test_a_fault_that_says_what_an_effect_is_counts_as_its_name(name, site, code, numbers, expected):
+    plan = {"kind": "single", "sizes": [5.0], "rows": 300, "edge": "", "sealed": False, "index": 1}
+    truth = {"noise": "as declared", "fault": "", **TRUTH, **plan, "hidden": [a_hidden(name, site, {})]}
+    diagnosis = a_diagnosis(faults=[{"fault": code, "numbers": numbers}])
+    assert judgement.grade(truth, diagnosis).grade == expected
+    row = judgement.score_findings(truth, diagnosis, 1.0, "", "moved_m")
+    assert (row["found"], row["detected"]) == (expected == "right", False)
 
 
 def a_wrong_and_a_right_one():

@@ -24,6 +24,8 @@ DISTINGUISHED = 4.0
 """Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
 _ROUNDING = 0.01
 """The share by which the size of a trial may be below the planned one: sizes are computed again of what is hidden."""
+_EFFECT_OF_FAULT = {"sensor_scale": "measurement_scale", "joint_turns": "joint_offset"}
+"""Faults of the data that say what a hidden effect is: a scale of the sensor, another zero of a joint."""
 _ENDED = ("consistent", "explained")  # the verdicts that say that nothing is left
 
 
@@ -115,6 +117,17 @@ def admits(effect: Row, finding: Row) -> bool:
     )
 
 
+def with_faults(diagnosis: Row) -> list[Row]:
+    """The findings, and after them the faults of the data that say what an effect is, as findings."""
+    said = []
+    for fault in diagnosis["data_faults"]:
+        if fault["fault"] in _EFFECT_OF_FAULT:
+            numbers = fault.get("numbers", {})
+            site = f"joint{numbers['joint']}" if "joint" in numbers else "sensor"
+            said.append({"effect": _EFFECT_OF_FAULT[fault["fault"]], "site": site, "parameters": {}})
+    return [*diagnosis["findings"], *said]
+
+
 def paired(hidden: Sequence[Row], findings: Sequence[Row], test: Callable[[Row, Row], bool]) -> bool:
     """Whether every hidden effect has a finding of its own that passes a test."""
     return not hidden or any(
@@ -137,7 +150,8 @@ def grade(truth: Row, diagnosis: Row | None) -> Statement:
         return Statement("misleading", "no answer")
     hidden, findings = truth["hidden"], diagnosis["findings"]
     false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
-    missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in findings)]
+    with_said = with_faults(diagnosis)
+    missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in with_said)]
     said = []
     if false:
         said.append(f"false: {', '.join(false)}")
@@ -152,7 +166,7 @@ def grade(truth: Row, diagnosis: Row | None) -> Statement:
             said.append(f"verdict {diagnosis['verdict']} without {_listed(missed)}")
     if said:
         return Statement("misleading", "; ".join(said))
-    lacking = [effect for effect in hidden if not _whole(effect, findings) and is_at_least(effect, DETECTABLE)]
+    lacking = [effect for effect in hidden if not _whole(effect, with_said) and is_at_least(effect, DETECTABLE)]
     return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
 
 
@@ -208,8 +222,9 @@ def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str
     said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
     findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
     hidden = truth["hidden"]
-    alone = len(findings) == len(hidden)
-    top, first = findings[0] if findings else None, hidden[0] if hidden else None
+    with_said = [*findings, *with_faults(said)[len(findings) :]] if hidden else findings
+    alone = len(with_said) == len(hidden)
+    top, first = with_said[0] if with_said else None, hidden[0] if hidden else None
     keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")
     return {key: truth[key] for key in keys} | {
         "error": error,
@@ -219,9 +234,9 @@ def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str
         "faults": [fault["fault"] for fault in said["data_faults"]],
         "hidden": [_of_hidden(effect, findings) | {moved: effect[moved]} for effect in hidden],
         "detected": bool(findings),
-        "found": not error and bool(hidden) and paired(hidden, findings, admits),
-        "exact": not error and alone and paired(hidden, findings, same),
-        "exact_in_set": not error and alone and paired(hidden, findings, admits),
+        "found": not error and bool(hidden) and paired(hidden, with_said, admits),
+        "exact": not error and alone and paired(hidden, with_said, same),
+        "exact_in_set": not error and alone and paired(hidden, with_said, admits),
         "top_site": bool(first and top and top["site"] in sites_of(first)),
         "top_named": bool(first and top and same(first, top)),
         "top_in_set": bool(first and top and admits(first, top)),
