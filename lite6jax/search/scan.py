@@ -1054,10 +1054,13 @@ class ModelScan:
         kernel: str,
         rolloff: tuple[float, ...] = (),
     ) -> Ranked:
-        def make() -> Term:
-            quantities = [self._scan.quantities[k] for k in quantity_indices]
-            spread = float(f"{np.sqrt(evidence.variance):.4g}")
-            return self._problem.process(component, quantities, kernel, spread, rolloff)
+        problem = self._problem
+        quantities = [self._scan.quantities[k] for k in quantity_indices]
+        variance = evidence.variance
+
+        def make() -> Term:  # of few numbers: a reference to this scan would keep its tables as long as the candidate
+            spread = float(f"{np.sqrt(variance):.4g}")
+            return problem.process(component, quantities, kernel, spread, rolloff)
 
         site = component.site
         cost = self._scan.cost_of_kernel(site, quantity_indices, kernel_of(kernel), rolloff)
