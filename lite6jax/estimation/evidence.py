@@ -133,12 +133,14 @@ class Marginal:
             (len(self._coupled(np.any(component.column, 1))) for component in self.test.problem.components), default=1
         )
 
-    @cached_property
+    @property
     def _whole(self) -> "Marginal":
         """That of the model from which this one differs by a few directions; itself where that is this one."""
-        if self.test.whole is None:
-            return self
-        return Marginal(self.test.whole)
+        return self._another or self  # kept, a reference to itself would hold all tables until garbage is collected
+
+    @cached_property
+    def _another(self) -> "Marginal | None":
+        return None if self.test.whole is None else Marginal(self.test.whole)
 
     def _beside(
         self, keys: Sequence[Hashable], of_whole: Callable[["Marginal", Sequence[int]], Array], inside: Array
