@@ -270,40 +270,51 @@ class _Joint(NamedTuple):
         """rad/s after a step of h s, from a velocity, with at most so much friction in Nm.
 
         A joint slides, sticks, and slides on: the instants between these lie anywhere in the step. Forces are more by
-        some Nm sooner in the step, and by others afterwards, in a later share of it.
+        some Nm sooner in the step, and by others afterwards, in a later share of it, and by nothing in their mean.
         """
-        rise = self.mass * RETURN - self.drag
-        is_heavy = rise > self.drag
-        wide = friction * (1 + self.mass / self.grip)
-        # a joint that the command before held back is let go by the switch
-        carried = rise * v + self.force
-        stuck = jnp.abs(carried + sooner) <= wide
-        lets_go = stuck & (sooner != afterwards) & (jnp.abs(carried + afterwards) > wide)
-        now = self._replace(force=self.force + jnp.where(lets_go, afterwards, 0.0))
-        whole = jnp.where(lets_go, later, 1.0)
-        gripped = rise * v + now.force
-        free = v + whole * (now.slid(v, jnp.where(gripped > 0, friction, -friction)) - v)
-        after = rise * free + now.force
-        slides = (friction <= 0) | ((gripped > wide) & (after > wide)) | ((gripped < -wide) & (after < -wide))
-        v_new = jax.lax.cond(
-            jnp.any(is_heavy & ~slides),
-            lambda: jnp.where(slides, free, now._caught(v, free, whole, friction, h)),
-            lambda: free,
+        is_heavy = self.mass * RETURN - self.drag > self.drag
+        switches = (sooner != afterwards) & is_heavy & (friction > 0)
+        early = jnp.where(switches, 1 - later, 0.0)
+        before = self._replace(force=self.force + jnp.where(switches, sooner, 0.0))
+        after = self._replace(force=self.force + jnp.where(switches, afterwards, 0.0))
+        at_switch = jax.lax.cond(
+            jnp.any(switches), lambda: before._moved(v, v, early, friction, h, switches), lambda: v
         )
+        v_new = after._moved(v, at_switch, 1 - early, friction, h, is_heavy)
         is_light = ~is_heavy & (friction > 0)
         return jax.lax.cond(
             jnp.any(is_light), lambda: jnp.where(is_light, self._halted(v, friction, h), v_new), lambda: v_new
         )
 
-    def _caught(self, v: Any, free: Any, whole: Any, friction: Any, h: Any) -> Any:
-        """rad/s after the rest of a step in which friction holds the joint at some time."""
+    def _moved(self, begun: Any, v: Any, share: Any, friction: Any, h: Any, gripping: Any) -> Any:
+        """rad/s after a share of a step, from a velocity, of lanes that friction may hold.
+
+        A joint that slides changes its velocity evenly, as from the one at which the step has begun: two shares in
+        which it slides are then a whole step of sliding under the mean force.
+        """
+        rise = self.mass * RETURN - self.drag
+        wide = friction * (1 + self.mass / self.grip)
+        gripped = rise * v + self.force
+        free = v + share * (self.slid(begun, jnp.where(gripped > 0, friction, -friction)) - begun)
+        after = rise * free + self.force
+        slides = (
+            ~gripping | (friction <= 0) | ((gripped > wide) & (after > wide)) | ((gripped < -wide) & (after < -wide))
+        )
+        return jax.lax.cond(
+            jnp.any(~slides),
+            lambda: jnp.where(slides, free, self._caught(v, free, share, friction, h)),
+            lambda: free,
+        )
+
+    def _caught(self, v: Any, free: Any, share: Any, friction: Any, h: Any) -> Any:
+        """rad/s after a share of a step in which friction holds the joint at some time."""
         rise = jnp.maximum(self.mass * RETURN - self.drag, 1e-12)
         wide = friction * (1 + self.mass / self.grip)
         top = (wide - self.force) / rise  # joints that are faster slide, slower ones stick
         bottom = (-wide - self.force) / rise
         entered = jnp.clip(v, bottom, top)
         slides = v != entered
-        rest = whole * jnp.where(slides, 1 - (v - entered) / jnp.where(slides & (v != free), v - free, 1.0), 1.0)
+        rest = share * jnp.where(slides, 1 - (v - entered) / jnp.where(slides & (v != free), v - free, 1.0), 1.0)
         held = self.grip * RETURN + self.drag
         final = self.force / held
         pace = held / (self.mass + self.grip) * h
@@ -414,10 +425,11 @@ def _roll(
             resisted=m / h + 0.5 * (1 + late) * drag + jnp.where(yields, late * h * p.stiffness, 0.0) + 1e-12,
             grip=p.grip,
         )
-        # of a command that switches within the step: Nm in the share of it before, and in that after it
+        # of a command that switches within the step: Nm in the share of it before, and in that after it, of mean zero
         switches = passes & yields & ~filtered & (rise != 0)
-        sooner = jnp.where(switches, p.stiffness * (state.arrived - u) - (state.before - L), 0.0)
-        afterwards = jnp.where(switches, p.stiffness * (arriving - u) - (following_load - L), 0.0)
+        jump = following_load - state.before
+        sooner = jnp.where(switches, p.stiffness * (state.arrived - u) + later * jump, 0.0)
+        afterwards = jnp.where(switches, p.stiffness * (arriving - u) - early * jump, 0.0)
 
         def bent_friction() -> Any:
             constant = p.coulomb + p.stribeck * jnp.exp(-((v_here / p.stribeck_speed) ** 2))
