@@ -298,18 +298,22 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
 
     Beside the unknown servo that comes nearest to a joint with a limit, processes of any kind explain more than the
     limit does: names come first. They are those that were found in long steps, where these describe all joints in short
-    ones too, and else those of a search of names alone.
+    ones too, and else those of a search of names alone. That is judged in the noise beside the servo that comes nearest
+    without them: a stiff one beside a limit counts all that a softer servo does as well.
     """
     rough = named.problem
     assert isinstance(rough, TrackingProblem)
     f = named.state.fit
-    exact = replace(rough.relinearised(f.nuisance), data=problem.data, known=RolloutCache())
-    exact = _with_discrepancy(with_likely_grip(exact, f.terms, f.values))
-    again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
-    if np.all(again.scale < _FOLLOWS):
-        return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
     likely = with_likely_grip(relinearise(problem, options, problem.valid, _STARTS))
-    named = search(_with_discrepancy(likely), options, names_alone=True)
+    described = _with_discrepancy(likely)
+    exact = replace(rough.relinearised(f.nuisance), data=problem.data, known=RolloutCache())
+    exact = with_likely_grip(exact, f.terms, f.values)
+    judged = fit(replace(exact, data=described.data), f.terms, options.rough, f.values, training=problem.valid)
+    if np.all(judged.scale < _FOLLOWS):
+        exact = _with_discrepancy(exact)
+        again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
+        return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
+    named = search(described, options, names_alone=True)
     f = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)

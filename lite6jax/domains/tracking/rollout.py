@@ -10,9 +10,13 @@ decoupled, and `lite6jax.domains.tracking.coupling` iterates L. A lane is one jo
 
 A step is leapfrog, with damping half implicit and the command averaged over the step. A rate limit follows a command
 that switches within the step from the instant of the switch on. Where the inertia is less than about 4h²·kp the step
-passes into implicit Euler. Coulomb friction F is a proximal map: the friction of a step can stop the
-joint, not reverse it. While |F| is less than Coulomb friction allows, the joint sticks as in MuJoCo: F = G·(q̈ + B·q̇),
-with a grip G in kg·m² and B = `RETURN`. So it creeps under load, by load / (G·B).
+passes into implicit Euler.
+
+Coulomb friction F is F = G·(q̈ + B·q̇) where that is less than friction allows, with a grip G in kg·m² and B = `RETURN`:
+the joint sticks as in MuJoCo, and creeps under load, by load / (G·B). Else the joint slides. The force of a step is
+constant, so its velocity goes piece by piece on lines and exponentials. The instants at which it begins to slide or to
+stick lie anywhere in the step, and a held command that switches lets a joint go at its switch: rollouts are of second
+order in the step. Light joints, which their damping halts within a step, take F as it is at the end of the step.
 """
 
 from functools import partial
@@ -23,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.servo import Servo
+from lite6jax.effects.servo import UNLIMITED, Servo
 
 Array = NDArray[np.floating]
 
@@ -217,6 +221,8 @@ class _LaneState(NamedTuple):
         summed: rad·s, ∫e.
         error: rad, e of the step before.
         y: rad, the read-out.
+        load: Nm, L of this step.
+        before: Nm, L of the step before.
     """
 
     q: Any
@@ -228,6 +234,105 @@ class _LaneState(NamedTuple):
     summed: Any
     error: Any
     y: Any
+    load: Any
+    before: Any
+
+
+class _Joint(NamedTuple):
+    """A joint during one step, with a force that is constant; each `(lane,)`.
+
+    Attributes:
+        mass: kg·m², that moves.
+        force: Nm, at rest and without friction.
+        drag: Nm·s/rad, by which the force falls with speed.
+        carried: Nm·s/rad, of the velocity before.
+        resisted: Nm·s/rad, of the velocity after.
+        grip: kg·m², G.
+    """
+
+    mass: Any
+    force: Any
+    drag: Any
+    carried: Any
+    resisted: Any
+    grip: Any
+
+    def gripped(self, v: Any) -> Any:
+        """Nm, the friction of a joint that sticks, at a velocity."""
+        share = self.grip / (self.mass + self.grip)
+        return share * (self.force + (self.mass * RETURN - self.drag) * v)
+
+    def slid(self, v: Any, friction: Any) -> Any:
+        """rad/s after a whole step of sliding, from a velocity, against a friction with its sign."""
+        return (self.carried * v + self.force - friction) / self.resisted
+
+    def step(self, v: Any, friction: Any, h: Any, later: Any, sooner: Any, afterwards: Any) -> Any:
+        """rad/s after a step of h s, from a velocity, with at most so much friction in Nm.
+
+        A joint slides, sticks, and slides on: the instants between these lie anywhere in the step. Forces are more by
+        some Nm sooner in the step, and by others afterwards, in a later share of it, and by nothing in their mean.
+        """
+        is_heavy = self.mass * RETURN - self.drag > self.drag
+        switches = (sooner != afterwards) & is_heavy & (friction > 0)
+        early = jnp.where(switches, 1 - later, 0.0)
+        before = self._replace(force=self.force + jnp.where(switches, sooner, 0.0))
+        after = self._replace(force=self.force + jnp.where(switches, afterwards, 0.0))
+        at_switch = jax.lax.cond(
+            jnp.any(switches), lambda: before._moved(v, v, early, friction, h, switches), lambda: v
+        )
+        v_new = after._moved(v, at_switch, 1 - early, friction, h, is_heavy)
+        is_light = ~is_heavy & (friction > 0)
+        return jax.lax.cond(
+            jnp.any(is_light), lambda: jnp.where(is_light, self._halted(v, friction, h), v_new), lambda: v_new
+        )
+
+    def _moved(self, begun: Any, v: Any, share: Any, friction: Any, h: Any, gripping: Any) -> Any:
+        """rad/s after a share of a step, from a velocity, of lanes that friction may hold.
+
+        A joint that slides changes its velocity evenly, as from the one at which the step has begun: two shares in
+        which it slides are then a whole step of sliding under the mean force.
+        """
+        rise = self.mass * RETURN - self.drag
+        wide = friction * (1 + self.mass / self.grip)
+        gripped = rise * v + self.force
+        free = v + share * (self.slid(begun, jnp.where(gripped > 0, friction, -friction)) - begun)
+        after = rise * free + self.force
+        slides = (
+            ~gripping | (friction <= 0) | ((gripped > wide) & (after > wide)) | ((gripped < -wide) & (after < -wide))
+        )
+        return jax.lax.cond(
+            jnp.any(~slides),
+            lambda: jnp.where(slides, free, self._caught(v, free, share, friction, h)),
+            lambda: free,
+        )
+
+    def _caught(self, v: Any, free: Any, share: Any, friction: Any, h: Any) -> Any:
+        """rad/s after a share of a step in which friction holds the joint at some time."""
+        rise = jnp.maximum(self.mass * RETURN - self.drag, 1e-12)
+        wide = friction * (1 + self.mass / self.grip)
+        top = (wide - self.force) / rise  # joints that are faster slide, slower ones stick
+        bottom = (-wide - self.force) / rise
+        entered = jnp.clip(v, bottom, top)
+        slides = v != entered
+        rest = share * jnp.where(slides, 1 - (v - entered) / jnp.where(slides & (v != free), v - free, 1.0), 1.0)
+        held = self.grip * RETURN + self.drag
+        final = self.force / held
+        pace = held / (self.mass + self.grip) * h
+        stuck = final + (entered - final) * jnp.exp(-pace * rest)
+        left_at = jnp.clip(stuck, bottom, top)
+        leaves = stuck != left_at
+        ratio = (left_at - final) / jnp.where(leaves & (entered != final), entered - final, 1.0)
+        spent = -jnp.log(jnp.where(leaves, jnp.clip(ratio, 1e-30, 1.0), 1.0)) / pace
+        again = self.slid(left_at, jnp.where(stuck > left_at, friction, -friction))
+        return jnp.where(leaves, left_at + jnp.maximum(rest - spent, 0.0) * (again - left_at), stuck)
+
+    def _halted(self, v: Any, friction: Any, h: Any) -> Any:
+        """rad/s after a step of a light joint, which its damping alone halts within about a step."""
+        creeps = self.grip * (1 / h + RETURN)
+        creep = (self.carried * v + self.force + self.grip / h * v) / (self.resisted + creeps)
+        grip = creeps * creep - self.grip / h * v
+        slid = self.slid(v, jnp.sign(grip) * friction)
+        return jnp.where(jnp.abs(grip) < friction, creep, slid)
 
 
 @partial(jax.jit, static_argnames=("steps", "fine"))
@@ -255,6 +360,8 @@ def _roll(
     filtered = p.time_constant > _LEAST_TIME
     most_rise = p.rate_limit * h
     D = p.damping + p.viscous
+    limits = jnp.any(p.rate_limit < UNLIMITED)
+    bends = jnp.any(p.stribeck > 0) | jnp.any(p.load_friction > 0)
     flat = integral.ravel()
     row = joints * integral.shape[1]
 
@@ -266,7 +373,8 @@ def _roll(
         return below + (s - i) * more, more
 
     def advance(state: Any, inputs: Any) -> Any:
-        u, arriving, L, M, x = inputs
+        u, arriving, following_load, M, x = inputs
+        L = state.load
         low = jnp.where(filtered, u + (state.low - u) * decay, arriving)
         mean_low = u + (state.low - u) * mean_decay
         # a held command switches at most once in a step: after the share of it by which its mean is reached
@@ -274,66 +382,95 @@ def _roll(
         early = jnp.where(rise == 0, 1.0, jnp.clip((arriving - u) / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0))
         early = jnp.where(filtered, 1.0, early)
         later = 1 - early
-        first_wanted = jnp.where(filtered, low, state.arrived) - state.limited
-        first_change = jnp.clip(first_wanted, -most_rise * early, most_rise * early)
-        second_wanted = low - state.limited - first_change
-        second_change = jnp.clip(second_wanted, -most_rise * later, most_rise * later)
-        mean_limited = (
-            state.limited
-            + first_change * (1 - 0.5 * jnp.abs(first_change) / most_rise)
-            + second_change * (later - 0.5 * jnp.abs(second_change) / most_rise)
-        )
-        change = first_change + second_change
-        limited = state.limited + change
-        # a limit that is not reached leaves the mean as it is
-        passes = (first_change == first_wanted) & (second_change == second_wanted)
-        target = jnp.where(passes, mean_low, mean_limited)
+
+        def rate_limited() -> Any:
+            first_wanted = jnp.where(filtered, low, state.arrived) - state.limited
+            first_change = jnp.clip(first_wanted, -most_rise * early, most_rise * early)
+            second_wanted = low - state.limited - first_change
+            second_change = jnp.clip(second_wanted, -most_rise * later, most_rise * later)
+            mean_limited = (
+                state.limited
+                + first_change * (1 - 0.5 * jnp.abs(first_change) / most_rise)
+                + second_change * (later - 0.5 * jnp.abs(second_change) / most_rise)
+            )
+            # a limit that is not reached leaves the mean as it is
+            passes = (first_change == first_wanted) & (second_change == second_wanted)
+            limited = state.limited + first_change + second_change
+            return limited, jnp.where(passes, mean_low, mean_limited), passes
+
+        def unlimited() -> Any:
+            return low, mean_low, jnp.ones(low.shape, bool)
+
+        limited, target, passes = jax.lax.cond(limits, rate_limited, unlimited)
+        change = limited - state.limited
         e = target - state.q
         dead = jnp.clip(e, -p.dead_band, p.dead_band)
         e = e - dead
         summed = state.summed + 0.5 * h * (e + state.error)
         pull = p.stiffness * e + p.integral * summed + p.feedforward * change / h
-        most = p.torque_limit * jnp.maximum(1 - p.torque_droop * state.v * jnp.sign(pull), 0.0)
-        drive = jnp.clip(pull, -most, most)
-        free = (jnp.abs(pull) < most) & (jnp.abs(e) > 0)
+        side = jnp.sign(pull)
+        v_here = state.v + 0.5 * h * state.a
+        lost = p.torque_droop * v_here * side
+        saturated = jnp.abs(pull) >= p.torque_limit * jnp.maximum(1 - lost, 0.0)
+        drive = jnp.where(saturated, jnp.where(lost < 1, side * p.torque_limit, 0.0), pull)
+        drag = D + jnp.where(saturated & (lost < 1), p.torque_limit * p.torque_droop, 0.0)
+        yields = ~saturated & (jnp.abs(e) > 0)
         m = M + p.inertia
         late = 1 / (1 + (m / (_IMPLICIT * h * h * jnp.maximum(p.stiffness, 1e-9))) ** 2)
-        friction = (
-            p.coulomb
-            + p.stribeck * jnp.exp(-((state.v / p.stribeck_speed) ** 2))
-            + p.load_friction * jnp.abs(L + M * state.a)
+        joint = _Joint(
+            mass=m,
+            force=drive - L - p.spring * state.q - p.spring_torque - x,
+            drag=drag + jnp.where(yields, late * h * p.stiffness, 0.0),
+            carried=m / h - 0.5 * (1 - late) * drag,
+            resisted=m / h + 0.5 * (1 + late) * drag + jnp.where(yields, late * h * p.stiffness, 0.0) + 1e-12,
+            grip=p.grip,
         )
-        spring = p.spring * state.q + p.spring_torque
-        force = (m / h - 0.5 * (1 - late) * D) * state.v + drive - L - spring - x
-        resisted = m / h + 0.5 * (1 + late) * D + jnp.where(free, late * h * p.stiffness, 0.0) + 1e-12
-        held = p.grip * (1 / h + RETURN)
-        creep = (force + p.grip / h * state.v) / (resisted + held)
-        grip = held * creep - p.grip / h * state.v
-        v = jnp.where(jnp.abs(grip) < friction, creep, (force - jnp.sign(grip) * friction) / resisted)
+        # of a command that switches within the step: Nm in the share of it before, and in that after it, of mean zero
+        switches = passes & yields & ~filtered & (rise != 0)
+        jump = following_load - state.before
+        sooner = jnp.where(switches, p.stiffness * (state.arrived - u) + later * jump, 0.0)
+        afterwards = jnp.where(switches, p.stiffness * (arriving - u) - early * jump, 0.0)
+
+        def bent_friction() -> Any:
+            constant = p.coulomb + p.stribeck * jnp.exp(-((v_here / p.stribeck_speed) ** 2))
+            before = constant + p.load_friction * jnp.abs(L + M * state.a)
+            gripped = jnp.clip(joint.gripped(state.v), -before, before)
+            a = (joint.force - drag * v_here - gripped) / jnp.maximum(m, 1e-12)
+            share = M / jnp.maximum(m, 1e-12)
+            sooner_load = jnp.abs(jnp.where(switches, state.before, L) + M * a + share * sooner)
+            later_load = jnp.abs(jnp.where(switches, following_load, L) + M * a + share * afterwards)
+            return constant + p.load_friction * (early * sooner_load + later * later_load)
+
+        friction = jax.lax.cond(bends, bent_friction, lambda: p.coulomb)
+        v = joint.step(state.v, friction, h, later, sooner, afterwards)
         a = (v - state.v) / h
         q = state.q + h * v
         y = jnp.clip(state.y, q - p.backlash, q + p.backlash)
         shown = (state.q, 0.5 * (v + state.v), a) if fine else ()
-        return _LaneState(q, v, a, arriving, low, limited, summed, e, y), shown
+        return _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, L), shown
 
     def sample(state: Any, inputs: Any) -> Any:
-        u, arriving, L, M, x, following, here, q, v, first_command = inputs
+        u, arriving, first_load, following_load, M, x, following, here, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
         share = (jnp.arange(steps) / steps)[:, None]
         between = x + share * (following - x) + zero
-        error = first_command - q
-        error = error - jnp.clip(error, -p.dead_band, p.dead_band)
-        # an integral part drives a joint that rests until friction alone holds it back
-        balance = L[0] + p.spring * q + p.spring_torque + between[0] - p.stiffness * error
-        balance = balance + jnp.sign(error) * (p.coulomb + p.stribeck + p.load_friction * jnp.abs(L[0]))
-        summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
-        fresh = _LaneState(q, v, zero, first_command, first_command, first_command, summed, error, q)
-        begun, _ = advance(fresh, (u[0], arriving[0], L[0], M[0], between[0]))
-        fresh = fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
-        state = jax.tree.map(lambda new, old: jnp.where(here, new, old), fresh, state)
+
+        def begin_run(_: Any) -> Any:
+            error = first_command - q
+            error = error - jnp.clip(error, -p.dead_band, p.dead_band)
+            # an integral part drives a joint that rests until friction alone holds it back
+            balance = first_load + p.spring * q + p.spring_torque + between[0] - p.stiffness * error
+            balance = balance + jnp.sign(error) * (p.coulomb + p.stribeck + p.load_friction * jnp.abs(first_load))
+            summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
+            at_rest = first_command, first_command, first_command, summed, error
+            fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load)
+            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], between[0]))
+            return fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
+
+        state = jax.lax.cond(here, begin_run, lambda present: present, state)
         wave = p.sine * jnp.sin(state.y) + p.cosine * jnp.cos(state.y)
         shown = state.y * (1 + p.scale) + p.offset + wave
-        state, fine_states = jax.lax.scan(advance, state, (u, arriving, L, M, between))
+        state, fine_states = jax.lax.scan(advance, state, (u, arriving, following_load, M, between))
         return state, (shown, fine_states)
 
     begin = (first * steps)[:, None, None]
@@ -348,9 +485,11 @@ def _roll(
     for _ in range(_INVERTED):
         wave = p.sine * jnp.sin(true_start) + p.cosine * jnp.cos(true_start)
         true_start = (start - p.offset - wave) / (1 + p.scale)
-    loads = load[..., columns], mass[..., columns]
+    of_next = jnp.concatenate([load[1:, :1], load[-1:, -1:]])
+    of_next = jnp.where(jnp.append(reset[1:], True)[:, None, None], load[:, -1:], of_next)
+    loads = jnp.concatenate([load[:, 1:], of_next], 1)[..., columns], mass[..., columns]
     begun = true_start, start_velocity, initial[:, 0]
-    inputs = (mean, arriving, *loads, extra, after, reset, *begun)
+    inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun)
     zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))
     _, (readout, states) = jax.lax.scan(sample, state, inputs)

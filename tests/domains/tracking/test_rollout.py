@@ -165,10 +165,31 @@ def roll_arm(servo, longest):
     return roll_coupled(servo, held, arm, loads_along(arm, held, u.T, still, still))[0].readout
 
 
-@pytest.mark.parametrize("numbers", [{"coulomb": 0.4, "viscous": 1.0}, {"stribeck": 0.5, "coulomb": 0.3}])
+RUBBED = [
+    {"coulomb": 0.4, "viscous": 1.0},
+    {"coulomb": 1.5},
+    {"stribeck": 0.5, "coulomb": 0.3},
+    {"load_friction": 0.1, "coulomb": 0.1},
+]
+
+
+@pytest.mark.parametrize("numbers", RUBBED)
 def test_half_the_step_changes_a_coupled_arm_by_microradians(numbers):
     servo = plain(3, **numbers, grip=2.0)
-    assert np.sqrt(np.mean((roll_arm(servo, 0.001) - roll_arm(servo, 0.0005)) ** 2)) < 5e-6
+    change = roll_arm(servo, 0.001) - roll_arm(servo, 0.0005)
+    assert np.sqrt(np.mean(change**2, 1)).max() < 1.5e-6
+    assert np.abs(change).max() < 10e-6
+
+
+@pytest.mark.parametrize("grip", [2.0, RIGID_GRIP])
+@pytest.mark.parametrize("numbers", [{"coulomb": 1.0}, {"coulomb": 0.5, "stribeck": 0.5, "stribeck_speed": 0.05}])
+def test_friction_is_second_order_in_the_step(numbers, grip):
+    u = 0.02 * np.sin(2 * np.pi * 0.7 * np.maximum(TIME - 0.3, 0.0))
+    servo = plain(1, **numbers, grip=grip)
+    by_step = {longest: roll_alone(servo, u, longest=longest) for longest in (0.001, 0.0005, 0.000125)}
+    coarse, half = (np.sqrt(np.mean((by_step[h] - by_step[0.000125]) ** 2)) for h in (0.001, 0.0005))
+    assert coarse < 0.3e-6
+    assert half < 0.4 * coarse  # a fourth, and half where the scheme were of first order
 
 
 def test_joints_that_move_each_other_as_much_as_themselves_settle():
