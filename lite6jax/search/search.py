@@ -109,16 +109,15 @@ def search(
     if reference is None:
         reference = problem
     valid = int(problem.valid.sum())  # so that a search with held-out samples takes the same strides
-    strides = [_stride(valid, size) for size in (options.first_samples, options.most_samples)]
-    from_terms = start
-    exchanging = not names_alone
-    for every in dict.fromkeys(strides):
-        begun = _begun(*_every(problem, reference, every), training[::every], options, from_terms)
+    first, last = (_stride(valid, size) for size in (options.first_samples, options.most_samples))
+    begun = _begun(*_every(problem, reference, first), training[::first], options, start)
+    selection = _selected(begun, options, not names_alone, names_alone)
+    if last != first:
+        exchanging = not names_alone and not selection.state.tested
+        begun = _begun(*_every(problem, reference, last), training[::last], options, selection.start)
         selection = _selected(begun, options, exchanging, names_alone)
-        from_terms = selection.start
-        exchanging = exchanging and not selection.state.tested
-    if strides[-1] > 1:
-        selection = at_estimate(_begun(problem, reference, training, options, from_terms), options)
+    if last > 1:
+        selection = at_estimate(_begun(problem, reference, training, options, selection.start), options)
     selection = _confirmed(_with_wandering_as_noise(selection, training, options), options)
     return selection if names_alone else _reviewed(selection, options)
 
