@@ -45,7 +45,7 @@ from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import Selection, search
+from lite6jax.search.search import Selection, chance_of, nearest_of, search
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, refitted
 
@@ -272,12 +272,20 @@ def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: Engi
     """The selection of some terms, fitted from these numbers, each weighed beside the others.
 
     Noise is white: beside errors of the simulation, fits in autocorrelated noise trade what moves slowly for the rest.
+    How likely chance explains as much is that of the noise as it is: the larger of the evidence's and of the test's by
+    blocks.
     """
     baseline = fit(problem, Terms(), options, training=problem.valid)
     both = fit(problem, terms, options, values, training=problem.valid)
-    state = Selector(problem, options).weighed(State(baseline, both, tuple(SelectedTerm(term) for term in terms.terms)))
-    tested = tuple(replace(one, p_value=min(float(np.exp(-one.net)), 1.0)) for one in state.tested)
-    return Selection(problem, problem, replace(state, tested=tested))
+    selector = Selector(problem, options)
+    named = tuple(SelectedTerm(term, cost=selector.scan.cost_of_name(term)) for term in terms.terms)
+    state = selector.weighed(State(baseline, both, named))
+    tested = tuple(
+        replace(one, p_value=max(min(float(np.exp(-one.net)), 1.0), chance_of(selector, state, k)))
+        for k, one in enumerate(state.tested)
+    )
+    nearest = None if tested else nearest_of(selector, replace(state, fit=selector.in_likeliest_noise(both)))
+    return Selection(problem, problem, replace(state, tested=tested), nearest=nearest)
 
 
 def _is_as_described(selection: Selection) -> bool:

@@ -243,6 +243,18 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     return selection
 
 
+def chance_of(selector: Selector, state: State, k: int) -> float:
+    """The probability that chance alone makes the k-th term of a state so likely, family-wise over all of its kind.
+
+    That of a name is of the score test by blocks, whatever the noise; of a process it is of the evidence.
+    """
+    tested = state.tested[k]
+    if tested.term.nonparametric:
+        return min(float(np.exp(-tested.net)), 1.0)
+    score = selector.beside(state, k).score([tested.term])[0]
+    return score.familywise(float(np.exp(tested.cost)))
+
+
 def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     """With its fit to all digits, and without names that blocks of samples do not confirm.
 
@@ -258,11 +270,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
             if one.term in problem.preset[0].terms:
                 tested.append(replace(one, p_value=0.0))
                 continue
-            p_value = min(float(np.exp(-one.net)), 1.0)
-            if not one.term.nonparametric:
-                score = selector.beside(state, k).score([one.term])[0]
-                p_value = score.familywise(float(np.exp(one.cost)))
-            tested.append(replace(one, p_value=p_value))
+            tested.append(replace(one, p_value=chance_of(selector, state, k)))
         k = int(np.argmax([one.p_value for one in tested]))
         if tested[k].p_value < options.level:
             state = refitted(problem, replace(state, tested=tuple(tested)), tested, at_once)
@@ -270,6 +278,13 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
         state = refitted(problem, state, [*tested[:k], *tested[k + 1 :]], options)
         state = replace(state, fit=selector.in_likeliest_noise(state.fit))
     return replace(selection, state=state)
+
+
+def nearest_of(selector: Selector, state: State) -> tuple[Term, float] | None:
+    """The likeliest name beside a state, and the probability that chance alone makes it so likely."""
+    left = ModelScan(selector.scan, selector.test(state)).names_and_waves()
+    best = max(left, key=lambda one: one.net, default=None)
+    return None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
@@ -296,9 +311,4 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates = problem.candidates
     hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)
     confounded = tuple(term for term, one in zip(candidates, hidden, strict=True) if one)
-    left = ModelScan(selector.scan, selector.test(state)).names_and_waves()
-    best = max(left, key=lambda one: one.net, default=None)
-    nearest = None
-    if best is not None:
-        nearest = (best.make(), min(float(np.exp(-best.net)), 1.0))
-    return replace(selection, state=state, confounded=confounded, nearest=nearest)
+    return replace(selection, state=state, confounded=confounded, nearest=nearest_of(selector, state))

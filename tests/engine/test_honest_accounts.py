@@ -10,6 +10,7 @@ from engine.linear_problem import Column, Driver, Process, linear_problem
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.terms import Terms
+from lite6jax.search.search import chance_of
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, refitted
 
@@ -105,3 +106,29 @@ def test_each_step_changes_the_evidence_by_what_one_determinant_says(seed):
     for before, after in combinations(states, 2):
         step = gross(states[after]) - gross(states[before])
         assert step == pytest.approx(dense[after] - dense[before], abs=0.5), (before, after)
+
+
+def wandering(rng, samples):
+    """Of unit variance, with a memory of 33 samples."""
+    drawn = rng.normal(size=samples)
+    for t in range(1, samples):
+        drawn[t] = 0.97 * drawn[t - 1] + np.sqrt(1 - 0.97**2) * drawn[t]
+    return drawn
+
+
+def test_the_chance_of_a_name_is_right_in_noise_that_is_taken_for_white():
+    """A regressor and noise that both wander, and have nothing to do with each other: evidence alone is often sure."""
+    by_evidence = []
+    by_blocks = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        problem = linear_problem(rng, 300, noise=(1.0, 1.0))
+        data = dict(problem.data)
+        data["u1"] = wandering(rng, 300)
+        measured = problem.measured + np.outer(problem.shares, 1.5 * wandering(rng, 300))
+        problem = replace(problem, data=data, measured=measured)
+        state = state_of(problem, (Column("u1"),))
+        by_evidence.append(np.exp(-max(state.tested[0].net, 0.0)))
+        by_blocks.append(chance_of(Selector(problem, DEFAULTS), state, 0))
+    assert np.mean(np.array(by_evidence) < 0.05) > 0.3
+    assert np.mean(np.array(by_blocks) < 0.05) <= 0.15

@@ -18,11 +18,13 @@ def follow(
     delay=0.0,
     play=0.0,
     rate=math.inf,
+    feedforward=0.0,
     fine=100,
 ):
     """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
 
-    Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most.
+    Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most, and feedforward times its
+    velocity is added to what the servo exerts.
     """
     h = period / fine
     command = [float(u) for u in command]
@@ -37,8 +39,9 @@ def follow(
         if k % fine == 0:
             read[k // fine] = y
         late = max(math.floor((k * h - delay) / period + 1e-9), 0)
-        limited += min(max(command[late] - limited, -rate * h), rate * h)
-        pulled = kp * (limited - q) - (kd + viscous) * v - weight * math.sin(q)
+        change = min(max(command[late] - limited, -rate * h), rate * h)
+        limited += change
+        pulled = kp * (limited - q) + feedforward * change / h - (kd + viscous) * v - weight * math.sin(q)
         stopped = v + h * pulled / inertia
         band = h * coulomb / inertia
         v = math.copysign(max(abs(stopped) - band, 0.0), stopped)

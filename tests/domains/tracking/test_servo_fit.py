@@ -8,7 +8,7 @@ from lite6jax.domains.tracking.fit import fit_servos
 from lite6jax.domains.tracking.model import TrackingModel, with_effect
 from lite6jax.domains.tracking.problem import NO_BODIES
 from lite6jax.effects.catalogue import tracking_catalogue
-from lite6jax.effects.servo import CommandDelay, DeadBand, EncoderBacklash, Servo
+from lite6jax.effects.servo import CommandDelay, DeadBand, EncoderBacklash, Servo, ServoFeedforward
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from tests.oracles.servos import follow
@@ -124,6 +124,14 @@ def test_what_is_to_be_fitted_can_be_chosen():
     width = found.parameters["backlash:joint1"]["half_width_rad"]
     assert width.value == pytest.approx(0.002, rel=0.02)
     assert 0 < width.std < 1e-4
+
+
+def test_a_feed_forward_of_velocity_is_measured():
+    log = record(commands_of(600), SERVO, feedforward=3.0)
+    found = fit_servos(log, PENDULUM, effects=[ServoFeedforward(1)])
+    part = found.parameters["servo_feedforward:joint1"]["feedforward_Nm_s_per_rad"]
+    assert part.value == pytest.approx(3.0, rel=0.02)
+    assert found.heldout.after < 5e-5
 
 
 @pytest.mark.parametrize("effect", tracking_catalogue(2), ids=lambda effect: effect.label)
