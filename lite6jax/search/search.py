@@ -162,14 +162,14 @@ def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, P
 def _with_wandering_as_noise(selection: Selection, training: Mask, options: EngineOptions) -> Selection:
     """The selection with what read-outs do by themselves as nuisance: no physics, and no prediction has it."""
     state = selection.state
-    wandering = tuple(one for one in state.tested if is_wander(one.term))
+    wandering = tuple(selected for selected in state.tested if is_wander(selected.term))
     if not wandering:
         return selection
-    terms = [one.term for one in wandering]
+    terms = [selected.term for selected in wandering]
     problem = cast(WanderingProblem, selection.problem).with_nuisance(terms)
     reference = cast(WanderingProblem, selection.reference).with_nuisance(terms)
-    physics = tuple(one for one in state.tested if not is_wander(one.term))
-    part = state.fit.part([not is_wander(one.term) for one in state.tested])
+    physics = tuple(selected for selected in state.tested if not is_wander(selected.term))
+    part = state.fit.part([not is_wander(selected.term) for selected in state.tested])
     rest = fitted_again(problem, reference, replace(state, fit=part, tested=physics), training, options)
     cost = rest.evidence - state.evidence
     converted = replace(selection, problem=problem, reference=reference, state=rest)
@@ -194,7 +194,7 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
             known.append(numbers)
     state = State(baseline, baseline)
     if tested:
-        terms = Terms(tuple(one.term for one in tested))
+        terms = Terms(tuple(selected.term for selected in tested))
         fitted = fit(problem, terms, options, join(known), baseline.nuisance_about(problem), training)
         gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
         cost = np.log(3 * max(len(problem.candidates), 1))
@@ -266,12 +266,12 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     selector = Selector(problem, at_once)
     while state.tested:
         tested = []
-        for k, one in enumerate(state.tested):
-            if one.term in problem.preset[0].terms:
-                tested.append(replace(one, p_value=0.0))
+        for k, selected in enumerate(state.tested):
+            if selected.term in problem.preset[0].terms:
+                tested.append(replace(selected, p_value=0.0))
                 continue
-            tested.append(replace(one, p_value=chance_of(selector, state, k)))
-        k = int(np.argmax([one.p_value for one in tested]))
+            tested.append(replace(selected, p_value=chance_of(selector, state, k)))
+        k = int(np.argmax([selected.p_value for selected in tested]))
         if tested[k].p_value < options.level:
             state = refitted(problem, replace(state, tested=tuple(tested)), tested, at_once)
             break
@@ -282,9 +282,9 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
 
 def nearest_of(selector: Selector, state: State) -> tuple[Term, float] | None:
     """The likeliest name beside a state, and the probability that chance alone makes it so likely."""
-    left = ModelScan(selector.scan, selector.test(state)).names_and_waves()
-    best = max(left, key=lambda one: one.net, default=None)
-    return None if best is None else (best.make(), min(float(np.exp(-best.net)), 1.0))
+    candidates = ModelScan(selector.scan, selector.test(state)).names_and_waves()
+    likeliest = max(candidates, key=lambda candidate: candidate.net, default=None)
+    return None if likeliest is None else (likeliest.make(), min(float(np.exp(-likeliest.net)), 1.0))
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
@@ -307,8 +307,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
         few = replace(state, baseline=state.baseline.thinned(every), fit=state.fit.thinned(every))
         alternatives = some.alternatives(some.weighed(few), every)
     pairs = zip(state.tested, alternatives, strict=True)
-    state = replace(state, tested=tuple(replace(one, alternatives=each) for one, each in pairs))
+    state = replace(state, tested=tuple(replace(selected, alternatives=listed) for selected, listed in pairs))
     candidates = problem.candidates
     hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)
-    confounded = tuple(term for term, one in zip(candidates, hidden, strict=True) if one)
+    confounded = tuple(term for term, is_hidden in zip(candidates, hidden, strict=True) if is_hidden)
     return replace(selection, state=state, confounded=confounded, nearest=nearest_of(selector, state))

@@ -79,9 +79,9 @@ class Selector:
         Terms of an earlier search are taken over with its decisions between names, noise and processes.
         """
         autocorrelated = replace(state, fit=self.in_likeliest_noise(state.fit))
-        if any(one.term not in self._preset for one in state.tested):
+        if any(selected.term not in self._preset for selected in state.tested):
             state = self._settled(self._estimated(autocorrelated))
-            asked = {self._key_of(one.term) for one in state.tested if one.term.nonparametric}
+            asked = {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
             return self.above_noise(self._grown(state, exchanging, asked))
         grown = self._grown(autocorrelated, exchanging, set())
         if not autocorrelated.fit.noise.white:
@@ -132,8 +132,8 @@ class Selector:
     def _noise_instead(self, state: State) -> State | None:
         """The state with other noise in the place of a process, where that is likelier; else None."""
         trials = []
-        for k, one in enumerate(state.tested):
-            if one.term.nonparametric and not is_wander(one.term):
+        for k, selected in enumerate(state.tested):
+            if selected.term.nonparametric and not is_wander(selected.term):
                 trial = self._left_out(state, k)
                 trial = replace(trial, fit=self.in_likeliest_noise(trial.fit))
                 if trial.fit.noise.models != state.fit.noise.models:
@@ -164,12 +164,14 @@ class Selector:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
             processes = [
-                (k, one) for k, one in enumerate(state.tested) if one.term.nonparametric and not is_wander(one.term)
+                (k, selected)
+                for k, selected in enumerate(state.tested)
+                if selected.term.nonparametric and not is_wander(selected.term)
             ]
-            left = [(k, one) for k, one in processes if self._key_of(one.term) not in asked]
-            if not left:
+            remaining = [(k, selected) for k, selected in processes if self._key_of(selected.term) not in asked]
+            if not remaining:
                 return state
-            k, largest = max(left, key=lambda pair: pair[1].gain)
+            k, largest = max(remaining, key=lambda pair: pair[1].gain)
             asked.add(self._key_of(largest.term))
             state = self._named(state, k) or state
 
@@ -251,83 +253,92 @@ class Selector:
         model = state.fit.terms.terms
         marginal = Marginal(test)
         counts = sum((self._rows(term, state) for term in model), np.zeros(self.problem.rows, int))
-        columns = {id(one): one.column for term in model if (one := self._component_of(term)) is not None}
+        components = [component for term in model if (component := self._component_of(term)) is not None]
+        columns = {id(component): component.column for component in components}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         taken = counts >= _MOST_TERMS
-        found = list[Ranked]()
-        weighed = [self._continued(one, model) for one in self._not_refused(ranked, test, state)]
-        for one in sorted(weighed, key=lambda one: -one.net):
-            if one.net < MARGIN or taken.all():
+        worth = list[Ranked]()
+        weighed = [self._continued(candidate, model) for candidate in self._not_refused(ranked, test, state)]
+        for candidate in sorted(weighed, key=lambda candidate: -candidate.net):
+            if candidate.net < MARGIN or taken.all():
                 break
-            if one.key in tried or one.site in tried:
+            if candidate.key in tried or candidate.site in tried:
                 continue
-            if not self._has_room(one, model) or not self._is_possible(test, one):
+            if not self._has_room(candidate, model) or not self._is_possible(test, candidate):
                 continue
-            rows = np.any(one.process[0].column, 1) if one.process else self._rows(one.make(), state)
+            rows = np.any(candidate.process[0].column, 1) if candidate.process else self._rows(candidate.make(), state)
             if not (rows & taken).any():
                 taken |= rows
-                if all(one.gain >= gain for own, gain in noises if (own & rows).any()):
-                    found.append(one)
-        return found
+                if all(candidate.gain >= gain for acted_on, gain in noises if (acted_on & rows).any()):
+                    worth.append(candidate)
+        return worth
 
-    def _has_room(self, one: Ranked, model: Sequence[Term]) -> bool:
+    def _has_room(self, candidate: Ranked, model: Sequence[Term]) -> bool:
         """Whether a term's site has no process, or a process may be added there; no name is added to one.
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
-        at_site = [term for term in model if is_process(term) and term.site == one.site]
+        at_site = [term for term in model if is_process(term) and term.site == candidate.site]
         joined = [term for term in at_site if not kernel_of(term.kernel).apart]
-        if not one.process:
+        if not candidate.process:
             return not joined
-        kernel = kernel_of(one.process[2])
+        kernel = kernel_of(candidate.process[2])
         if kernel.undriven:
-            at_site = [term for term in at_site if term.component == one.place]
+            at_site = [term for term in at_site if term.component == candidate.place]
         is_hidden = any(kernel.hides(kernel_of(term.kernel)) for term in at_site)
         if kernel.apart:
             return not is_hidden
-        return not joined or self._continues(one, model) or (one.cause not in map(_phrases, joined) and not is_hidden)
+        return (
+            not joined
+            or self._continues(candidate, model)
+            or (candidate.cause not in map(_phrases, joined) and not is_hidden)
+        )
 
     def _component_of(self, term: Term) -> Component | None:
         """The component of a process, or of a name at a site that has but one; None where a name may move several.
 
         None also of a component of one row: what moves there by itself is the noise of that row.
         """
-        own = [one for one in self.problem.components if one.site == term.site]
+        of_site = [component for component in self.problem.components if component.site == term.site]
         if is_process(term):
-            own = [self._process_of(term)[0]]
-        alone = len(own) == 1 and term not in self._preset and np.count_nonzero(own[0].column.any(1)) > 1
-        return own[0] if alone else None
+            of_site = [self._process_of(term)[0]]
+        alone = len(of_site) == 1 and term not in self._preset and np.count_nonzero(of_site[0].column.any(1)) > 1
+        return of_site[0] if alone else None
 
-    def _continued(self, one: Ranked, model: Sequence[Term]) -> Ranked:
+    def _continued(self, candidate: Ranked, model: Sequence[Term]) -> Ranked:
         """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that."""
-        if not one.process:
-            cost = self.scan.cost_of_wave(one.make(), model)
-            return one if cost is None else replace(one, cost=min(one.cost, cost))
-        own = sum(component.site == one.site for component in self.problem.components)
-        return replace(one, cost=min(one.cost, float(np.log(own)))) if self._continues(one, model) else one
+        if not candidate.process:
+            cost = self.scan.cost_of_wave(candidate.make(), model)
+            return candidate if cost is None else replace(candidate, cost=min(candidate.cost, cost))
+        count = sum(component.site == candidate.site for component in self.problem.components)
+        return (
+            replace(candidate, cost=min(candidate.cost, float(np.log(count))))
+            if self._continues(candidate, model)
+            else candidate
+        )
 
     @staticmethod
-    def _continues(one: Ranked, model: Sequence[Term]) -> bool:
+    def _continues(candidate: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         components = {
             term.component
             for term in model
-            if is_process(term) and term.site == one.site and one.cause == _phrases(term)
+            if is_process(term) and term.site == candidate.site and candidate.cause == _phrases(term)
         }
-        return bool(one.process) and bool(components) and one.place not in components
+        return bool(candidate.process) and bool(components) and candidate.place not in components
 
     @staticmethod
     def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
         refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
-        return [one for one in ranked if one.process or one.cause[0] not in refused]
+        return [candidate for candidate in ranked if candidate.process or candidate.cause[0] not in refused]
 
     def _rows(self, term: Term, state: State) -> Mask:
         return acts_on(self.problem, term, (state.fit.terms, state.fit.values))
 
     def _with(self, state: State, *ranked: Ranked) -> State:
-        new = [SelectedTerm(one.make(), one.gain, one.cost, one.volume) for one in ranked]
-        included = {term for one in new for term in one.term.includes}
-        kept = [one for one in state.tested if one.term not in included]
+        new = [SelectedTerm(candidate.make(), candidate.gain, candidate.cost, candidate.volume) for candidate in ranked]
+        included = {term for selected in new for term in selected.term.includes}
+        kept = [selected for selected in state.tested if selected.term not in included]
         return self._refitted(state, [*kept, *new])
 
     def _refitted(self, state: State, tested: Sequence[SelectedTerm]) -> State:
@@ -357,7 +368,7 @@ class Selector:
         A process is estimated once, and one of two quantities may become one of either. Numbers are estimated again:
         one that is far off leaves large residuals, which are winsorised, so that the next may be off as well.
         """
-        open_ = [k for k, one in enumerate(state.tested) if self._is_open(one.term)]
+        open_ = [k for k, selected in enumerate(state.tested) if self._is_open(selected.term)]
         for _ in range(_ESTIMATES):
             tested = list(state.tested)
             for k in open_:
@@ -373,20 +384,20 @@ class Selector:
         """Whether something of a term is chosen, so that it may be chosen anew."""
         return term not in self._preset and (term.nonparametric or self._has_number(term))
 
-    def _chosen_again(self, test: ScoreTest, one: SelectedTerm) -> SelectedTerm:
-        term = one.term
+    def _chosen_again(self, test: ScoreTest, selected: SelectedTerm) -> SelectedTerm:
+        term = selected.term
         if is_process(term):
             component, which = self._process_of(term)
-            found = self._processes(test, component, [which, *_either(which)])
-            best = max(found, key=lambda each: each.net, default=None)
+            candidates = self._processes(test, component, [which, *_either(which)])
+            likeliest = max(candidates, key=lambda candidate: candidate.net, default=None)
         else:
-            best = ModelScan(self.scan, test).like(term)
-        if best is None:
-            return replace(one, gain=0.0)
-        cost = best.cost
-        if is_process(term) and not (kernel_of(term.kernel).any_order or kernel_of(best.process[2]).any_order):
-            cost = min(cost, one.cost)
-        return replace(one, term=best.make(), gain=best.gain, cost=cost, volume=best.volume)
+            likeliest = ModelScan(self.scan, test).like(term)
+        if likeliest is None:
+            return replace(selected, gain=0.0)
+        cost = likeliest.cost
+        if is_process(term) and not (kernel_of(term.kernel).any_order or kernel_of(likeliest.process[2]).any_order):
+            cost = min(cost, selected.cost)
+        return replace(selected, term=likeliest.make(), gain=likeliest.gain, cost=cost, volume=likeliest.volume)
 
     def _process_of(self, term: ProcessTerm) -> tuple[Component, tuple[int, ...]]:
         """The component of a process, and the places of its quantities."""
@@ -414,7 +425,7 @@ class Selector:
         while True:
             state = self.weighed(state)
             tested = state.tested
-            order = np.argsort([np.inf if one.term in self._preset else one.net for one in tested])
+            order = np.argsort([np.inf if selected.term in self._preset else selected.net for selected in tested])
             least = set[int]()
             taken = np.zeros(self.problem.rows, bool)
             for k in order.tolist():
@@ -428,7 +439,7 @@ class Selector:
                 return state
             if self.problem.curved:
                 least = {int(order[0])}
-            rest = [one for k, one in enumerate(tested) if k not in least]
+            rest = [selected for k, selected in enumerate(tested) if k not in least]
             without = self._refitted(state, rest)
             if self.problem.curved and without.evidence < state.evidence - MARGIN:
                 return state
@@ -439,12 +450,12 @@ class Selector:
         while state.tested:
             marginal = Marginal(self.test(state))
             excess = []
-            for one in state.tested:
-                component = None if is_wander(one.term) else self._component_of(one.term)
+            for selected in state.tested:
+                component = None if is_wander(selected.term) else self._component_of(selected.term)
                 if component is None:
                     excess.append(-np.inf)
                     continue
-                excess.append(float(marginal.of_noise(component.column).gain) - one.gain)
+                excess.append(float(marginal.of_noise(component.column).gain) - selected.gain)
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break
@@ -485,8 +496,8 @@ class Selector:
         """Without names whose numbers are beyond their bounds, or whose part in one noise group is likelier alone."""
         while True:
             beyond = [
-                -np.inf if one.term in self._preset else beyond_limits(self.problem, state.fit, k)
-                for k, one in enumerate(state.tested)
+                -np.inf if selected.term in self._preset else beyond_limits(self.problem, state.fit, k)
+                for k, selected in enumerate(state.tested)
             ]
             k = int(np.argmax(beyond)) if beyond else 0
             if not beyond or beyond[k] <= IMPOSSIBLE:
@@ -511,7 +522,8 @@ class Selector:
         groups = np.unique(self.problem.groups[np.any(columns, axis=(0, 2))])
         parts = [columns * (self.problem.groups == group)[:, None] for group in groups]
         whole, *alone = (
-            float(one.gain + one.volume) for one in Marginal(test).of_names([columns, *parts], together=True)
+            float(evidence.gain + evidence.volume)
+            for evidence in Marginal(test).of_names([columns, *parts], together=True)
         )
         return max(alone) > whole + CLOSE
 
@@ -567,14 +579,14 @@ class Selector:
         term = state.tested[k].term
         if term.nonparametric or term.usual or self._component_of(term) is None:
             return None
-        own = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
+        phrases = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
             if process.site != term.site or not is_process(process) or not kernel_of(process.kernel).takes_driver:
                 continue
             component, quantity_indices = self._process_of(process)
-            together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in own)})
-            if len(own) < len(_phrases(term)) or len(together) > 2:
+            together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in phrases)})
+            if len(phrases) < len(_phrases(term)) or len(together) > 2:
                 continue
             rest = [selected for n, selected in enumerate(state.tested) if n not in (j, k)]
             test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
