@@ -45,6 +45,7 @@ def test_clients_that_never_read_are_closed_and_others_undisturbed(lite6, monkey
         until(closed, 30.0)
         assert MOST / 4 < max(waiting) < 6 * MOST  # what is sent in a round comes on top
         assert {line.ask(13)[6] for line in asking} == {13}
+        monkeypatch.undo()  # on a busy machine this reader itself is slow at times
         assert set(np.diff(read_reports(controller, protocol.REALTIME, 100)["time_us"].astype(np.int64))) == {4000}
 
 
