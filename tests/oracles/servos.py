@@ -19,12 +19,13 @@ def follow(
     play=0.0,
     rate=math.inf,
     feedforward=0.0,
+    sticky=None,
     fine=100,
 ):
     """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
 
     Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most, and feedforward times its
-    velocity is added to what the servo exerts.
+    velocity is added to what the servo exerts. Friction is more by sticky(q) in Nm.
     """
     h = period / fine
     command = [float(u) for u in command]
@@ -43,7 +44,7 @@ def follow(
         limited += change
         pulled = kp * (limited - q) + feedforward * change / h - (kd + viscous) * v - weight * math.sin(q)
         stopped = v + h * pulled / inertia
-        band = h * coulomb / inertia
+        band = h * (coulomb + (sticky(q) if sticky else 0.0)) / inertia
         v = math.copysign(max(abs(stopped) - band, 0.0), stopped)
         q += h * v
         y = min(max(y, q - play), q + play)

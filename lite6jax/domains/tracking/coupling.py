@@ -215,7 +215,7 @@ def roll_coupled(
         commands: of all joints.
         bodies: the arm.
         loads: to begin with.
-        extra: `(joint, sample)` Nm, as of `roll`.
+        extra: `(joint, 2, sample)` Nm, as of `roll`.
         settled: rad RMS, of each joint or of all, by which read-outs of two sweeps differ at most at the end.
     """
     joints = np.arange(bodies.joints)

@@ -6,6 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.torque.predict import joints_of, unit_torques
 from lite6jax.domains.tracking.coupling import SETTLED, Bodies, JointLoads, roll_coupled
 from lite6jax.domains.tracking.rollout import Commands, roll
 from lite6jax.effects.dynamic import (
@@ -18,6 +19,7 @@ from lite6jax.effects.dynamic import (
     RotorInertia,
     StribeckFriction,
     TorqueEffect,
+    UnnamedTorque,
     ViscousFriction,
 )
 from lite6jax.effects.effect import Effect, OfJoint
@@ -57,11 +59,51 @@ class TrackingModel:
     bodies: Bodies
     torques: tuple[tuple[TorqueEffect, Array], ...] = ()
 
-    def exerted(self, dynamics: Dynamics) -> Array | None:
-        """`(joint, sample)` Nm along a motion; None where there is nothing."""
+    def exerted(self, dynamics: Dynamics, known: dict[TorqueEffect, Array] | None = None) -> Array | None:
+        """`(joint, 2, sample)` Nm along a motion, torques and Coulomb friction; None where there is nothing.
+
+        Args:
+            dynamics: along the motion.
+            known: `units_along` it, to which this one adds.
+        """
         if not self.torques:
             return None
-        return np.sum([effect.torque(numbers, dynamics) for effect, numbers in self.torques], 0)
+        total = np.zeros((len(dynamics.torque), 2, dynamics.torque.shape[1]))
+        for effect, numbers in self.torques:
+            units = units_along(effect, dynamics, known) if isinstance(effect, UnnamedTorque) else None
+            if units is None:
+                total[:, 0] += effect.torque(numbers, dynamics)
+            else:
+                total[joints_of(effect)] += np.tensordot(numbers, units, 1)
+        return total
+
+
+def units_along(effect: TorqueEffect, dynamics: Dynamics, known: dict[TorqueEffect, Array] | None = None) -> Array:
+    """Torques and Coulomb friction `(number, joint, 2, sample)` Nm by each number of a linear effect, of its joints.
+
+    What depends on the direction of motion is friction: half of what differs between the directions resists, and holds
+    a joint at rest, and what they have in common acts.
+
+    Args:
+        effect: of the catalogue of this domain.
+        dynamics: along a motion.
+        known: what is known of effects along it, to which this one adds.
+    """
+    if known is not None and effect in known:
+        return known[effect]
+    if isinstance(effect, UnnamedTorque) and any(driver.discrete for driver in effect.drivers):
+        ones = np.ones_like(np.asarray(dynamics.motion.joint_position))
+        forward, back = (
+            unit_torques(effect, dynamics._replace(motion=dynamics.motion._replace(direction=side * ones)))
+            for side in (1, -1)
+        )
+        units = np.stack([0.5 * (forward + back), 0.5 * (forward - back)], 2)
+    else:
+        torques = unit_torques(effect, dynamics)
+        units = np.stack([torques, np.zeros_like(torques)], 2)
+    if known is not None:
+        known[effect] = units
+    return units
 
 
 def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bool = True) -> TrackingModel:
@@ -116,7 +158,7 @@ def roll_out(
         model: the arm with its servos.
         commands: of all joints.
         loads: those that are held, or where the coupled arm is iterated from.
-        extra: `(joint, sample)` Nm.
+        extra: `(joint, 2, sample)` Nm, as of `roll`.
         coupled: whether to iterate.
         settled: rad RMS at which the iteration ends, as of `roll_coupled`.
     """

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.domains.torque.predict import joints_of, read_driver, unit_torques
+from lite6jax.domains.torque.predict import joints_of, read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
-from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, with_effect
+from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
 from lite6jax.domains.tracking.rollout import roll
 from lite6jax.domains.tracking.rows import TrackingRows, usual_payload
@@ -59,6 +59,8 @@ _KEPT = 4096
 """Columns that are kept."""
 _ROLLOUTS_KEPT = 64
 """Of a log of 60 000 rows and six joints 180 MB."""
+_UNITS_KEPT = 60
+"""Effects whose functions along the motion are kept: of 100 coefficients and 2 000 rows 200 MB."""
 _SETTLED = 0.003
 """Of the noise, RMS by which rollouts of the coupled arm differ in the last two sweeps: of 10 000 rows a tenth of what
 one fitted number explains of noise."""
@@ -82,11 +84,13 @@ class RolloutCache:
         columns: of effects and unknowns, `(every sample,)` rad by what they depend on.
         rollouts: read-outs `(joint, every sample)` rad by model.
         loads: along the latest rollout of a coupled arm.
+        units: of effects, as of `units_along`.
     """
 
     columns: dict[Any, Array] = field(default_factory=dict)
     rollouts: dict[bytes, Array] = field(default_factory=dict)
     loads: JointLoads | None = None
+    units: dict[TorqueEffect, Array] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[type["RolloutCache"], tuple[()]]:
         """Another process computes it anew, which is faster than to send it."""
@@ -94,7 +98,7 @@ class RolloutCache:
 
 
 class _RolloutInputs(NamedTuple):
-    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and a torque `(every sample,)` Nm beside."""
+    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and `(2, every sample)` Nm as of `roll`."""
 
     joint: int
     servo: Servo
@@ -247,7 +251,7 @@ class TrackingProblem:
     def readouts(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Rolled-out read-outs `(joint, every sample)` rad."""
         model = self.model(nuisance, terms, values)
-        extra = model.exerted(self.data.dynamics)
+        extra = self._exerted(model)
         parts = [*map(np.asarray, model.servo), model.bodies.links, model.bodies.gravity]
         key = b"".join(part.tobytes() for part in parts)
         if extra is not None:
@@ -301,13 +305,13 @@ class TrackingProblem:
         terms, values = others.part(numbers, [term != effect for term in others.terms])
         none = np.zeros(len(self.unknowns))
         model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
-        extra = model.exerted(self.data.dynamics)
+        extra = self._exerted(model)
         joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
         before = {joint: self._state(model.servo, extra, joint) for joint in joints}
         units = None
         acted_on = slice(None)
         if isinstance(effect, TorqueEffect) and _exerts(effect):
-            units = unit_torques(effect, self.data.dynamics)
+            units = units_along(effect, self.data.dynamics, self.known.units)
             acted_on = joints_of(effect)
         numbers_by_joint = []
         for k in range(effect.size):
@@ -315,7 +319,7 @@ class TrackingProblem:
             servo = model.servo
             total = extra
             if units is not None:
-                more = np.zeros((self.rows, self.data.commands.samples))
+                more = np.zeros((self.rows, 2, self.data.commands.samples))
                 more[acted_on] = step * units[k]
                 total = more if extra is None else extra + more
             else:
@@ -326,9 +330,15 @@ class TrackingProblem:
             numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
         return numbers_by_joint
 
+    def _exerted(self, model: TrackingModel) -> Array | None:
+        """`(joint, 2, every sample)` Nm, as `TrackingModel.exerted` along the motion of the recording."""
+        if len(self.known.units) > _UNITS_KEPT:
+            self.known.units.clear()
+        return model.exerted(self.data.dynamics, self.known.units)
+
     def state_of(self, model: TrackingModel, joint: int) -> _RolloutInputs:
         """What the rollout of a joint, from 0, needs in a model."""
-        return self._state(model.servo, model.exerted(self.data.dynamics), joint)
+        return self._state(model.servo, self._exerted(model), joint)
 
     def _state(self, servo: Servo, extra: Array | None, joint: int) -> _RolloutInputs:
         return _RolloutInputs(joint, servo.take([joint]), None if extra is None else extra[joint])
@@ -389,7 +399,7 @@ class TrackingProblem:
         joints = np.array([state.joint for state in states])
         extra = None
         if any(state.extra is not None for state in states):
-            nothing = np.zeros(commands.samples)
+            nothing = np.zeros((2, commands.samples))
             extra = np.stack([nothing if state.extra is None else state.extra for state in states])
         parts = []
         most = max(int(_AT_ONCE / (commands.samples * commands.steps)), 12)
@@ -409,7 +419,7 @@ class TrackingProblem:
         if not self.unknowns:
             return columns
         model = self.model(np.zeros(len(self.unknowns)), terms, values)
-        extra = model.exerted(self.data.dynamics)
+        extra = self._exerted(model)
         wanted = []
         for unknown in self.unknowns:
             before = self._state(model.servo, extra, unknown.joint)
@@ -465,10 +475,21 @@ class TrackingProblem:
             for quantity in _QUANTITIES:
                 driver = joint_driver(quantity, j, False)
                 values = read_driver(driver, self.data.dynamics)
+                if values is not None and driver.discrete:
+                    values = self._direction_of_friction(j)
                 if values is not None and np.ptp(values) > _LEAST_VARIED:
                     site = f"joint{j}"
                     varied.append(DriverValues(driver, np.asarray(values, float), frozenset({site}), site))
         return tuple(varied)
+
+    def _direction_of_friction(self, joint: int) -> Array:
+        """`(every sample,)` from -1 to 1, the direction in which friction of a joint, from 1, holds it back.
+
+        That is the direction of motion but where it sticks: by how much more friction there moves its rollout.
+        """
+        (by_joint,) = self._of_effect(CoulombFriction(joint), np.zeros(1), Terms(), np.zeros(0))
+        column = self._computed(by_joint)[by_joint[0].key]
+        return np.clip(-self.servo.stiffness[joint - 1] * column, -1.0, 1.0)
 
     def process(
         self,
@@ -640,7 +661,7 @@ def with_likely_grip(
 def _grip_likelihoods(problem: TrackingProblem, model: TrackingModel, factors: Array) -> Array:
     """The log likelihood `(factor,)`, less a constant, where noise of each joint is of unknown size."""
     grip = np.asarray(model.servo.grip)
-    extra = model.exerted(problem.data.dynamics)
+    extra = problem._exerted(model)
     states = [
         problem._state(model.servo._replace(grip=factor * grip), extra, joint)
         for factor in factors

@@ -171,7 +171,7 @@ def roll(
         load: `(column, sample · steps)` Nm, L.
         mass: likewise, kg·m², M.
         columns: `(lane,)`, which load and mass each lane has; those of its joint where not given.
-        extra: `(lane, sample)` Nm, x, on a line from sample to sample; zero where not given.
+        extra: `(lane, 2, sample)` Nm, on lines from sample to sample: x, and what c is more; zero where not given.
         fine: whether to give positions and their derivatives at every step as well.
     """
     lanes = len(joints)
@@ -184,7 +184,9 @@ def roll(
     def by_sample(values: Array) -> Array:
         return np.ascontiguousarray(np.asarray(values).T.reshape(samples, commands.steps, -1))
 
-    more = np.zeros((samples, 1)) if extra is None else np.ascontiguousarray(np.asarray(extra)[index].T)
+    more = np.zeros((samples, 2, 1))
+    if extra is not None:
+        more = np.ascontiguousarray(np.transpose(np.asarray(extra)[index], (2, 1, 0)))
     readout, states = _roll(
         filled,
         commands.integral,
@@ -373,8 +375,9 @@ def _roll(
         return below + (s - i) * more, more
 
     def advance(state: Any, inputs: Any) -> Any:
-        u, arriving, following_load, M, x = inputs
+        u, arriving, following_load, M, (x, rubbing) = inputs
         L = state.load
+        coulomb = jnp.maximum(p.coulomb + rubbing, 0.0)
         low = jnp.where(filtered, u + (state.low - u) * decay, arriving)
         mean_low = u + (state.low - u) * mean_decay
         # a held command switches at most once in a step: after the share of it by which its mean is reached
@@ -432,7 +435,7 @@ def _roll(
         afterwards = jnp.where(switches, p.stiffness * (arriving - u) - early * jump, 0.0)
 
         def bent_friction() -> Any:
-            constant = p.coulomb + p.stribeck * jnp.exp(-((v_here / p.stribeck_speed) ** 2))
+            constant = coulomb + p.stribeck * jnp.exp(-((v_here / p.stribeck_speed) ** 2))
             before = constant + p.load_friction * jnp.abs(L + M * state.a)
             gripped = jnp.clip(joint.gripped(state.v), -before, before)
             a = (joint.force - drag * v_here - gripped) / jnp.maximum(m, 1e-12)
@@ -441,7 +444,7 @@ def _roll(
             later_load = jnp.abs(jnp.where(switches, following_load, L) + M * a + share * afterwards)
             return constant + p.load_friction * (early * sooner_load + later * later_load)
 
-        friction = jax.lax.cond(bends, bent_friction, lambda: p.coulomb)
+        friction = jax.lax.cond(bends, bent_friction, lambda: coulomb)
         v = joint.step(state.v, friction, h, later, sooner, afterwards)
         a = (v - state.v) / h
         q = state.q + h * v
@@ -453,18 +456,21 @@ def _roll(
         u, arriving, first_load, following_load, M, x, following, here, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
         share = (jnp.arange(steps) / steps)[:, None]
-        between = x + share * (following - x) + zero
+        between = tuple(
+            of_now + share * (of_next - of_now) + zero for of_now, of_next in zip(x, following, strict=True)
+        )
 
         def begin_run(_: Any) -> Any:
             error = first_command - q
             error = error - jnp.clip(error, -p.dead_band, p.dead_band)
             # an integral part drives a joint that rests until friction alone holds it back
-            balance = first_load + p.spring * q + p.spring_torque + between[0] - p.stiffness * error
-            balance = balance + jnp.sign(error) * (p.coulomb + p.stribeck + p.load_friction * jnp.abs(first_load))
+            balance = first_load + p.spring * q + p.spring_torque + between[0][0] - p.stiffness * error
+            coulomb = jnp.maximum(p.coulomb + between[1][0], 0.0)
+            balance = balance + jnp.sign(error) * (coulomb + p.stribeck + p.load_friction * jnp.abs(first_load))
             summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
             at_rest = first_command, first_command, first_command, summed, error
             fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load)
-            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], between[0]))
+            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], tuple(part[0] for part in between)))
             return fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
 
         state = jax.lax.cond(here, begin_run, lambda present: present, state)

@@ -144,6 +144,20 @@ def test_friction_holds_a_joint_within_its_band_and_stops_it():
     assert np.ptp(moved[-100:]) < 1e-6
 
 
+def test_friction_that_is_given_along_the_motion_is_that_of_the_servo():
+    u = commands_of(1)
+    held = hold_commands(u, np.zeros(len(u), int), PERIOD, u)
+    nothing = np.zeros((1, held.samples * held.steps))
+    extra = np.stack([np.full(len(u), 0.3), np.full(len(u), 0.8)])[None]
+    joint = np.array([0])
+    along = roll(plain(1, coulomb=0.2), held, joint, nothing, nothing + 0.2, extra=extra).readout
+    same = roll(plain(1, coulomb=1.0), held, joint, nothing + 0.3, nothing + 0.2).readout
+    assert np.abs(along - same).max() < 1e-12
+    less = roll(plain(1, coulomb=0.2), held, joint, nothing, nothing + 0.2, extra=-extra).readout
+    none = roll(plain(1), held, joint, nothing - 0.3, nothing + 0.2).readout
+    assert np.abs(less - none).max() < 1e-12
+
+
 def test_backlash_delays_reversals_by_its_width():
     u = 0.2 * np.sin(2 * np.pi * 0.5 * TIME)
     apart = roll_alone(plain(1), u) - roll_alone(plain(1, backlash=0.003), u)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lite6jax import diagnose
+from lite6jax.domains.tracking.model import units_along
 from lite6jax.domains.tracking.problem import along_rollout, tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.dynamic import CoulombFriction
@@ -209,3 +210,21 @@ def test_each_run_is_rolled_out_with_its_own_payload():
     without = tracking_problem(tracking_rows(replace(both, payload=np.zeros(800)), PENDULUM))
     missed = without.residual(np.zeros(0), Terms(), np.zeros(0)) * without.sigma
     assert np.sqrt(np.mean(missed[:, 400:] ** 2)) > 1e-3
+
+
+def test_friction_over_the_position_holds_a_joint_at_rest():
+    u = commands_of(500)
+    log = record(u, SERVO, sticky=lambda q: 1.5 * np.exp(-(((q - 0.1) / 0.2) ** 2)), fine=400)
+    problem = tracking_problem(tracking_rows(log, PENDULUM))
+    by_phrase = {one.driver.phrase: one for one in problem.quantities}
+    where = [by_phrase[f"{name} of joint 1"] for name in ("position", "direction of motion")]
+    assert np.abs(where[1].values).max() == 1.0
+    process = problem.process(problem.components[0], where, "rough*line", 2.0)
+    before = fit(problem, Terms(), EngineOptions())
+    after = fit(problem, Terms((process,)), EngineOptions())
+    assert after.scale[0] == 1.0  # the noise
+    assert before.scale[0] > 50 * after.scale[0]
+    along = units_along(process, problem.data.dynamics)
+    at = problem.data.dynamics.motion._replace(direction=np.ones((1, len(u))))
+    forward = process.torque(after.values, problem.data.dynamics._replace(motion=at))
+    assert np.tensordot(after.values, along, 1).sum(1) == pytest.approx(forward, abs=1e-9)
