@@ -539,6 +539,8 @@ class PredictCommand:
                 domain = diagnosis_file.domain_of(document)
                 raise InputError(f"--register: a diagnosis of {domain} has no sensor frame")
             model, registered = registration.register_model(model, recording)
+        if said := compensations.corrected_columns(document):
+            warnings.warn(f"{self.motion}: {said}", InputWarning, stacklevel=1)
         prediction = predict.predicted(model, recording)
         columns = prediction.columns()
         if of_poses and diagnosis_file.find_part(document, "torques") is not None:
@@ -671,6 +673,8 @@ class CompensateCommand:
             written = [
                 write_atomically(self.out, lambda target: recording_files.write_table(columns, target), self.force)
             ]
+        if said := compensations.corrected_columns(document, written=True):
+            warnings.warn(f"{self.targets}: {said}", InputWarning, stacklevel=1)
         if beyond := compensations.outside_warning(compensation, model):
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         origin = []

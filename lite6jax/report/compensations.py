@@ -14,6 +14,7 @@ from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.tracking.predict import CorrectedCommands
 from lite6jax.report import screen
+from lite6jax.report.faults import fault_name
 from lite6jax.report.sentences import compensations as sentences
 from lite6jax.report.words import SCREEN, fill, fixed, joint_units, listing, number, read_texts
 
@@ -22,9 +23,31 @@ NO_BARS = (
     "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
     "diagnose` again"
 )
+_JOINT_COLUMNS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "joint_turns")
+"""Faults of the joint columns, which another file from the same source has too."""
 _SHOWN = 0.05
 """deg or mm, that a joint is beyond its recorded range at least to be named."""
 _ROWS_NAMED = 8
+
+
+def corrected_columns(document: Mapping[str, Any], written: bool = False) -> str:
+    """Says that a diagnosis corrected faults of its columns, which another file's may have; empty where it did not.
+
+    Args:
+        document: of the diagnosis.
+        written: whether the other file's joint positions are written, not read.
+    """
+    said = []
+    columns = [entry["fault"] for entry in document.get("data_faults", ()) if entry["fault"] in _JOINT_COLUMNS]
+    if columns:
+        names = ", ".join(dict.fromkeys(fault_name(code).lower() for code in columns))
+        remedy = "these are taken as they are: where they come from the same source, correct them likewise"
+        if written:
+            remedy = "joint positions are written as it corrected them: for that source, undo the correction"
+        said.append(f"the diagnosis corrected its joint columns ({names}), and {remedy}")
+    if any(entry["fault"] == "sensor_scale" for entry in document.get("data_faults", ())):
+        said.append("positions are in true metres, not in those of the sensor, whose scale the diagnosis corrected")
+    return "; ".join(said)
 
 
 def compensation_columns(compensation: Compensation) -> dict[str, NDArray]:

@@ -30,7 +30,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.prior import Prior
 from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording, read_recording, write_recording
-from lite6jax.report.compensations import NO_BARS
+from lite6jax.report.compensations import NO_BARS, corrected_columns
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 SITES = tuple((name, j, k) for name, j in (("base", 0), ("link", 2), ("tool", 0)) for k in range(6))
@@ -346,6 +346,23 @@ def test_the_columns_that_predict_writes(capsys, model, content, motion_file, tm
     for names, wanted in zip(std, (bars.position_std, bars.orientation_std), strict=True):
         np.testing.assert_allclose(np.stack([table[name] for name in names], 1), wanted, rtol=1e-9)
     np.testing.assert_array_equal(table["outside"], bars.outside)
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("joint_turns", "corrected its joint columns (joint zero or whole turns), and these are taken as they are"),
+        ("sensor_scale", "positions are in true metres, not in those of the sensor"),
+    ],
+)
+def test_predict_says_which_faults_of_columns_it_does_not_correct(capsys, content, motion_file, tmp_path, code, says):
+    content = copy.deepcopy(content)
+    content["data_faults"] = [{"fault": code, "rows": [], "numbers": {"joint": 5}, "statement": "Said."}]
+    diagnosis = stored(tmp_path, content)
+    status, _, err = run(capsys, "predict", diagnosis, motion_file(narrow(5, 12)), "--out", tmp_path / "p.csv")
+    assert status == 0
+    assert says in flat(err)
+    assert ("undo the correction" in corrected_columns(content, written=True)) == (code == "joint_turns")
 
 
 def test_predict_says_that_an_earlier_diagnosis_has_none(capsys, arm, motion_file, tmp_path):
