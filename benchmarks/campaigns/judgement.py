@@ -117,14 +117,16 @@ def admits(effect: Row, finding: Row) -> bool:
     )
 
 
-def with_faults(diagnosis: Row) -> list[Row]:
-    """The findings, and after them the faults of the data that say what an effect is, as findings."""
+def with_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:
+    """The findings, and after them the faults of the data that say what a hidden effect is, as findings."""
     said = []
     for fault in diagnosis["data_faults"]:
         if fault["fault"] in _EFFECT_OF_FAULT:
             numbers = fault.get("numbers", {})
             site = f"joint{numbers['joint']}" if "joint" in numbers else "sensor"
-            said.append({"effect": _EFFECT_OF_FAULT[fault["fault"]], "site": site, "parameters": {}})
+            finding = {"effect": _EFFECT_OF_FAULT[fault["fault"]], "site": site, "parameters": {}}
+            if any(same(effect, finding) for effect in hidden):
+                said.append(finding)
     return [*diagnosis["findings"], *said]
 
 
@@ -150,7 +152,7 @@ def grade(truth: Row, diagnosis: Row | None) -> Statement:
         return Statement("misleading", "no answer")
     hidden, findings = truth["hidden"], diagnosis["findings"]
     false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
-    with_said = with_faults(diagnosis)
+    with_said = with_faults(diagnosis, hidden)
     missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in with_said)]
     said = []
     if false:
@@ -222,7 +224,7 @@ def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str
     said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
     findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
     hidden = truth["hidden"]
-    with_said = [*findings, *with_faults(said)[len(findings) :]] if hidden else findings
+    with_said = [*findings, *with_faults(said, hidden)[len(findings) :]]
     alone = len(with_said) == len(hidden)
     top, first = with_said[0] if with_said else None, hidden[0] if hidden else None
     keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")

@@ -400,7 +400,7 @@ def diagnose_poses(
         of_all = selection
         if selection.state.tested or explanation.screened.found:
             errors = errors_of_folds(errors_of_search, (case, explanation.final_decisions), folds)
-        else:  # nothing was found that a search without some rows might not find
+        else:  # no terms that other rows might not support
             errors = refitted_errors(selection, folds, options)
         inliers = ~_outliers(of_all)
         verified = verify(

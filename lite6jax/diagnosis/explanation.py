@@ -352,7 +352,7 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
 
 
 def _allowance(terms: int, before: int) -> float:
-    """By how much an explanation with so many terms may be less likely than one with more, and is still said."""
+    """Log evidence by which an explanation with fewer terms may fall short and is still preferred."""
     return CLOSE if terms < before else 0.0
 
 

@@ -52,7 +52,8 @@ class DataFault:
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*
                                 ("as_published" or "fitted"), numbers_more*
-        calibration_off         sigma_m, sigma_rad, log_likelihood_gap, rival_terms
+        calibration_off         sigma_m, sigma_rad, log_likelihood_gap (below zero where physics is likelier and not
+                                distinguished), rival_terms
         wandering_readout       joints, and of each std_rad, memory_samples, memory_s (None without times) and
                                 log_likelihood_gap
         no_joints               clock_offset_s

@@ -38,7 +38,11 @@ def corrected_columns(document: Mapping[str, Any], written: bool = False) -> str
         written: whether the other file's joint positions are written, not read.
     """
     said = []
-    columns = [entry["fault"] for entry in document.get("data_faults", ()) if entry["fault"] in _JOINT_COLUMNS]
+    columns = [
+        entry["fault"]
+        for entry in document.get("data_faults", ())
+        if entry["fault"] in _JOINT_COLUMNS and (entry["fault"] != "joint_turns" or "added_rad" in entry["numbers"])
+    ]
     if columns:
         names = ", ".join(dict.fromkeys(fault_name(code).lower() for code in columns))
         remedy = "these are taken as they are: where they come from the same source, correct them likewise"

@@ -51,8 +51,10 @@ Array = NDArray[np.floating]
 
 _KERNELS_OF = {**Counter(kernel.prior for kernel in KERNELS.values()), "product": len(PAIRS) / 2}
 """How many kernels each kind of process has."""
-_ROLLED_OFF = [name for name, kernel in KERNELS.items() if len(kernel.grid) > 1 and not kernel.any_order]
-"""Kernels of which several roll-offs are tried."""
+_ROLLED_OFF = [
+    name for name, kernel in KERNELS.items() if kernel.numbers and not (kernel.any_order or kernel.any_sample)
+]
+"""Kernels whose numbers are tried on a grid."""
 _PLAYS = [name for name in SINGLE if KERNELS[name].hysteretic]
 _UNSCALED = [name for name in SINGLE if name not in (*SCALED, *_PLAYS)]
 _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]

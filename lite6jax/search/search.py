@@ -15,7 +15,7 @@ from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
 from lite6jax.search.scan import ModelScan
-from lite6jax.search.select import Selector, is_wander
+from lite6jax.search.select import Selector, is_known, is_wander
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
 Array = NDArray[np.floating]
@@ -143,8 +143,7 @@ def supported(
         reference = problem
     every = _stride(int(problem.valid.sum()), options.most_samples)
     some = _every(problem, reference, every)
-    known = Selector(some[0], options.rough).is_known
-    kept = [known(selected.term) for selected in start.tested]
+    kept = [is_known(some[0], selected.term) for selected in start.tested]
     start = start._replace(tested=tuple(compress(start.tested, kept)), values=tuple(compress(start.values, kept)))
     begun = at_estimate(_begun(*some, training[::every], options, start), options)
     state = Selector(begun.problem, options.rough).supported(begun.state)

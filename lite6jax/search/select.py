@@ -105,29 +105,33 @@ class Selector:
         """The state with the likeliest of each term, its alternatives and, of a process, those of its component."""
         for selected in state.tested:
             term = selected.term
-            rivals = [alternative.term for alternative in selected.alternatives if self.is_known(alternative.term)]
-            rivals = [rival for rival in rivals if rival not in state.fit.terms.terms]
-            if term in self._preset or not (rivals or is_process(term)):
+            present = state.fit.terms.terms
+            if term in self._preset or term not in present:  # one in its place may include others
                 continue
-            k = state.fit.terms.terms.index(term)
-            weighed = ModelScan(self.scan, self.beside(state, k))
+            rivals = [alternative.term for alternative in selected.alternatives]
+            rivals = [rival for rival in rivals if rival not in present and is_known(self.problem, rival)]
+            if not rivals and (not is_process(term) or is_wander(term)):
+                continue
+            k = present.index(term)
+            test = self.beside(state, k)
+            weighed = ModelScan(self.scan, test)
             before = self._as_it_is(weighed, term)
             candidates = [ranked for rival in rivals if (ranked := self._as_it_is(weighed, rival)) is not None]
             if is_process(term) and not is_wander(term):
-                candidates += weighed.processes_of(self._process_of(term)[0])
-            likeliest = max(candidates, key=lambda candidate: candidate.net, default=None)
-            if likeliest is not None and (before is None or likeliest.net > before.net):
-                state = self._with(self._left_out(state, k), likeliest)
+                of_component = weighed.processes_of(self._process_of(term)[0])
+                candidates += [process for process in of_component if not kernel_of(process.process[2]).undriven]
+            possible = [
+                candidate
+                for candidate in self._not_refused(candidates, test, state)
+                if self._has_room(candidate, test.fit.terms.terms) and self._is_possible(test, candidate)
+            ]
+            likeliest = max(possible, key=lambda candidate: candidate.net, default=None)
+            if likeliest is None or (before is not None and likeliest.net <= before.net):
+                continue
+            exchanged = self._within_bounds(self._with(self._left_out(state, k), likeliest))
+            if exchanged.evidence > state.evidence:
+                state = exchanged
         return state
-
-    def is_known(self, term: Term) -> bool:
-        """Whether the problem has what a term acts on and depends on."""
-        if is_process(term):
-            places = {(component.site, component.name) for component in self.problem.components}
-            return (term.site, term.component) in places and set(_phrases(term)) <= set(self.scan.phrases)
-        if term.periodic:
-            return any(family.site == term.site for family in self.problem.periodic)
-        return any(candidate.label == term.label for candidate in self.problem.candidates)
 
     def _noise_instead(self, state: State) -> State | None:
         """The state with other noise in the place of a process, where that is likelier; else None."""
@@ -824,6 +828,17 @@ class Selector:
             return fitted
         start = fitted.values, fitted.nuisance, fitted.training
         return fit(self.problem, fitted.terms, self.options, *start, noise, whitened=self._whitened)
+
+
+def is_known(problem: Problem, term: Term) -> bool:
+    """Whether a problem has what a term acts on and depends on."""
+    if is_process(term):
+        places = {(component.site, component.name) for component in problem.components}
+        phrases = {quantity.driver.phrase for quantity in problem.quantities}
+        return (term.site, term.component) in places and phrases.issuperset(_phrases(term))
+    if term.periodic:
+        return any(family.site == term.site for family in problem.periodic)
+    return any(candidate.label == term.label for candidate in problem.candidates)
 
 
 def _phrases(term: Term) -> tuple[str, ...]:

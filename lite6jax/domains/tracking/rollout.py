@@ -12,8 +12,8 @@ A step is leapfrog, with damping half implicit and the command averaged over the
 that switches within the step from the instant of the switch on. Where the inertia is less than about 4h²·kp the step
 passes into implicit Euler.
 
-Coulomb friction F is F = G·(q̈ + B·q̇) where that is less than friction allows, with a grip G in kg·m² and B = `RETURN`:
-the joint sticks as in MuJoCo, and creeps under load, by load / (G·B). Else the joint slides. The force of a step is
+While a joint sticks, its friction is F = G·(q̈ + B·q̇) as in MuJoCo, with a grip G in kg·m² and B = `RETURN`: it creeps
+under load, by load / (G·B). It slides where F exceeds what friction allows. The force of a step is
 constant, so its velocity goes piece by piece on lines and exponentials. The instants at which it begins to slide or to
 stick lie anywhere in the step, and a held command that switches lets a joint go at its switch: rollouts are of second
 order in the step. Light joints, which their damping halts within a step, take F as it is at the end of the step.
@@ -271,8 +271,9 @@ class _Joint(NamedTuple):
     def step(self, v: Any, friction: Any, h: Any, later: Any, sooner: Any, afterwards: Any) -> Any:
         """rad/s after a step of h s, from a velocity, with at most so much friction in Nm.
 
-        A joint slides, sticks, and slides on: the instants between these lie anywhere in the step. Forces are more by
-        some Nm sooner in the step, and by others afterwards, in a later share of it, and by nothing in their mean.
+        A joint slides, sticks, and slides on: the instants between these lie anywhere in the step. `sooner` and
+        `afterwards`, in Nm, add to the force before and after a switch of the command, whose mean is zero; `later` is
+        the share of the step after it.
         """
         is_heavy = self.mass * RETURN - self.drag > self.drag
         switches = (sooner != afterwards) & is_heavy & (friction > 0)

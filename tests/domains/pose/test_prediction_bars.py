@@ -349,20 +349,28 @@ def test_the_columns_that_predict_writes(capsys, model, content, motion_file, tm
 
 
 @pytest.mark.parametrize(
-    ("code", "says"),
+    ("code", "numbers", "says"),
     [
-        ("joint_turns", "corrected its joint columns (joint zero or whole turns), and these are taken as they are"),
-        ("sensor_scale", "positions are in true metres, not in those of the sensor"),
+        (
+            "joint_turns",
+            {"joint": 5, "added_rad": 0.02},
+            "corrected its joint columns (joint zero or whole turns), and these are taken as they are",
+        ),
+        ("joint_turns", {"joints": [5]}, ""),  # of some rows of that file
+        ("sensor_scale", {"factor": 1.01}, "positions are in true metres, not in those of the sensor"),
     ],
 )
-def test_predict_says_which_faults_of_columns_it_does_not_correct(capsys, content, motion_file, tmp_path, code, says):
+def test_predict_says_which_faults_of_columns_it_does_not_correct(
+    capsys, content, motion_file, tmp_path, code, numbers, says
+):
     content = copy.deepcopy(content)
-    content["data_faults"] = [{"fault": code, "rows": [], "numbers": {"joint": 5}, "statement": "Said."}]
+    content["data_faults"] = [{"fault": code, "rows": [], "numbers": numbers, "statement": "Said."}]
     diagnosis = stored(tmp_path, content)
     status, _, err = run(capsys, "predict", diagnosis, motion_file(narrow(5, 12)), "--out", tmp_path / "p.csv")
     assert status == 0
     assert says in flat(err)
-    assert ("undo the correction" in corrected_columns(content, written=True)) == (code == "joint_turns")
+    assert bool(says) == bool(err)
+    assert ("undo the correction" in corrected_columns(content, written=True)) == ("added_rad" in numbers)
 
 
 def test_predict_says_that_an_earlier_diagnosis_has_none(capsys, arm, motion_file, tmp_path):
