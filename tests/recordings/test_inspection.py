@@ -336,7 +336,7 @@ def test_a_temperature_is_no_time(name, values):
 
 def test_a_time_increases():
     few = np.r_[CLOCK[:20], CLOCK[22], CLOCK[20:22], CLOCK[23:]]
-    anew = {"time": np.tile(CLOCK[:3], ROWS // 3), "run": np.repeat(np.arange(ROWS // 3), 3.0)}
+    anew = {"time": np.tile(CLOCK[:3], ROWS // 3), "run": np.repeat(np.arange(ROWS // 3, dtype=float), 3)}
     for frame, name in (({"timestamp": few}, "timestamp"), (anew, "time"), ({"Zeit [ms]": 1e3 * CLOCK}, "Zeit [ms]")):
         found = inspect(list((JOINTS | frame).items()), LITE6)
         assert found.of("time").columns == (name,)
