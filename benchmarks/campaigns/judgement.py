@@ -117,8 +117,8 @@ def admits(effect: Row, finding: Row) -> bool:
     )
 
 
-def with_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:
-    """The findings, and after them the faults of the data that say what a hidden effect is, as findings."""
+def named_by_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:
+    """The hidden effects that faults of the data name, as findings."""
     said = []
     for fault in diagnosis["data_faults"]:
         if fault["fault"] in _EFFECT_OF_FAULT:
@@ -127,7 +127,7 @@ def with_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:
             finding = {"effect": _EFFECT_OF_FAULT[fault["fault"]], "site": site, "parameters": {}}
             if any(same(effect, finding) for effect in hidden):
                 said.append(finding)
-    return [*diagnosis["findings"], *said]
+    return said
 
 
 def paired(hidden: Sequence[Row], findings: Sequence[Row], test: Callable[[Row, Row], bool]) -> bool:
@@ -152,7 +152,7 @@ def grade(truth: Row, diagnosis: Row | None) -> Statement:
         return Statement("misleading", "no answer")
     hidden, findings = truth["hidden"], diagnosis["findings"]
     false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
-    with_said = with_faults(diagnosis, hidden)
+    with_said = [*findings, *named_by_faults(diagnosis, hidden)]
     missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in with_said)]
     said = []
     if false:
@@ -224,7 +224,7 @@ def score_findings(truth: Row, diagnosis: Row | None, seconds: float, error: str
     said = diagnosis or {"findings": [], "data_faults": [], "verdict": "none"}
     findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
     hidden = truth["hidden"]
-    with_said = [*findings, *with_faults(said, hidden)[len(findings) :]]
+    with_said = [*findings, *named_by_faults(said, hidden)]
     alone = len(with_said) == len(hidden)
     top, first = with_said[0] if with_said else None, hidden[0] if hidden else None
     keys = ("seed", "index", "rows", "kind", "engine", "arm", "noise", "fault", "edge", "sealed")

@@ -28,7 +28,7 @@ from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
 from lite6jax.diagnosis.heldout import (
     errors_of_folds,
-    errors_of_search,
+    errors_of_supported,
     fold_count,
     held_out_folds,
     judge_poses,
@@ -399,7 +399,7 @@ def diagnose_poses(
         folds = held_out_folds(explanation.problem, options)
         of_all = selection
         if selection.state.tested or explanation.screened.found:
-            errors = errors_of_folds(errors_of_search, (case, explanation.final_decisions), folds)
+            errors = errors_of_folds(errors_of_supported, (case, explanation.final_decisions), folds)
         else:  # no terms that other rows might not support
             errors = refitted_errors(selection, folds, options)
         inliers = ~_outliers(of_all)

@@ -282,7 +282,7 @@ def _ratio(before: Array, after: Array) -> float:
 # ------------------------------------------------------------------ errors of poses
 
 
-def errors_of_search(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
+def errors_of_supported(held: Mask, case: Case, decisions: Decisions) -> HeldOut:
     """The errors on the rows `(sample,)` of a fold, by what the others support of the decisions of all rows."""
     explanation = explain(replace(case, training=~held), decisions)
     return errors_of_selection(explanation.selection, held)

@@ -75,7 +75,7 @@ class Kernel(ABC):
         hysteretic: whether it depends on the way to a value of its driver.
         undriven: whether it is what a read-out does by itself, so that its driver is the order of recording.
         of_gear: whether it is the errors of a gear, which do not depend on loads or postures.
-        apart: whether names and processes at its site are told apart from it.
+        apart: whether names and processes at its site are distinguishable from it.
     """
 
     name: str

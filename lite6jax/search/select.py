@@ -314,12 +314,10 @@ class Selector:
         if not candidate.process:
             cost = self.scan.cost_of_wave(candidate.make(), model)
             return candidate if cost is None else replace(candidate, cost=min(candidate.cost, cost))
+        if not self._continues(candidate, model):
+            return candidate
         count = sum(component.site == candidate.site for component in self.problem.components)
-        return (
-            replace(candidate, cost=min(candidate.cost, float(np.log(count))))
-            if self._continues(candidate, model)
-            else candidate
-        )
+        return replace(candidate, cost=min(candidate.cost, float(np.log(count))))
 
     @staticmethod
     def _continues(candidate: Ranked, model: Sequence[Term]) -> bool:
