@@ -71,7 +71,9 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     motions = tuple(str(name) for name in rng.choice(MOTIONS, runs))
     if runs == 1 and motions[0] in ("steps", "holds"):
         motions = ("multisine",)  # of steps or holds alone hardly anything is known
-    moving = [name for name in MOTIONS if name not in motions]
+    unseen = [name for name in MOTIONS if name not in motions]
+    if not unseen:
+        unseen = list(MOTIONS)  # of many runs, another draw of one of them
     built = all(name in SIMULATED for name in effects) and not fault
     return Plan(
         seed=seed,
@@ -86,7 +88,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         rate=rate,
         samples=round(rows / runs),
         motions=motions,
-        unseen=str(rng.choice(moving)),
+        unseen=str(rng.choice(unseen)),
         effects=effects,
         sizes=sizes,
         fault=fault,
