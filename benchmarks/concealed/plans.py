@@ -24,6 +24,7 @@ FEW, FEWEST = 40, 15
 _ROW_RANGES = ((0.2, FEWEST, 60), (0.65, 60, 500), (0.15, 500, 3000))
 """Share, and between which numbers of rows it is uniform in the logarithm; most are moderate, to bound the time."""
 _TRAJECTORY = 100  # rows, 5 s: on a shorter way an arm does not come far
+_CARRIED = 100  # rows in which a payload has come and gone
 SINGLE = tuple(name for name in COORDINATES if name not in (*OUTSIDE, "payload_error"))
 NOISES = (
     *("as declared",) * 5,
@@ -103,6 +104,8 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     moving = bool(rng.random() < 0.45)
     driven = any(name in FAMILIES and "velocity" in FAMILIES[name].on for name in effects)
     rows = _rows(seed, kind, edge, ordinal) if kind in NAMES_AT_STAKE else ROWS
+    if any(name in FAMILIES and FAMILIES[name].is_carried for name in effects):
+        rows = max(rows, _CARRIED)
     if {"joint_lag", "time_offset"} & set(effects) or fault == "time_order" or driven:
         moving, rows = True, max(rows, _TRAJECTORY)
     elif fault == "unsettled_readouts" or rows < _TRAJECTORY:

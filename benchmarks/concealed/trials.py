@@ -99,7 +99,8 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     left_open = Open(plan.mounted, plan.mounted * (6 if noise[1] else 3), plan.geometry != "known", prior)
     warm = any(name in FAMILIES and "temperature" in FAMILIES[name].on for name in plan.effects)
     warming = "link_thermal_expansion" in plan.effects or warm or rng.random() < 0.3
-    loading = "payload_error" in plan.effects or rng.random() < 0.4
+    carried = any(name in FAMILIES and FAMILIES[name].is_carried for name in plan.effects)
+    loading = "payload_error" in plan.effects or carried or rng.random() < 0.4
     fixed_load, wandering = plan.engine == "mujoco", plan.kind in plans.NAMES_AT_STAKE
     motion = draw_motion(rng, actual, plan.moving, plan.rows, warming, loading, fixed_load, wandering)
     unseen = draw_motion(rng, actual, plan.moving, UNSEEN_ROWS, warming, loading, fixed_load, wandering)

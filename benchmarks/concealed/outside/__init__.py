@@ -63,6 +63,7 @@ _REACHED: dict[str, tuple[float, float, Callable[[Fixed, Motion], Array]]] = {
 _LOADS: dict[str, Callable[[Fixed, Motion], Array]] = {
     "torque_Nm": lambda form, s: column(s.moment[..., 2], form),
     "moment_Nm": lambda form, s: column(s.moment[..., 0], form),
+    "moment_y_Nm": lambda form, s: column(s.moment[..., 1], form),
     "by_torque_Nm": lambda form, s: column(s.moment[..., 2], form, "by"),
     "flange_moment_Nm": lambda form, s: s.moment[:, -1, 0],
     "base_moment_Nm": lambda form, s: s.base_moment[:, 0],

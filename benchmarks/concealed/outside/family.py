@@ -148,6 +148,11 @@ class Family:
         """Whether it needs gravity's moments."""
         return "torque" in self.on or "moment" in self.on
 
+    @property
+    def is_carried(self) -> bool:
+        """Whether it needs a payload that comes and goes."""
+        return "payload" in self.on
+
     def drivers(self, fixed: Fixed) -> Drivers:
         """On what the signal depends."""
         if self.drivers_of:

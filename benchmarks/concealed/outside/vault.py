@@ -1,4 +1,7 @@
-"""The other half of the list of `places.WORKSHOP`, drawn with --sealed only and not to be read before that."""
+"""Families that are drawn with --sealed only, and not to be read before that.
+
+They are the other half of the list of `places.WORKSHOP`, up to `stitched_volume`, and those that were added at the end.
+"""
 
 import numpy as np
 
@@ -7,6 +10,8 @@ from benchmarks.concealed.outside.family import (
     PRELOAD,
     TILT,
     Family,
+    X,
+    Y,
     Z,
     base,
     beyond,
@@ -20,6 +25,8 @@ from benchmarks.concealed.outside.family import (
 
 _STICKING = 0.4  # in tens of K: the growth that friction holds back
 _SEAM = 0.05  # m to either side in which two volumes are blended
+_SETTLED = 3.0  # time constants of a preload's loss that a recording lasts
+_HELD = 0.4  # of the load: the moment that friction between two flanges holds
 
 
 def _threefold(x: Array, y: Array) -> Array:
@@ -118,4 +125,52 @@ FAMILIES: dict[str, Family] = {
     "bowing_bar": image("temperature, measured position", lambda m: m.s.warmth(), image=lambda p: p * p[2]),
     # what two pairs of cameras see is stitched together along a seam, where one volume is higher
     "stitched_volume": image("measured position x", image=lambda p: Z * np.tanh(p[0] / _SEAM)),
+    # of an amplifier's bridge the half that drives a joint forwards is weak, and the servo falls behind that way only
+    "lopsided_bridge": joint("velocity", lambda m: -np.maximum(m.dq(), 0.0), beside=("joint_lag",)),
+    # washers that press a split gear's halves apart settle, and the play that they took up opens
+    "settling_preload": joint(
+        "direction, time",
+        lambda m: m.side() * np.expm1(-_SETTLED * m.share()),
+        "span_s",
+        beside=("joint_backlash",),
+    ),
+    # the current of another joint's motor, whichever way it turns, lifts the ground of an encoder's analogue signal
+    "lifted_ground": joint("torque of by", lambda m: np.abs(m.load("by")), "by by_torque_Nm"),
+    # a bearing's race is not flat, and what it bears moves along the axis as it turns, twice to and fro
+    "wavy_race": link("position", lambda m: np.sin(2 * m.q() + m["phase"]), "phase", axes=(2,)),
+    # a link's profile has principal axes askew to its sides, and bends about one side by the moment about the other
+    "skew_profile": link("moment y", lambda m: m.moment("y"), "moment_y_Nm", axes=(3,)),
+    # friction between two bolted flanges holds them until the moment has changed enough for them to slip
+    "slipping_flange": link("moment x", lambda m: play(m.moment("x"), _HELD), "moment_Nm", "link_compliance", (3,)),
+    # a bolt of a link shears off, and from then on the link bends under its load
+    "sheared_bolt": link(
+        "moment x, time",
+        lambda m: m.moment("x") * (m.s.time > m["instant_s"]),
+        "moment_Nm instant_s",
+        "link_compliance",
+        (3,),
+    ),
+    # a plain bearing's shaft climbs on its film of oil by its speed, either way, and less on oil that is warm and thin
+    "oil_film": link("velocity/speed, temperature", lambda m: np.abs(m.dq()) * np.exp2(-m.s.warmth()), axes=(0, 1)),
+    # a plate lies on hard floor on one side and hangs on long bolts on the other: only a moment that lifts it tilts it
+    "one_sided_plate": base(
+        "base moment y",
+        lambda m: np.maximum(m.moment("y", "base_"), 0.0),
+        "base_moment_y_Nm",
+        "base_compliance",
+        (4,),
+    ),
+    # a seal's friction heats the spindle that the last joint turns, which grows and shrinks after it
+    "heated_spindle": tool(
+        "velocity/speed of flange",
+        lambda m: lagged(m.dq("flange") ** 2, m.s.time, m["relaxes_s"]),
+        "flange relaxes_s",
+        axes=(2,),
+    ),
+    # suction cups fold up while they hold a part, whichever way they point
+    "folded_cups": tool("payload", lambda m: (m.s.payload > 0).astype(float), axes=(2,)),
+    # a ranging sensor's distances count from a point that is not on its axes: all are too long by one length
+    "misplaced_zero": image("measured position", image=lambda p: p / np.linalg.norm(p, axis=0)),
+    # the axis about which a tracker's head nods is not square to that about which it turns
+    "tilted_trunnion": image("measured position", image=lambda p: (Y * p[0] - X * p[1]) * p[2] / np.hypot(p[0], p[1])),
 }
