@@ -111,6 +111,16 @@ def test_what_diagnose_refuses(capsys, arm, recorded, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.parametrize("name", ["README.md", "pyproject.toml", "mkdocs.yml", "notes.json", "program.py"])
+def test_a_file_that_is_no_recording_is_answered_in_one_line(capsys, tmp_path, name):
+    path = tmp_path / name
+    path.write_text("# A page: with colons\n\n- and: lists: of all kinds\n")
+    assert refused(capsys, "diagnose", path) == (
+        f"{path}: is no recording; a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is "
+        "the folder of a rosbag2 or of a LeRobot data set; convert it or correct the name"
+    )
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [

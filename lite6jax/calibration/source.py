@@ -5,6 +5,7 @@ Where nobody says which arm a recording is of, each with as many joints is tried
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax import suffixes
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
@@ -24,6 +26,7 @@ from lite6jax.recordings import (
     Recording,
     RecordingSettings,
     check_scale,
+    no_recording,
     read_recording,
     read_settings,
     recording_file,
@@ -31,8 +34,8 @@ from lite6jax.recordings import (
     require_radians,
     require_samples,
     sidecar_path,
-    stranger,
 )
+from lite6jax.storage import exists
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
@@ -63,10 +66,20 @@ def load_recording(
     if not isinstance(recording, str | Path):
         made = "a Recording as Recording.from_arrays and Recording.from_dataframe make it"
         raise wrong_type("recording", recording, f"the path of a recording, or {made}")
+    if recording_file(recording) is None:
+        raise InputError(f"{recording}: {_describe_other_file(recording)}")
     source = read_source(recording, arm, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
-    if not isinstance(source, Recording):
-        raise InputError(f"{recording}: is a calibration; give a recording (.csv, .parquet, .mcap, .bag)")
+    assert isinstance(source, Recording)
     return source
+
+
+def _describe_other_file(path: str | Path) -> str:
+    """What a file is that is no recording, and what is to be given."""
+    if Path(path).suffix.lower() in suffixes.CALIBRATIONS and exists(path):
+        with suppress(InputError), warnings.catch_warnings(action="ignore"):
+            read_factory(path)
+            return "is a calibration; give a recording (.csv, .parquet, .mcap, .bag)"
+    return no_recording(path)
 
 
 def read_source(
@@ -84,9 +97,9 @@ def read_source(
     """
     file = recording_file(path)
     if file is None:
-        if helps := stranger(path):
-            raise InputError(f"{path}: {helps}")
-        return read_factory(path, arm)
+        if Path(path).suffix.lower() in ("", *suffixes.CALIBRATIONS) and not Path(path).is_dir():
+            return read_factory(path, arm)
+        raise InputError(f"{path}: {no_recording(path)}")
     require_own_sidecar(file)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
     assumptions: dict[str, Any] = {"assume_degrees": assume_degrees, "assume_millimetres": assume_millimetres}

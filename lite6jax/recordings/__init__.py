@@ -14,12 +14,12 @@ from lite6jax.recordings.checks import (
 from lite6jax.recordings.files import (
     Targets as Targets,
     assemble_motion as assemble_motion,
+    no_recording as no_recording,
     read_motion as read_motion,
     read_recording as read_recording,
     read_targets as read_targets,
     recording_file as recording_file,
     require_own_sidecar as require_own_sidecar,
-    stranger as stranger,
     write_recording as write_recording,
 )
 from lite6jax.recordings.readings import Readings as Readings, readings_from_arrays as readings_from_arrays

@@ -58,6 +58,10 @@ _STRANGERS = {
     ),
 }
 """What helps where a file is of a kind that people take for a recording's."""
+_ACCEPTED = (
+    "is no recording; a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is the folder of a "
+    "rosbag2 or of a LeRobot data set; convert it or correct the name"
+)
 
 
 def split_topics(path: str | Path) -> tuple[Path, tuple[str, ...]]:
@@ -77,7 +81,15 @@ def recording_file(path: str | Path) -> Path | None:
     return file if find_format(file) else None
 
 
-def stranger(path: str | Path) -> str:
+def no_recording(path: str | Path) -> str:
+    """Why a path that `recording_file` does not take is no recording: what helps with its kind, or which files are."""
+    path = Path(path)
+    if path.suffix.lower() in ("", *suffixes.YAML, suffixes.JSON) and not exists(path):
+        return "no such file or folder; check the name"
+    return _stranger(path) or _ACCEPTED
+
+
+def _stranger(path: Path) -> str:
     """What helps where a file or folder is of a kind that people take for a recording's; empty for every other."""
     path = Path(str(path).partition("#")[0])
     if not os.path.isdir(path):
@@ -106,7 +118,7 @@ def require_table(path: str | Path, contents: str = "targets") -> Path:
     file_format = find_format(path)
     if exists(path) and (file_format is None or not file_format.is_table):
         raise InputError(
-            f"{path}: {stranger(path) or f'{contents} end in .csv or .parquet; convert it or correct the name'}"
+            f"{path}: {_stranger(path) or f'{contents} end in .csv or .parquet; convert it or correct the name'}"
         )
     return path
 
@@ -131,12 +143,7 @@ def open_table(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list
             )
             path, file_format = growing, find_format(growing)
         if file_format is None:
-            accepted = (
-                "a recording ends in .csv, .txt, .parquet, .xlsx, .h5, .npz, .mat or .mcap, or is the folder of a "
-                "rosbag2 or of a LeRobot data set; convert it or correct the name"
-            )
-            missing = "no such file or folder; check the name"
-            raise InputError(f"{path}: {stranger(path) or (accepted if path.suffix or exists(path) else missing)}")
+            raise InputError(f"{path}: {no_recording(path)}")
         if path.suffix.lower() in file_format.suffixes:
             check_readable(path)
         growing_text = path.suffix.lower() in suffixes.TEXT_TABLES and _was_ended(path)
