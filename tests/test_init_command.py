@@ -13,7 +13,7 @@ from typed import flat, refused, run
 from lite6jax.arms.description import load_bundled
 from lite6jax.cli import init
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings
-from lite6jax.recordings.inspection import inspect
+from lite6jax.recordings.columns.inspection import inspect
 from lite6jax.recordings.settings import OF_READINGS
 from lite6jax.report import inspection
 from tests.oracles.arms import lite6_positions, perturbed

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.arms.description import load_bundled
-from lite6jax.domains.pose.joining import File, with_joints
+from lite6jax.domains.pose.joining import with_joints
 from lite6jax.recordings import read_recording
-from lite6jax.recordings.inspection import inspect
+from lite6jax.recordings.columns.inspection import InspectedTable
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.sliding_arms import ARMS
 
@@ -285,7 +285,7 @@ def test_joints_follow_from_poses_as_matrices():
     flange = six_parameter_poses(LITE6, motion(t))
     columns = {"t": t} | {f"O_T_EE_{k}": flange.swapaxes(1, 2).reshape(-1, 16)[:, k] for k in range(16)}
     arm = load_bundled("lite6")
-    found = with_joints(File("robot.csv", "robot", columns, inspect(list(columns.items()), arm)), arm)
+    found = with_joints(InspectedTable.of(columns, "robot.csv", arm), arm)
     assert found.form == "r11"
     assert found.path.reached.all()
     reached = six_parameter_poses(LITE6, found.path.position)

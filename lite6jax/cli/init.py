@@ -31,13 +31,13 @@ with import_lazily():
     from lite6jax.domains.pose.screening import screen as screening
     from lite6jax.domains.pose.screening import thresholds as screening_thresholds
     from lite6jax.domains.tracking import joining as tracking_joining
-    from lite6jax.recordings import boards, fault, formats, naming, points, reflectors
-    from lite6jax.recordings import columns as table_columns
+    from lite6jax.recordings import boards, fault, formats, points, reflectors
     from lite6jax.recordings import files as tables
-    from lite6jax.recordings import inspection as recognition
     from lite6jax.recordings import settings as sidecar_settings
     from lite6jax.recordings import table as tabulation
-    from lite6jax.recordings import words as table_words
+    from lite6jax.recordings.columns import cells, documented
+    from lite6jax.recordings.columns import inspection as recognition
+    from lite6jax.recordings.columns import names as column_names
     from lite6jax.report import faults, inspection, screen
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ def _check(inspected: "recognition.Inspection", table: "tabulation.RawTable", pa
         raise InputError(
             f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
             f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has "
-            f"{table_columns.list_names(table.names)}"
+            f"{documented.list_names(table.names)}"
         )
     dof = None if inspected.arm is None else inspected.arm.dof
     tabulation.tabulate(table, str(path), notes, dof=dof, renamed=inspected.columns)
@@ -255,7 +255,7 @@ def _on_a_terminal() -> bool:
 def _leave_out_jaw(arm: str, inspected: "recognition.Inspection") -> str | None:
     """An arm's file with the tip before its jaw, where none is named and a table has a gripper for the jaw."""
     q = inspected.of("q")
-    if q is None or not naming.is_of_gripper(q.columns[-1]):
+    if q is None or not column_names.is_of_gripper(q.columns[-1]):
         return None
     tip = files.tip_before_jaw(arm)
     return f"{arm}#{tip}" if tip else None
@@ -433,7 +433,7 @@ def _reshape(table: _Table, arm: "arms.Arm | None", meanings: Mapping[str, str],
         return table
     about = f"{table.path.name}: " if joined else ""
     notes = [*table.notes]
-    if (named_columns := table_words.name_by_cells(table.numbers, table.words)) is not None:
+    if (named_columns := cells.name_by_cells(table.numbers, table.words)) is not None:
         notes += [f"{about}{sentence}" for sentence in inspection.describe_named_columns(named_columns)]
         words = {name: cells for name, cells in table.words.items() if name not in named_columns.by}
         table = (
@@ -455,9 +455,7 @@ def _reshape(table: _Table, arm: "arms.Arm | None", meanings: Mapping[str, str],
 
 def _solve_pairs(table: _Table, arm: "arms.Arm | None", source: str) -> tuple[_Table, list[str]]:
     """Pairs of poses as joints and poses, as of a hand-eye calibration; any other table as it is."""
-    column_meanings = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
-    meanings = recognition.inspect([*table.numbers.items()], arm, column_meanings, str(table.path))
-    alone = pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words)
+    alone = recognition.InspectedTable.of(table.numbers, table.path, arm, table.given, table.words)
     if not pose_joining.is_of_pairs(alone):
         return table, table.notes
     if arm is None:
@@ -475,12 +473,11 @@ def _join(
 ) -> tuple[_Table, list[str]]:
     """The table of two files, called after the second, and how they were joined."""
     notes = [*dict.fromkeys([*first.notes, *second.notes])]
-    joined = []
-    for table in (first, second):
-        column_meanings = {name: meaning for name, meaning in table.given.items() if name in table.numbers}
-        meanings = recognition.inspect([*table.numbers.items()], arm, column_meanings, str(table.path), pose_source)
-        joined.append(pose_joining.File(str(table.path), table.path.stem, table.numbers, meanings, table.words))
-    with_joints = [file for file in joined if file.found.of("q") is not None]
+    joined = [
+        recognition.InspectedTable.of(table.numbers, table.path, arm, table.given, table.words, pose_source)
+        for table in (first, second)
+    ]
+    with_joints = [file for file in joined if file.inspection.of("q") is not None]
     if len(with_joints) == 2 and (place := tracking_joining.find_commands(joined)) is not None:
         return _join_commands((first, second), joined, place, notes)
     if arm is None and len(with_joints) < 2:
@@ -488,7 +485,7 @@ def _join(
         raise InputError(f"two files are joined by the motion of the arm: name it, `{example}`")
     joints, poses = _assign_roles(*joined)
     assert arm is not None  # of two files with joints `_assign_roles` takes none
-    if joints.found.of("q") is None:
+    if joints.inspection.of("q") is None:
         moved = pose_joining.with_joints(joints, arm)
         joints = moved.file
         notes += inspection.describe_solved_joints(moved, arm.name)
@@ -501,7 +498,7 @@ def _join(
 
 
 def _join_commands(
-    tables: "Sequence[_Table]", joined: "Sequence[pose_joining.File]", place: int, notes: list[str]
+    tables: "Sequence[_Table]", joined: "Sequence[recognition.InspectedTable]", place: int, notes: list[str]
 ) -> tuple[_Table, list[str]]:
     """The table of the measured joints of one file with the commands of the other, and how they were joined."""
     commands = joined[place]
@@ -523,26 +520,28 @@ def _write(table: _Table, overwrite: bool) -> Path:
 
 
 def _assign_roles(
-    first_file: "pose_joining.File", second_file: "pose_joining.File"
-) -> "tuple[pose_joining.File, pose_joining.File]":
+    first_file: "recognition.InspectedTable", second_file: "recognition.InspectedTable"
+) -> "tuple[recognition.InspectedTable, recognition.InspectedTable]":
     """The file with the joints and the one with the poses, whatever their order.
 
     Where neither has joints, the robot's is the one whose poses are the controller's by their names, or the first.
     """
-    with_joints = [file for file in (first_file, second_file) if file.found.of("q") is not None]
+    with_joints = [file for file in (first_file, second_file) if file.inspection.of("q") is not None]
     if len(with_joints) == 2:
         raise InputError(
             f"{first_file.source} and {second_file.source}: both have joint positions; if one has the commands, call "
             "it commands.csv, else say which are none by --column NAME=ignore"
         )
-    roles = [any(source.role == "controller" for source in file.found.sources) for file in (first_file, second_file)]
+    roles = [
+        any(source.role == "controller" for source in file.inspection.sources) for file in (first_file, second_file)
+    ]
     joints = first_file
     if with_joints:
         joints = with_joints[0]
     elif roles == [False, True]:
         joints = second_file
     poses = second_file if joints is first_file else first_file
-    if poses.found.of("position") is None:
+    if poses.inspection.of("position") is None:
         raise InputError(
             f"{poses.source}: no columns look like positions of the tool; say which they are, --column NAME=x_mm "
             "--column NAME=y_mm --column NAME=z_mm"

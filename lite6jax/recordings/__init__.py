@@ -1,4 +1,7 @@
-"""Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them."""
+"""Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them.
+
+What the columns of a table hold is recognised in `recordings.columns` alone.
+"""
 
 # isort: off
 from lite6jax.recordings.checks import (

@@ -1,8 +1,7 @@
 """The formats of recordings: how each is told from the others, by suffix and content, and the function that reads it.
 
 This is the one table of readers. A reader takes a path and what was asked, and returns named columns; what they mean is
-decided by others (`recordings.naming`, `recordings.inspection`). The first format whose suffix and content match is
-taken.
+decided by `recordings.columns`. The first format whose suffix and content match is taken.
 """
 
 import os

@@ -13,7 +13,7 @@ import pyarrow.parquet as pa_parquet
 from pyarrow import types
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.columns.names import unit_of
 from lite6jax.recordings.table import RawTable, Values
 from lite6jax.storage import exists, read_text
 

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.recordings.alignment import median_distance
-from lite6jax.recordings.inspection import Inspection, inspect
+from lite6jax.recordings.columns.cells import Points, Words, is_label, spread_points
+from lite6jax.recordings.columns.column import columns_of
+from lite6jax.recordings.columns.inspection import InspectedTable, Inspection
 from lite6jax.recordings.reflectors import FEWEST_POINTS, WithPose, with_pose_of_reflectors
-from lite6jax.recordings.words import Points, Words, is_label, spread_points
 
 Array = NDArray[np.floating]
 
@@ -55,9 +56,8 @@ def gather_points(
     """
     if not words and not any(map(is_label, columns)):
         return None
-    present = {name: meaning for name, meaning in meanings.items() if name in columns}
-    inspection = inspect(list(columns.items()), arm, present, source)
-    joints = [name for block in inspection.blocks if block.kind == "q" for name in block.columns]
+    inspection = InspectedTable.of(columns, source, arm, meanings).inspection
+    joints = columns_of(inspection.blocks, "q")
     values = [name for pose in inspection.sources for name in pose.columns]
     for state in _possible_states(inspection, joints, columns, words):
         points = spread_points(columns, words, state, values, () if state == joints else joints)
@@ -71,7 +71,7 @@ def gather_points(
             if body is not None:
                 return StatesOfPoints(body.columns, points, body)
         if joints and not _is_one_place(points):
-            return _take_one(points, arm, present, source)
+            return _take_one(points, arm, meanings, source)
     return None
 
 
@@ -80,7 +80,7 @@ def _possible_states(
 ) -> Iterator[list[str]]:
     """Columns that may be equal in all rows of a state: the joints, the times, or those that name poses."""
     yield joints
-    yield [name for block in inspection.blocks if block.kind == "time" for name in block.columns]
+    yield columns_of(inspection.blocks, "time")
     used = {name for pose in inspection.sources for name in pose.columns} | {*joints}
     yield from ([name] for name in (*words, *filter(is_label, columns)) if name not in used)
 
@@ -105,10 +105,7 @@ def _most_seen(points: Points) -> list[int]:
 def _take_one(points: Points, arm: Arm | None, meanings: Mapping[str, str], source: str) -> StatesOfPoints:
     """The states with the readings of one point: the one with which the arm agrees best, or that is seen most often."""
     tables = {k: _with_point(points, points.points[k]) for k in _most_seen(points)[:_TRIED]}
-    errors = {}
-    for k, table in tables.items():
-        present = {name: meaning for name, meaning in meanings.items() if name in table}
-        errors[k] = inspect(list(table.items()), arm, present, source).error
+    errors = {k: InspectedTable.of(table, source, arm, meanings).inspection.error for k, table in tables.items()}
     closest = min(errors, key=lambda k: errors[k])
     return StatesOfPoints(tables[closest], points, taken=points.labels[closest])
 

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings import sizes
 from lite6jax.recordings.alignment import median_distance
-from lite6jax.recordings.columns import units_of
-from lite6jax.recordings.naming import unit_of
+from lite6jax.recordings.columns import sizes
+from lite6jax.recordings.columns.names import unit_of
+from lite6jax.recordings.columns.quantities import units_of
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]

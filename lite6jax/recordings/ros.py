@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import PLACE, QUATERNION, spelled
+from lite6jax.recordings.columns.quantities import PLACE, QUATERNION, spelled
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
 
 Array = NDArray[np.floating]

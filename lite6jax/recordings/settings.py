@@ -22,7 +22,7 @@ from msgspec import Meta
 from lite6jax import suffixes
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
-from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.columns.quantities import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
@@ -445,7 +445,7 @@ class Sidecar(NamedTuple):
 
     Attributes:
         settings: of the arm, the sensor and the motion.
-        columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
+        columns: of columns with names of their own, the documented names, or `ignore`.
         complete: whether the recording of an arm was completed; True where that is not said.
     """
 

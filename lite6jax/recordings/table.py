@@ -12,18 +12,10 @@ import pyarrow as pa
 from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
-from lite6jax.recordings.columns import (
-    LABELS,
-    OF_ARRAY,
-    Column,
-    add_deviations,
-    is_scalar,
-    name_columns,
-    nearest_known,
-    recognise,
-    sliding_of,
-    with_quaternions,
-)
+from lite6jax.recordings.columns.column import Column
+from lite6jax.recordings.columns.documented import nearest_known, parse_columns, sliding_of
+from lite6jax.recordings.columns.orientations import add_deviations, with_quaternions
+from lite6jax.recordings.columns.quantities import LABELS, OF_ARRAY, is_scalar, name_columns
 from lite6jax.recordings.readings import with_readings
 from lite6jax.recordings.streams import hold_commands, merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
@@ -262,13 +254,13 @@ def tabulate(
         raw: the table.
         source: what messages begin with.
         notes: gets a sentence on the columns that are ignored, and on clock times.
-        dof, renamed, joints_optional: as in `recognise`.
+        dof, renamed, joints_optional: as in `parse_columns`.
 
     Raises:
-        InputError: problems of names as `recognise`, columns that hold no numbers, no rows; where there are several
+        InputError: problems of names as `parse_columns`, columns that hold no numbers, no rows; where there are several
             problems, or several columns are over half empty, all are named.
     """
-    columns, joints, ignored, of_names = recognise(raw.names, dof, joints_optional, renamed)
+    columns, joints, ignored, of_names = parse_columns(raw.names, dof, joints_optional, renamed)
     problems = [*of_names]
     values = {}
     labels = {}
@@ -346,7 +338,7 @@ def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, 
 
     Raises:
         InputError: no named columns, no rows, columns of unequal length, or a column that does not hold numbers; names
-            as `recognise`.
+            as `parse_columns`.
     """
     names = list(frame) if isinstance(frame, Mapping) else None
     for attribute in ("column_names", "columns"):
@@ -389,7 +381,7 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         block = [values[column] for column in listed if column in values]
         arrays[name] = None if not block else block[0] if is_scalar(name) else np.stack(block, 1)
     joint_position = arrays["joint_position"]
-    assert joint_position is not None  # `recognise` requires it
+    assert joint_position is not None  # `parse_columns` requires it
     if (missing := values.get("missing")) is not None and (gaps := int((missing > 0).sum())):
         total = f"{np.nansum(missing):.0f} reports of the controller are missing"
         notes.append(f"{total}, in {gaps} gap{'s' if gaps > 1 else ''}; the columns missing and gap say where and why")

@@ -17,13 +17,13 @@ from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
-from lite6jax.recordings.columns import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
-from lite6jax.recordings.inspection import READINGS_OF, Inspection, Pose, poses_of
-from lite6jax.recordings.naming import Block, Role, says_torque, unit_of, units_allowed
+from lite6jax.recordings.columns.cells import NamedColumns, Points
+from lite6jax.recordings.columns.column import Block, Decision, units_allowed
+from lite6jax.recordings.columns.inspection import READINGS_OF, Inspection, Pose, poses_of
+from lite6jax.recordings.columns.names import Role, says_torque, unit_of
+from lite6jax.recordings.columns.quantities import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
 from lite6jax.recordings.reflectors import WithPose
-from lite6jax.recordings.sizes import Decision
 from lite6jax.recordings.streams import said_of
-from lite6jax.recordings.words import NamedColumns, Points
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences import inspection as sentences
 from lite6jax.report.words import fill, read_texts, say

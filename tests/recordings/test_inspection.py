@@ -11,7 +11,7 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.inspection import inspect
+from lite6jax.recordings.columns.inspection import inspect
 from lite6jax.recordings.table import RawTable, tabulate
 from lite6jax.report.inspection import choice_of_pose, inspection_report, next_steps, sidecar_text
 from tests.oracles.arms import lite6_positions, perturbed
@@ -164,7 +164,7 @@ def test_what_is_assumed_can_be_renamed():
     vector = inspect(list(angles.items()), load_bundled("ur10")).of("rotation")
     given = vector.renamed(form="alpha")
     assert [*given.values()] == ["alpha_rad", "beta_rad", "gamma_rad"]
-    assert inspect(list(angles.items()), LITE6, given).of("rotation").names == ("alpha_rad", "beta_rad", "gamma_rad")
+    assert inspect(list(angles.items()), LITE6, given).of("rotation").renamed() == given
 
 
 def test_a_gripper_behind_the_arm_is_left_out():

@@ -10,8 +10,8 @@ from typed import unread
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import ArmJoints, read_recording, recording_file
+from lite6jax.recordings.columns.inspection import inspect
 from lite6jax.recordings.files import open_table
-from lite6jax.recordings.inspection import inspect
 
 NAMES = [f"joint_{k}.pos" for k in range(1, 7)] + ["gripper.pos"]
 LENGTHS = (30, 20)

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from typed import refusal, unread
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, naming, read_recording, read_targets
+from lite6jax.recordings import Recording, read_recording, read_targets
+from lite6jax.recordings.columns.names import candidate_blocks, choose_blocks, pose_sources
 
 RNG = np.random.default_rng(3)
 ROWS = 20
@@ -263,10 +264,10 @@ def expand(text):
 
 def meant(names, joint_names=()):
     """The blocks of a table by their names alone, and of the first of its poses."""
-    found = naming.candidates(names, joint_names)
-    blocks = naming.choose(found)
+    found = candidate_blocks(names, joint_names)
+    blocks = choose_blocks(found)
     used = {name for block in blocks for name in block.columns}
-    poses = naming.sources([block for block in found if not used & set(block.columns)])
+    poses = pose_sources([block for block in found if not used & set(block.columns)])
     return [*blocks, *([poses[0].position, *poses[0].rotations[:1]] if poses else [])], len(poses)
 
 
@@ -286,7 +287,7 @@ def test_matrices_are_understood(pattern, shape, first):
     one = pattern.count("{}") == 1
     places = [(k,) for k in range(12 if shape == (3, 4) else 16)] if one else [*np.ndindex(shape)]
     names = [pattern.format(*(first + index for index in place)) for place in places]
-    found = [block for block in naming.candidates(names) if block.kind in ("position", "rotation")]
+    found = [block for block in candidate_blocks(names) if block.kind in ("position", "rotation")]
     grid = np.reshape(names, shape)
     by_rows = {block.kind: block for block in found if not block.weak}
     assert by_rows["position"].columns == tuple(grid[:3, 3])

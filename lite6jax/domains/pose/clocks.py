@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.alignment import flange_poses, frames_from_poses, match_poses, median_distance
-from lite6jax.recordings.kinematics import CLOSE, FEWEST
+from lite6jax.recordings.columns.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.recordings.streams import JointStream
 

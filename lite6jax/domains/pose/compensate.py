@@ -25,8 +25,8 @@ from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, assemble_motion, read_targets, sidecar_path
+from lite6jax.recordings.columns.inspection import inspect
 from lite6jax.recordings.files import declare_anew, open_table, require_table
-from lite6jax.recordings.inspection import inspect
 from lite6jax.recordings.settings import read_sidecar
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor

@@ -6,7 +6,6 @@ those of `report.inspection`.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,12 +16,13 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.errors import InputError
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
-from lite6jax.recordings.columns import FORMS, PLACE, QUATERNION, spelled, with_quaternions
-from lite6jax.recordings.inspection import Inspection, inspect
-from lite6jax.recordings.kinematics import CLEARLY, CLOSE, FEWEST, in_si
+from lite6jax.recordings.columns.cells import Names, match_names
+from lite6jax.recordings.columns.inspection import InspectedTable
+from lite6jax.recordings.columns.kinematics import CLEARLY, CLOSE, FEWEST
+from lite6jax.recordings.columns.orientations import with_quaternions
+from lite6jax.recordings.columns.quantities import FORMS, PLACE, QUATERNION, spelled
 from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
-from lite6jax.recordings.words import Names, Words, is_label, match_names, write_whole
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.inverse import JointPath
@@ -36,31 +36,6 @@ _OF_POSES = ("position", "deviation", "rotation", "ambient")
 _TIME = "time_s"
 _MOST_CAPTURES = 2000
 """One by one, of which the order is tried."""
-
-
-class File(NamedTuple):
-    """A table with names of its own, and what it holds.
-
-    Attributes:
-        source: what messages begin with.
-        stem: of its name, before columns whose names both files have.
-        columns: `(row,)` numbers by name.
-        found: what they mean.
-        words: its columns of text.
-    """
-
-    source: str
-    stem: str
-    columns: Mapping[str, Array]
-    found: Inspection
-    words: Mapping[str, Words] = MappingProxyType({})
-
-    @property
-    def names(self) -> dict[str, Words]:
-        """Columns that may name the rows: of text, and of whole numbers that are called so."""
-        used = {name for block in self.found.blocks if block.kind != "run" for name in block.columns}
-        row_labels = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
-        return {**self.words, **{name: write_whole(values) for name, values in row_labels.items()}}
 
 
 class JoinedFiles(NamedTuple):
@@ -117,12 +92,12 @@ class WithJoints(NamedTuple):
         form: of the orientation, as it was read.
     """
 
-    file: File
+    file: InspectedTable
     path: "JointPath"
     form: str
 
 
-def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
+def with_joints(file: InspectedTable, arm: Arm, captures: bool = False) -> WithJoints:
     """A robot's file with joints in place of the poses that its controller computed, of the flange in the arm's base.
 
     Between captures the arm moved far, so that each pose is solved alone.
@@ -130,7 +105,7 @@ def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
     Raises:
         InputError: it has no positions and orientations, or no branch of the arm reaches them.
     """
-    position, turned = map(file.found.of, ("position", "rotation"))
+    position, turned = map(file.inspection.of, ("position", "rotation"))
     if turned is None or position is None:
         raise InputError(
             f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
@@ -160,22 +135,18 @@ def with_joints(file: File, arm: Arm, captures: bool = False) -> WithJoints:
         f"q{joint + 1}_{'m' if slides else 'rad'}": column
         for joint, (slides, column) in enumerate(zip(arm.slides, path.position.T, strict=True))
     }
-    times = {name: file.columns[name] for name in _columns(file, "time")}
-    meanings = {name: meaning for name, meaning in file.found.given.items() if name in times}
-    table = times | columns
-    inspection = inspect(list(table.items()), arm, meanings, file.source)
-    return WithJoints(
-        File(file.source, file.stem, table, inspection), path, turned.renamed(form=form)[turned.columns[0]]
-    )
+    times = {name: file.columns[name] for name in file.columns_of("time")}
+    table = InspectedTable.of(times | columns, file.source, arm, file.inspection.given)
+    return WithJoints(table, path, turned.renamed(form=form)[turned.columns[0]])
 
 
-def is_of_pairs(file: File) -> bool:
+def is_of_pairs(file: InspectedTable) -> bool:
     """Whether a file holds a robot's pose and a sensor's in each row, and no joints, as for a hand-eye calibration."""
-    roles = {source.role for source in file.found.sources}
-    return file.found.of("q") is None and roles >= {"controller", "sensor"}
+    roles = {source.role for source in file.inspection.sources}
+    return file.inspection.of("q") is None and roles >= {"controller", "sensor"}
 
 
-def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
+def solve_pairs(file: InspectedTable, arm: Arm) -> SolvedPairs:
     """A file of pairs of poses as one of joints and poses.
 
     Of a camera on the flange the pose of the target is that of the sensor's frame in the tool's: it is inverted where
@@ -184,19 +155,18 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     Raises:
         InputError: as `with_joints`.
     """
-    of_target = next(source.columns for source in file.found.sources if source.role == "sensor")
+    of_target = next(source.columns for source in file.inspection.sources if source.role == "sensor")
     robot = {name: column for name, column in file.columns.items() if name not in of_target}
-    alone = File(file.source, file.stem, robot, inspect(list(robot.items()), arm, {}, file.source))
-    moved = with_joints(alone, arm, captures=True)
+    moved = with_joints(InspectedTable.of(robot, file.source, arm), arm, captures=True)
     reached = np.flatnonzero(moved.path.reached)
     columns = {name: column[reached] for name, column in moved.file.columns.items()}
     columns |= {name: file.columns[name][reached] for name in of_target}
-    inspection = inspect(list(columns.items()), arm, {}, file.source)
-    position = inspection.of("position")
-    rotation = inspection.of("rotation")
+    solved = InspectedTable.of(columns, file.source, arm)
+    position = solved.inspection.of("position")
+    rotation = solved.inspection.of("rotation")
     if position is None or rotation is None or rotation.form is None or len(reached) < FEWEST:
         return SolvedPairs(columns, moved, False, (np.inf, np.inf))
-    q = _joint_columns(File(file.source, file.stem, columns, inspection), arm)
+    q = _joint_positions(solved, arm)
     values = dict(zip(map(spelled, FORMS[rotation.form.choice]), rotation.in_si(columns).T, strict=True))
     turns = with_quaternions(values, file.source)
     R = Rotation.from_quat(np.stack([turns[name] for name in QUATERNION], 1), scalar_first=True)
@@ -212,20 +182,20 @@ def solve_pairs(file: File, arm: Arm) -> SolvedPairs:
     return SolvedPairs(converted, moved, True, errors)
 
 
-def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
+def join_files(joints: InspectedTable, poses: InspectedTable, arm: Arm) -> JoinedFiles:
     """The joints of one file at the poses of another: of the same name, at their times, or captures in their order.
 
     Raises:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    position = in_si(poses.found.blocks, "position", poses.columns)
-    q = _joint_columns(joints, arm)
+    position = poses.in_si("position")
+    q = _joint_positions(joints, arm)
     assert position is not None
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-    times = [in_si(file.found.blocks, "time", file.columns) for file in (joints, poses)]
-    used = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
+    times = [file.in_si("time") for file in (joints, poses)]
+    used = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *joints.columns_of("time"), *poses.columns_of("time")}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in used)
     if (by_name := _joined_by_name(joints, poses, arm, q, position)) is not None:
         return by_name._replace(left_out=left_out)
@@ -255,12 +225,14 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     )
 
 
-def _joined_by_name(joints: File, poses: File, arm: Arm, q: Array, position: Array) -> JoinedFiles | None:
+def _joined_by_name(
+    joints: InspectedTable, poses: InspectedTable, arm: Arm, q: Array, position: Array
+) -> JoinedFiles | None:
     """Joints and positions of rows that have the same name; None where they have none.
 
     Whole numbers may count the rows of each file for themselves: they are names where the arm agrees.
     """
-    names = match_names(joints.names, poses.names)
+    names = match_names(joints.row_names, poses.row_names)
     if names is None:
         return None
     complete = np.isfinite(q[names.rows[0]]).all(axis=1) & np.isfinite(position[names.rows[1]]).all(axis=1)
@@ -277,7 +249,7 @@ def _joined_by_name(joints: File, poses: File, arm: Arm, q: Array, position: Arr
 
 
 def _joined_by_time(
-    joints: File, poses: File, arm: Arm, q: Array, position: Array, clock: Array, at: Array
+    joints: InspectedTable, poses: InspectedTable, arm: Arm, q: Array, position: Array, clock: Array, at: Array
 ) -> JoinedFiles | None:
     """Joints and positions of rows at their times in s, joined by the motion; None of captures, which show none."""
     states = in_order(clock, np.isfinite(q).all(axis=1))
@@ -298,17 +270,17 @@ def _joined_by_time(
         raise InputError(f"{who}: {error}{_assumed(joints, poses)}") from error
     robot_times = clocks.robot_time(at[placed] - start)
     used = _kept(joints, _OF_JOINTS)
-    names = [name for name in _columns(joints, "q") if name in used]
+    names = [name for name in joints.columns_of("q") if name in used]
     joined = join(stream.time, {name: column[states] for name, column in used.items()}, names, robot_times)
     rows = placed[joined.usable]
     table = {_TIME: robot_times[joined.usable] + first} | _table(joints, poses, joined.columns, rows)
-    unit = next(block.unit.choice for block in joints.found.blocks if block.kind == "q" and block.unit)
+    unit = next(block.unit.choice for block in joints.inspection.blocks if block.kind == "q" and block.unit)
     return JoinedFiles(
         table, len(rows), len(placed), len(states), clocks, float(first - start), joined=joined, unit=unit
     )
 
 
-def _table(joints: File, poses: File, moved: Mapping[str, Array], rows: Rows) -> dict[str, Array]:
+def _table(joints: InspectedTable, poses: InspectedTable, moved: Mapping[str, Array], rows: Rows) -> dict[str, Array]:
     """The columns of both, those of the poses at some rows; names that both have begin with the file's."""
     placed = {name: column[rows] for name, column in _kept(poses, _OF_POSES).items()}
     common = moved.keys() & placed.keys()
@@ -319,33 +291,27 @@ def _table(joints: File, poses: File, moved: Mapping[str, Array], rows: Rows) ->
     }
 
 
-def _kept(file: File, kinds: Sequence[str]) -> dict[str, Array]:
-    return {name: file.columns[name] for kind in kinds for name in _columns(file, kind)}
+def _kept(file: InspectedTable, kinds: Sequence[str]) -> dict[str, Array]:
+    return {name: file.columns[name] for kind in kinds for name in file.columns_of(kind)}
 
 
-def _columns(file: File, kind: str) -> list[str]:
-    blocks = [block for block in file.found.blocks if block.kind == kind]
-    return list(dict.fromkeys(name for block in blocks for name in (block.matrix or block.columns)))
-
-
-def _joint_columns(file: File, arm: Arm) -> Array:
+def _joint_positions(file: InspectedTable, arm: Arm) -> Array:
     """`(row, joint)` in SI units."""
-    by_joint: dict[int, Array] = {}
-    for block in (block for block in file.found.blocks if block.kind == "q"):
-        by_joint |= zip(block.joints, block.in_si(file.columns).T, strict=True)
-    if sorted(by_joint) != list(range(1, arm.dof + 1)):
+    q = file.in_si("q")
+    joints = 0 if q is None else q.shape[1]
+    if q is None or joints != arm.dof:
         raise InputError(
-            f"{file.source}: has {len(by_joint)} joints and {arm.name} has {arm.dof}; choose the arm, or name the "
+            f"{file.source}: has {joints} joints and {arm.name} has {arm.dof}; choose the arm, or name the "
             "columns with --column NAME=q1_deg and so on"
         )
-    return np.stack([by_joint[number] for number in sorted(by_joint)], 1)
+    return q
 
 
-def _assumed(*files: File) -> str:
+def _assumed(*files: InspectedTable) -> str:
     """In which units times and joints were taken where nothing says so for certain, and how to give others."""
     assumptions = []
     remedies = []
-    for of_file, block in ((Path(file.source).name, block) for file in files for block in file.found.blocks):
+    for of_file, block in ((Path(file.source).name, block) for file in files for block in file.inspection.blocks):
         if block.kind not in ("q", "time") or block.unit is None or block.unit.sure == "certain":
             continue
         unit = block.unit.choice

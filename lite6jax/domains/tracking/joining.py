@@ -10,16 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.joining import File
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming
-from lite6jax.recordings.naming import Block
+from lite6jax.recordings.columns.inspection import InspectedTable
+from lite6jax.recordings.columns.names import says_commanded, tells_of_commands
 from lite6jax.recordings.streams import Held, hold, in_order, said_of_commands
 
 Array = NDArray[np.floating]
-
-_SENDS = frozenset(("control", "controls", "ctrl", "commanding"))
-"""Words by which files of commands are called beside those of columns."""
 
 
 class JoinedCommands(NamedTuple):
@@ -36,7 +32,7 @@ class JoinedCommands(NamedTuple):
     dropped: list[str]
 
 
-def find_commands(files: Sequence[File]) -> int | None:
+def find_commands(files: Sequence[InspectedTable]) -> int | None:
     """Which of two files with joint positions has the commands; None where nothing says it of one alone."""
     for says in (_by_columns, _by_name, _by_cells):
         commanded = [says(file) for file in files]
@@ -45,22 +41,23 @@ def find_commands(files: Sequence[File]) -> int | None:
     return None
 
 
-def join_commands(states: File, commands: File) -> JoinedCommands:
+def join_commands(states: InspectedTable, commands: InspectedTable) -> JoinedCommands:
     """The rows of the measured joints with the commands in force.
 
     Raises:
         InputError: a file without times, another number of joints, or times that do not overlap.
     """
-    sent = _joints(commands)
-    measured = _joints(states)
+    sent = commands.columns_of("q")
+    measured = states.columns_of("q")
     if len(sent) != len(measured):
         raise InputError(
             f"{commands.source}: has {len(sent)} joints and {states.source} {len(measured)}; leave out what is no "
             "joint by --column NAME=ignore"
         )
     clocks = [_times(file) for file in (commands, states)]
-    runs = [_runs(file) for file in (commands, states)]
-    if None in [file.found.of("run") for file in (commands, states)]:
+    numbered = [file.in_si("run") for file in (commands, states)]
+    runs = [run[:, 0] for run in numbered if run is not None]
+    if len(runs) < len(clocks):
         runs = [np.zeros(len(clock)) for clock in clocks]
     values = np.stack([commands.columns[name] for name in sent], 1)
     complete = np.isfinite(values).all(1)
@@ -85,62 +82,45 @@ def join_commands(states: File, commands: File) -> JoinedCommands:
             f"{commands.source} and {states.source}: no joint state lies between commands (commands {shown[0]}, joints "
             f"{shown[1]}); stamp both by one clock"
         )
-    time_column = states.found.of("time")
-    assert time_column is not None
-    columns = {name: column[used] for name, column in states.columns.items() if name not in time_column.columns}
+    times = states.columns_of("time")
+    columns = {name: column[used] for name, column in states.columns.items() if name not in times}
     names = [_command_name(name, columns) for name in sent]
     columns = {"time_s": clocks[1][used], **columns, **dict(zip(names, joined[used].T, strict=True))}
     dropped = said_of_commands(Held(used, np.empty(0, int), early, late))
     return JoinedCommands(columns, int(np.sum(complete)), dropped)
 
 
-def _joints(file: File) -> list[str]:
-    """The columns of joint positions, along the arm."""
-    blocks = [block for block in file.found.blocks if block.kind == "q"]
-    numbered = [pair for block in blocks for pair in zip(block.joints, block.columns, strict=True)]
-    return [name for _, name in sorted(numbered)]
-
-
-def _times(file: File) -> Array:
+def _times(file: InspectedTable) -> Array:
     """`(row,)` s.
 
     Raises:
         InputError: no column looks like times.
     """
-    block: Block | None = file.found.of("time")
-    if block is None:
+    times = file.in_si("time")
+    if times is None:
         raise InputError(
             f"{file.source}: has no times, by which commands and joints are joined; say which column they are, "
             "--column NAME=time_s"
         )
-    return block.in_si(file.columns)[:, 0]
-
-
-def _runs(file: File) -> Array:
-    """`(row,)`, zero where there is one."""
-    block = file.found.of("run")
-    if block is None:
-        return np.zeros(len(next(iter(file.columns.values()))))
-    return file.columns[block.columns[0]]
+    return times[:, 0]
 
 
 def _command_name(name: str, columns: dict[str, Array]) -> str:
     """A name that says that a column is commanded, and that none of the columns has."""
-    if naming.says_commanded(name) and name not in columns:
+    if says_commanded(name) and name not in columns:
         return name
     return f"commanded.{name}"
 
 
-def _by_columns(file: File) -> bool:
-    q = file.found.of("q")
+def _by_columns(file: InspectedTable) -> bool:
+    q = file.inspection.of("q")
     return q is not None and q.rank == 2
 
 
-def _by_name(file: File) -> bool:
-    return naming.says_commanded(file.stem) or bool(naming.spoken_words(file.stem) & _SENDS)
+def _by_name(file: InspectedTable) -> bool:
+    return tells_of_commands(file.stem)
 
 
-def _by_cells(file: File) -> bool:
-    single = [{*cells} for cells in file.words.values()]
-    spoken = [naming.spoken_words(word) for cells in single if len(cells) == 1 for word in cells]
-    return any(bool(words & _SENDS) or any(map(naming.says_commanded, words)) for words in spoken)
+def _by_cells(file: InspectedTable) -> bool:
+    vocabularies = [{*cells} for cells in file.words.values()]
+    return any(tells_of_commands(*words) for words in vocabularies if len(words) == 1)

@@ -17,7 +17,7 @@ from lite6jax.domains.pose.screening.screened import Screened
 from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, SUSPECT_REACH
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import flange_poses, frames_from_poses, median_distance
-from lite6jax.recordings.kinematics import CLOSE, FEWEST
+from lite6jax.recordings.columns.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.placeholders import Mark, possible_marks
 
 Array = NDArray[np.floating]

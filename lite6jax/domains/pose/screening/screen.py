@@ -35,8 +35,8 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording, repeated_rows, require_radians, require_samples, time_disorder
 from lite6jax.recordings.alignment import angle_step, computed_by_controller, is_below_sensors, median_distance
+from lite6jax.recordings.columns.kinematics import FEWEST
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.recordings.kinematics import FEWEST
 from lite6jax.recordings.motion import at_positions, without_turns
 
 Array = NDArray[np.floating]

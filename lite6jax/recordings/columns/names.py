@@ -2,32 +2,29 @@
 
 Names are split into words (`actual_TCP_pose_0`, `joint_1.position`, `/arm/q[3]`), words into a quantity, a number or a
 component, and columns that differ only in that are one block. A unit in a name binds: no other quantity may have it.
-Which blocks are taken is decided for the table as a whole (`recordings.inspection`), where the numbers may object.
+Which blocks are taken is decided for the table as a whole (`inspection`), where the numbers may object.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import product
-from typing import Any, Literal, NamedTuple, final
+from typing import Any, Literal, NamedTuple
 from unicodedata import combining, normalize
 
 import numpy as np
 
-from lite6jax.recordings.columns import (
-    ANGLES,
-    DEVIATION,
-    FORMS,
-    MATRIX,
-    PLACE,
-    QUANTITIES,
-    is_per_joint,
-    is_standard,
-    spelled,
-    units_of,
+from lite6jax.recordings.columns.column import (
+    KINDS,
+    OF_POSES,
+    Block,
+    Decision,
+    Sureness,
+    by_name,
+    units_allowed,
 )
-from lite6jax.recordings.ros import UR_JOINTS
-from lite6jax.recordings.sizes import Array, Decision, Sureness, by_name
+from lite6jax.recordings.columns.documented import is_standard
+from lite6jax.recordings.columns.quantities import ANGLES, MATRIX, PLACE, QUANTITIES, is_per_joint
 
 Role = Literal["controller", "sensor"]
 
@@ -43,6 +40,8 @@ _WANTED = _words(
     "nominal nom nominale theoretical theo theorique teorico"
 )
 _WANTED |= {"d"}  # libfranka
+_SENDS = _words("control controls ctrl commanding")
+"""Words by which files of commands are called beside those of columns."""
 _ERRORS = _words("err error errors")
 _DEVIATIONS = _ERRORS | _words("deviation deviations dev abweichung abw difference diff delta ecart desviacion fehler")
 _UNUSED = _words(
@@ -110,7 +109,7 @@ _UNITS |= {
     for word, form in product(words.split(), forms.split())
 }
 _UNITS |= {re.sub(r"^([\d.]+)", r"\1 ", word): unit for word, unit in _UNITS.items() if word.startswith("0.")}
-"""Units as `columns.py` has them, by how people write them."""
+"""Units as `quantities` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
@@ -127,6 +126,7 @@ _GREEK = str.maketrans(
 )
 _FRANKA_TWIST = re.compile(r"(?<![A-Za-z])d{1,2}P(?=_)")
 """Of libfranka's `O_dP_EE_d`, the velocity of the end effector, and `O_ddP_EE_c`, its acceleration."""
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -135,12 +135,6 @@ _ROBOTS = (
     tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
-KINDS = (
-    *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "deviation", "rotation"),
-    *("time", "payload", "ambient", "run"),
-)
-_OF_POSES = {"position": "x", "deviation": "devx", "rotation": "rx"}
-"""Quantities of the units of poses."""
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
 _COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|d[xyz]|roll|pitch|yaw|alpha|beta|gamma")
@@ -155,83 +149,6 @@ _TRIPLES: tuple[tuple[tuple[str, ...], str, Sureness], ...] = (
     (("a", "b", "c"), "roll", "assumed"),
 )
 """Components of three angles, their usual form, and how sure that is: A B C is KUKA's order or Mitsubishi's."""
-
-
-@final
-@dataclass(frozen=True)
-class Block:
-    """Columns that belong together, and what they mean.
-
-    Attributes:
-        kind: one of `KINDS`; `position` and `rotation` of the tool, the others as in `columns.py`.
-        columns: along the arm; x y z; the rotation's components, a quaternion's as `form` says, a matrix row by row.
-        unit: in which they are, and why; None before it is decided, where their names do not say it.
-        form: of a rotation, the name that it has in `columns.FORMS`, and why; None likewise.
-        rank: 0 of what is called measured, 2 of what is called commanded, else 1.
-        weak: how little the names say that it is of this kind.
-        source: words that say whose a pose is, or which of several arms or legs.
-        matrix: all columns of the matrix of which it is a part, row by row.
-        rivals: the first columns of blocks that may be meant instead.
-        joints: whose the columns are, counted from 1; empty where they are of all joints in order, or of none.
-        slides: whether these joints are prismatic.
-    """
-
-    kind: str
-    columns: tuple[str, ...]
-    unit: Decision | None = None
-    form: Decision | None = None
-    rank: int = 1
-    weak: int = 0
-    source: tuple[str, ...] = ()
-    matrix: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
-    joints: tuple[int, ...] = ()
-    slides: bool = False
-
-    @property
-    def key(self) -> tuple[str, bool]:
-        """By which it is found: a recording has one of each kind, of revolute and of prismatic joints."""
-        return self.kind, self.slides
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Those that the columns have in a recording, once unit and form are decided."""
-        places = {"position": PLACE, "deviation": DEVIATION}
-        parts = FORMS[self.form.choice] if self.form else places.get(self.kind, (self.kind,))
-        unit = self.unit.choice if self.unit else ""
-        return tuple(spelled(part, joint, unit) for part in parts for joint in self.joints or (0,))
-
-    @property
-    def units(self) -> dict[str, float]:
-        """The units in which the columns may be, as `units_of`."""
-        quantity = FORMS[self.form.choice][0] if self.form else _OF_POSES.get(self.kind, self.kind)
-        return units_of(quantity, self.slides)
-
-    @property
-    def forms(self) -> tuple[str, ...]:
-        """The forms of which a rotation may be; none where there is no choice."""
-        parts = len(self.columns) if self.kind == "rotation" else 0
-        return tuple(form for form, names in FORMS.items() if len(names) == parts) if parts in (3, 4) else ()
-
-    def renamed(self, unit: str = "", form: str = "") -> dict[str, str]:
-        """The columns with the names that they have in another of `units`, or as another of `forms`."""
-        of_unit = self.unit and self.unit._replace(choice=unit or self.unit.choice)
-        of_form = self.form and self.form._replace(choice=form or self.form.choice)
-        return dict(zip(self.columns, replace(self, unit=of_unit, form=of_form).names, strict=True))
-
-    def values(self, numbers: Mapping[str, Array]) -> Array:
-        """`(sample, column)` of the numbers of a table."""
-        return np.stack([numbers[name] for name in self.columns], 1)
-
-    def in_si(self, numbers: Mapping[str, Array]) -> Array:
-        """The same in SI units, once the unit is decided."""
-        return self.values(numbers) / self.units[self.unit.choice if self.unit else ""]
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        unit, form = (None if decision is None else decision._asdict() for decision in (self.unit, self.form))
-        document = {"kind": self.kind, "columns": self.renamed(), "unit": unit, "form": form}
-        return document | ({"commanded": True} if self.rank == 2 else {})
 
 
 class Source(NamedTuple):
@@ -264,7 +181,7 @@ class _Word(NamedTuple):
     all_words: tuple[str, ...]
 
 
-def candidates(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Block]:
+def candidate_blocks(names: Sequence[str], joint_names: Sequence[str] = ()) -> list[Block]:
     """The blocks that names may mean; a column may be in several.
 
     Args:
@@ -288,20 +205,20 @@ def _is_unused(word: _Word) -> bool:
     return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
-def choose(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
+def choose_blocks(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
 
     What was commanded or computed is taken only where nothing measured says the same. Positions that were commanded
     beside measured ones are of the kind `cmd`.
 
     Args:
-        blocks: of `candidates`.
+        blocks: of `candidate_blocks`.
         dof: the number of joints, where known; fewer columns are not those of all joints.
         joints: columns that are said to be joint positions.
     """
     chosen: dict[str, Block] = {}
     driven = any(b.kind in ("tau", "current") and b.rank < 2 and len(b.columns) >= (dof or 0) for b in blocks)
-    for kind in (kind for kind in KINDS if kind not in _OF_POSES):
+    for kind in (kind for kind in KINDS if kind not in OF_POSES):
         q = chosen.get("q")
         moved = q is not None and q.rank < 2
         used = {name for block in chosen.values() for name in block.columns}
@@ -325,7 +242,7 @@ def choose(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str
     return list(chosen.values())
 
 
-def sources(blocks: Sequence[Block]) -> list[Source]:
+def pose_sources(blocks: Sequence[Block]) -> list[Source]:
     """The poses among blocks, each of one source; what was commanded only where nothing was measured."""
     places = [block for block in blocks if block.kind == "position"]
     places = [block for block in places if block.weak < 2] or places
@@ -341,18 +258,13 @@ def sources(blocks: Sequence[Block]) -> list[Source]:
     return listed
 
 
-def units_allowed(kind: str, *slides: bool) -> set[str]:
-    """The units that a kind of block may have, of revolute joints unless it is said of which."""
-    return {unit for slide in slides or (False,) for unit in units_of(_OF_POSES.get(kind, kind), slide) if unit}
-
-
 def unit_of(name: str) -> str | None:
     """The unit that a column's name states; None where it states none."""
     return _taken_apart(name).unit
 
 
 def reading_words(name: str) -> set[str]:
-    """The quantities of readings that the words of a column's name may mean, of `columns.READINGS`."""
+    """The quantities of readings that the words of a column's name may mean, of `READINGS`."""
     spoken = spoken_words(name)
     return {quantity for quantity, words in _READINGS.items() if words & spoken}
 
@@ -372,6 +284,11 @@ def says_commanded(name: str) -> bool:
     """Whether a name is of what was commanded, and not of what was measured."""
     words = {*_taken_apart(name).all_words}
     return bool(words & _WANTED) and not words & _MEASURED
+
+
+def tells_of_commands(text: str) -> bool:
+    """Whether the name of a file, or a word in its cells, says that it has the commands."""
+    return says_commanded(text) or not _SENDS.isdisjoint(spoken_words(text))
 
 
 def says_torque(name: str) -> bool:

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.recordings import naming, sizes
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
-from lite6jax.recordings.columns import ANGLES, MATRIX, quaternions, units_of
-from lite6jax.recordings.naming import Block
+from lite6jax.recordings.columns import sizes
+from lite6jax.recordings.columns.column import KINDS, Block, Decision, Sureness, in_si
+from lite6jax.recordings.columns.orientations import quaternions
+from lite6jax.recordings.columns.quantities import ANGLES, MATRIX, units_of
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
-from lite6jax.recordings.sizes import Decision, Sureness
 
 Array = NDArray[np.floating]
 
@@ -192,7 +192,7 @@ def _decided(choice: str, errors: dict[str, float], limit: float) -> Decision | 
 def decide(
     blocks: Sequence[Block], numbers: Mapping[str, Array], agreed: ArmAgreement, arm: Arm | None
 ) -> tuple[Block, ...]:
-    """Blocks with their units and forms, in the order of `naming.KINDS`; no commands that the joints do not follow.
+    """Blocks with their units and forms, in the order of `KINDS`; no commands that the joints do not follow.
 
     Args:
         blocks: one of each `key`.
@@ -226,13 +226,7 @@ def decide(
             time = in_si(decided.values(), "time", numbers)
             unit = _of_rate(block, values, q, slower and slower.in_si(numbers), None if time is None else time[:, 0])
         decided[block.key] = replace(block, unit=unit or _unit(block, values, agreed, arm), form=form)
-    return tuple(sorted(decided.values(), key=lambda block: (naming.KINDS.index(block.kind), block.slides)))
-
-
-def in_si(blocks: Iterable[Block], kind: str, numbers: Mapping[str, Array]) -> Array | None:
-    """`(sample, column)` in SI units of blocks of a kind whose units are decided; None where there are none."""
-    columns = [block.in_si(numbers) for block in blocks if block.kind == kind]
-    return np.hstack(columns) if columns else None
+    return tuple(sorted(decided.values(), key=lambda block: (KINDS.index(block.kind), block.slides)))
 
 
 def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[str, str]:

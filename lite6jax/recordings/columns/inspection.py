@@ -8,6 +8,8 @@ words are those of `report.inspection`, but for why a motion is one.
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,38 +19,50 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming, sizes, streams
+from lite6jax.recordings import streams
 from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
-from lite6jax.recordings.columns import (
-    DEVIATION,
-    FORMS,
-    IGNORED,
-    MATRIX,
-    PLACE,
-    Column,
-    differs_by_joint,
-    is_no_rotation,
-    is_per_joint,
+from lite6jax.recordings.columns import sizes
+from lite6jax.recordings.columns.cells import Words, is_label, write_whole
+from lite6jax.recordings.columns.column import KINDS, Block, Column, Decision, by_name, columns_of, in_si, units_allowed
+from lite6jax.recordings.columns.documented import (
     is_refused,
     is_standard,
     known_column,
     list_names,
     nearest_known,
-    quaternions,
     reading_of,
+)
+from lite6jax.recordings.columns.kinematics import CLEARLY, CLOSE, ArmAgreement, agreement, decide, motion_of
+from lite6jax.recordings.columns.names import (
+    Role,
+    Source,
+    candidate_blocks,
+    choose_blocks,
+    of_whom,
+    pose_sources,
+    reading_words,
+    source_words,
+    unit_of,
+)
+from lite6jax.recordings.columns.orientations import is_no_rotation, quaternions
+from lite6jax.recordings.columns.quantities import (
+    DEVIATION,
+    FORMS,
+    IGNORED,
+    MATRIX,
+    PLACE,
+    differs_by_joint,
+    is_per_joint,
     spelled,
     units_of,
 )
-from lite6jax.recordings.kinematics import CLEARLY, CLOSE, ArmAgreement, agreement, decide, motion_of
-from lite6jax.recordings.naming import Block, Role, Source
-from lite6jax.recordings.words import Words, is_label, write_whole
 
 Array = NDArray[np.floating]
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `calibration.source`."""
 WIDEST_ANGLE = 1e3
-"""Beyond, numbers are no angles of an orientation, unless they are whole ones of a unit of `columns.FINE`."""
+"""Beyond, numbers are no angles of an orientation, unless they are whole ones of a unit of `FINE`."""
 WIDEST_WHOLE = 4e6
 """Beyond, they are none in any unit."""
 BEYOND = 1e100
@@ -141,7 +155,7 @@ class Inspection:
     sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
     in_file: Mapping[str, str] = field(default_factory=dict)
-    announced: Mapping[str, tuple[str, sizes.Decision | None]] = field(default_factory=dict)
+    announced: Mapping[str, tuple[str, Decision | None]] = field(default_factory=dict)
     likely_readings: tuple[tuple[str, str, str], ...] = ()
     unclear_deviations: tuple[str, ...] = ()
     unread_commands: tuple[tuple[str, tuple[str, ...]], ...] = ()
@@ -181,10 +195,8 @@ class Inspection:
     @property
     def joint_columns(self) -> tuple[str, ...]:
         """The names of the joint positions in a recording, along the arm: `q1_deg`, `q2_mm`."""
-        numbered = [
-            pair for block in self.blocks if block.kind == "q" for pair in zip(block.joints, block.names, strict=True)
-        ]
-        return tuple(name for _, name in sorted(numbered))
+        members = [column for block in self.blocks if block.kind == "q" for column in block.members]
+        return tuple(column.documented for column in sorted(members, key=lambda column: column.joint))
 
     def of(self, kind: str) -> Block | None:
         """The block of a kind: of revolute joints where there are some."""
@@ -243,17 +255,17 @@ def inspect(
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {near(name, list(dict(columns)))}")
-    if not any(block.kind == "position" for block in naming.candidates([*numbers], ())):
+    if not any(block.kind == "position" for block in candidate_blocks([*numbers], ())):
         given = {name: name for name, _ in columns if reading_of(name)} | given
     free = [name for name in numbers if given.get(name) != IGNORED]
     joint_names, dof = ((), None) if arm is None else (arm.joint_names, arm.dof)
-    possible, denied = _possible(naming.candidates(free, joint_names), numbers)
+    possible, denied = _possible(candidate_blocks(free, joint_names), numbers)
     declared = {
         name: column for name, meaning in given.items() if name in numbers and (column := known_column(meaning))
     }
     slots = {(column.quantity, column.joint): column._replace(name=name) for name, column in declared.items()}
     said_joints = [column.name for column in slots.values() if column.quantity == "q"]
-    chosen = naming.choose(possible, dof, said_joints)
+    chosen = choose_blocks(possible, dof, said_joints)
     blocks = _of_given_motors(_merge_given(chosen, slots, dof), chosen)
     all_joints = next((block for block in blocks if block.kind == "q"), None)
     blocks = _split_by_joint(blocks, declared, arm)
@@ -263,7 +275,7 @@ def inspect(
     poses = _merge_given_poses([block for block in possible if not joints & set(block.columns)], slots)
     possible_sources = {block.source for block in poses if block.kind == "position"}
     lost = {
-        block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"
+        block.source for block in candidate_blocks([*numbers], joint_names) if block.kind == "position"
     } - possible_sources
     poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     numbers = _with_held_commands(_at_poses(numbers, [*blocks, *poses], source), blocks, source)
@@ -272,7 +284,7 @@ def inspect(
     at_times = any(block.kind == "time" for block in blocks)
     read = []
     unclear = []
-    for pose in naming.sources(poses):
+    for pose in pose_sources(poses):
         read.append(_read_pose(pose, blocks, numbers, arm))
         if (deviation := pose.deviation) is None:
             continue
@@ -299,7 +311,7 @@ def inspect(
     decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
-    announced: dict[str, tuple[str, sizes.Decision | None]] = {}
+    announced: dict[str, tuple[str, Decision | None]] = {}
     likely: list[tuple[str, str, str]] = []
     if not read and not any(map(reading_of, given.values())):
         unread = {name: values for name, values in numbers.items() if name not in used}
@@ -307,7 +319,7 @@ def inspect(
         if pose_source is not None and pose_source in READINGS_OF:
             announced = _readings(pose_source, unread, cells)
         else:
-            called = {of: _readings(of, unread, cells, by_name=True) for of in READINGS_OF}
+            called = {of: _readings(of, unread, cells, only_called=True) for of in READINGS_OF}
             likely = [
                 (of, name, quantity) for of, readings in called.items() for name, (quantity, _) in readings.items()
             ]
@@ -359,15 +371,15 @@ READINGS_OF: Mapping[str, tuple[str, ...]] = {
 
 
 def _readings(
-    pose_source: str, numbers: Mapping[str, Array], words: Mapping[str, Words], by_name: bool = False
-) -> dict[str, tuple[str, sizes.Decision | None]]:
+    pose_source: str, numbers: Mapping[str, Array], words: Mapping[str, Words], only_called: bool = False
+) -> dict[str, tuple[str, Decision | None]]:
     """The columns that are readings of a source: those that are called so, or the only ones that may be.
 
     Args:
         pose_source: of `READINGS_OF`.
         numbers: columns that mean nothing else, `(sample,)` each.
         words: of the columns of text.
-        by_name: whether only those are wanted that are called so.
+        only_called: whether only those are wanted that are called so.
 
     Returns:
         the quantity of each, and the unit of what has one; none where several columns may be meant.
@@ -380,23 +392,23 @@ def _readings(
         possible = [*labels]
     else:
         possible = [name for name, values in numbers.items() if np.nanmax(values) > np.nanmin(values)]
-        possible = [name for name in possible if naming.unit_of(name) in (None, *units_of(kinds[0]))]
-    called = [name for name in possible if naming.reading_words(name) & {*kinds}]
+        possible = [name for name in possible if unit_of(name) in (None, *units_of(kinds[0]))]
+    called = [name for name in possible if reading_words(name) & {*kinds}]
     chosen = called
-    if not called and not by_name:
+    if not called and not only_called:
         chosen = possible
     if len(chosen) != 1:
         return {}
     name = chosen[0]
     if pose_source == "touch":
-        meant = naming.reading_words(name)
+        meant = reading_words(name)
         if "plane" in meant and "contact" not in meant:
             return {name: ("plane", None)}
         return {name: ("contact", None)}
-    stated = naming.unit_of(name)
-    unit = sizes.by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
-    readings: dict[str, tuple[str, sizes.Decision | None]] = {name: (kinds[0], unit)}
-    anchors = [label for label in labels if "anchor" in naming.reading_words(label)]
+    stated = unit_of(name)
+    unit = by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
+    readings: dict[str, tuple[str, Decision | None]] = {name: (kinds[0], unit)}
+    anchors = [label for label in labels if "anchor" in reading_words(label)]
     if kinds == ("distance",) and len(anchors) == 1:
         readings[anchors[0]] = "anchor", None
     return readings
@@ -429,8 +441,8 @@ def _motors(
 
 def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
-    joints = [name for block in blocks if block.kind == "q" for name in block.columns]
-    time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
+    joints = columns_of(blocks, "q")
+    time = next(iter(columns_of(blocks, "time")), "")
     for position in (block.columns for block in blocks if block.kind == "position"):
         try:
             if (merged := streams.merge(numbers, joints, position, time, [])) is not None:
@@ -442,15 +454,12 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
 
 def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with joints, where commands stand in other rows: each is held until the next."""
-    columns: dict[str, list[str]] = {}
-    for block in blocks:
-        columns.setdefault(block.kind, []).extend(block.columns)
-    if "time" not in columns:
+    joints, commands, time, run = (columns_of(blocks, kind) for kind in ("q", "cmd", "time", "run"))
+    if not time:
         return numbers
-    of_run = {"run": numbers[columns["run"][0]]} if "run" in columns else {}
+    of_run = {"run": numbers[run[0]]} if run else {}
     try:
-        joints = columns.get("q", [])
-        held = streams.hold_commands(numbers | of_run, joints, columns.get("cmd", []), columns["time"][0], [])
+        held = streams.hold_commands(numbers | of_run, joints, commands, time[0], [])
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     return numbers if held is None else {name: held[0][name] for name in numbers}
@@ -536,7 +545,7 @@ def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> lis
     """With the given columns in their places, of all but poses; those of all joints replace the others."""
     by_kind = {block.kind: block for block in blocks}
     given_names = {column.name for column in slots.values()}
-    for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
+    for kind in {quantity for quantity, _ in slots} & set(KINDS):
         by_joint = {column.joint: column.name for column in slots.values() if column.quantity == kind}
         first = int(is_per_joint(kind))
         before = {}
@@ -548,12 +557,10 @@ def _merge_given(blocks: Sequence[Block], slots: _Slots, dof: int | None) -> lis
             columns = by_joint
         if sorted(columns) == [*range(first, first + len(columns))]:
             unit = "" if first else slots[kind, 0].unit  # those of joints may differ by joint
-            stated = sizes.by_name(unit) if unit else None
+            stated = by_name(unit) if unit else None
             by_kind[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), stated)
     elsewhere = {kind: {column.name for column in slots.values() if column.quantity != kind} for kind in by_kind}
-    return [
-        by_kind[kind] for kind in naming.KINDS if kind in by_kind and not elsewhere[kind] & {*by_kind[kind].columns}
-    ]
+    return [by_kind[kind] for kind in KINDS if kind in by_kind and not elsewhere[kind] & {*by_kind[kind].columns}]
 
 
 def _of_given_motors(blocks: Sequence[Block], chosen: Sequence[Block]) -> list[Block]:
@@ -575,15 +582,15 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
         columns, units = zip(*((slots[part, 0].name, slots[part, 0].unit) for part in parts), strict=True)
         unit = None
         if units[0] and len({*units}) == 1:
-            unit = sizes.by_name(units[0])
+            unit = by_name(units[0])
         if not form:
-            block = Block("position", columns, unit, source=naming.source_words(columns))
+            block = Block("position", columns, unit, source=source_words(columns))
         elif parts == DEVIATION:
-            places = [naming.of_whom(position.source) for position in merged if position.kind == "position"]
+            places = [of_whom(position.source) for position in merged if position.kind == "position"]
             block = Block("deviation", columns, unit, source=places[0] if len(places) == 1 else ())
         else:
             source = next((position.source for position in merged if position.kind == "position"), ())
-            block = Block("rotation", columns, unit, sizes.by_name(form), source=source)
+            block = Block("rotation", columns, unit, by_name(form), source=source)
         retained = (
             existing for existing in merged if existing.kind != block.kind and not {*columns} & {*existing.columns}
         )
@@ -597,11 +604,11 @@ def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm
     def unit(name: str) -> str | None:
         if name in declared:
             return declared[name].unit
-        return naming.unit_of(name)
+        return unit_of(name)
 
     joints = next((block.columns for block in blocks if block.kind == "q"), ())
     dof = len(joints) if arm is None else arm.dof
-    stated_sliding = [joint for joint, name in enumerate(joints) if unit(name) in naming.units_allowed("q", True)]
+    stated_sliding = [joint for joint, name in enumerate(joints) if unit(name) in units_allowed("q", True)]
     sliding = stated_sliding if arm is None else arm.sliding
     split = []
     for block in blocks:
@@ -620,8 +627,8 @@ def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm
                 units = {unit(name) for name in columns}
                 unit_name = units.pop() if len(units) == 1 else None
                 stated = None
-                if unit_name in naming.units_allowed(block.kind, slides):
-                    stated = sizes.by_name(unit_name)
+                if unit_name in units_allowed(block.kind, slides):
+                    stated = by_name(unit_name)
                 joints_of = tuple(joint + 1 for joint in members)
                 split.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=stated))
     return split
@@ -634,13 +641,13 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     travel = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     pose = Pose((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
     q = [block for block in blocks if block.kind == "q"]
-    columns = dict(sorted(pair for block in q for pair in zip(block.joints, block.columns, strict=True)))
+    columns = columns_of(q, "q")
     if not columns:
         return pose
     sliding = tuple(joint - 1 for block in q if block.slides for joint in block.joints)
     arms = bundled_of(len(columns)) if arm is None else [arm]
     arms = [candidate for candidate in arms if (candidate.dof, candidate.sliding) == (len(columns), sliding)]
-    joint = np.stack([numbers[name] for name in columns.values()], 1)
+    joint = np.stack([numbers[name] for name in columns], 1)
     read = []
     wobbles = []
     for rotation in source.rotations or (None,):
@@ -741,7 +748,7 @@ def _read_sum(
     of_places = position.unit or alone.agreed.units.get(position.key) or sizes.length_unit(places)
     unit = deviation.unit
     if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
-        unit = sizes.Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
+        unit = Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
     scale = 1.0
     if unit is not None:
         scale = deviation.units[of_places.choice] / deviation.units[unit.choice]
@@ -774,3 +781,54 @@ def _choose_arm(arm: Arm | None, agreements: Sequence[tuple[Arm, ArmAgreement]])
     if len(agreements) > 1 and agreements[1][1].error <= max(ALIKE * agreed.error, 1e-9):
         return None, agreed  # arms that are alike agree on the units
     return first, agreed
+
+
+# ------------------------------------------------------------------ tables that are joined
+
+
+class InspectedTable(NamedTuple):
+    """A table with names of its own, and what it holds.
+
+    Attributes:
+        source: what messages begin with.
+        stem: of its name, before columns whose names both of two tables have.
+        columns: `(row,)` numbers by name.
+        inspection: what they mean.
+        words: its columns of text.
+    """
+
+    source: str
+    stem: str
+    columns: Mapping[str, Array]
+    inspection: Inspection
+    words: Mapping[str, Words] = MappingProxyType({})
+
+    @classmethod
+    def of(
+        cls,
+        columns: Mapping[str, Array],
+        path: Path | str,
+        arm: Arm | None,
+        given: Mapping[str, str] = MappingProxyType({}),
+        words: Mapping[str, Words] = MappingProxyType({}),
+        pose_source: str | None = None,
+    ) -> "InspectedTable":
+        """The table of a file, looked at by `inspect`; `given` may have columns that are not there."""
+        present = {name: meaning for name, meaning in given.items() if name in columns}
+        inspection = inspect(list(columns.items()), arm, present, str(path), pose_source)
+        return cls(str(path), Path(path).stem, columns, inspection, words)
+
+    @property
+    def row_names(self) -> dict[str, Words]:
+        """Columns that may name the rows: of text, and of whole numbers that are called so."""
+        used = {name for block in self.inspection.blocks if block.kind != "run" for name in block.columns}
+        row_labels = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
+        return {**self.words, **{name: write_whole(values) for name, values in row_labels.items()}}
+
+    def columns_of(self, kind: str) -> list[str]:
+        """Its columns of a kind, those of joints along the arm."""
+        return columns_of(self.inspection.blocks, kind)
+
+    def in_si(self, kind: str) -> Array | None:
+        """`(row, column)` in SI units of a kind, those of joints along the arm; None where it has none."""
+        return in_si(self.inspection.blocks, kind, self.columns)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.naming import spoken_words
+from lite6jax.recordings.columns.names import spoken_words
 
 Array = NDArray[np.floating]
 Words = Sequence[str]

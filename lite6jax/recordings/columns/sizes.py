@@ -1,19 +1,18 @@
 """What numbers say by themselves: the unit by their size, and whether they can be what their name says.
 
-What an arm's forward kinematics says, where the arm is known, weighs more (`recordings.kinematics`).
+What an arm's forward kinematics says, where the arm is known, weighs more (`kinematics`).
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns import FINE, MATRIX, units_of
+from lite6jax.recordings.columns.column import Decision, Sureness, by_name
+from lite6jax.recordings.columns.quantities import FINE, MATRIX, units_of
 
 Array = NDArray[np.floating]
-Sureness = Literal["certain", "likely", "assumed"]
-"""By name or by kinematics; by size; or the usual one, where neither tells."""
 
 WIDE_RAD = 2.1 * np.pi
 """Beyond, joint positions are likely to be degrees."""
@@ -38,31 +37,6 @@ _FAST = 8.0
 """rad/s: between them is the median speed of joints that move from row to row."""
 _STEPS_S = (1e-4, 600.0)
 """Between rows."""
-
-
-class Decision(NamedTuple):
-    """A unit or a form, how sure it is, and why.
-
-    Attributes:
-        choice: such as `deg`.
-        sure: how sure.
-        reason: a code, for `report.inspection`.
-        numbers: that the reason names.
-    """
-
-    choice: str
-    sure: Sureness
-    reason: str
-    numbers: dict[str, Any]
-
-
-def by_name(choice: str, sure: Sureness = "certain") -> Decision:
-    """The unit or the form that the columns' names say, or assume.
-
-    Of a matrix it is `orthogonal` whose numbers show in which order it is written.
-    """
-    orthogonal = choice == MATRIX[0] and sure == "certain"
-    return Decision(choice, sure, "usual_name" if sure == "assumed" else "orthogonal" if orthogonal else "name", {})
 
 
 def increases(time: Array, run: Array | None = None) -> bool:
@@ -293,7 +267,7 @@ def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None)
         unit, form: where their names say it.
 
     Returns:
-        the name of a form in `columns.FORMS`; and `rad`, `deg` or nothing.
+        the name of a form in `FORMS`; and `rad`, `deg` or nothing.
     """
     if rotation.shape[1] in (4, len(MATRIX)):
         return form or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
