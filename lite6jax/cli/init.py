@@ -215,7 +215,7 @@ def _check(inspected: "recognition.Inspection", table: "tabulation.RawTable", pa
     q = inspected.of("q")
     if q is not None and q.unit and q.unit.reason in ("percent", "ticks", "whole"):
         raise InputError(f"{path}: {inspection.no_angles(q)}")
-    if q is None and not any(name.startswith("q1_") for name in inspected.given.values()):
+    if not inspected.holds("q"):
         raise InputError(
             f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
             f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has "

@@ -15,7 +15,7 @@ from lite6jax.arms.arm import as_revolute
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
-from lite6jax.domains.pose.columns import site_of
+from lite6jax.domains.pose.deflections import site_of
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns.cells import Points, Words, is_label, spread_points
-from lite6jax.recordings.columns.column import columns_of
+from lite6jax.recordings.columns.column import list_columns
 from lite6jax.recordings.columns.inspection import InspectedTable, Inspection
 from lite6jax.recordings.reflectors import FEWEST_POINTS, WithPose, with_pose_of_reflectors
 
@@ -57,7 +57,7 @@ def gather_points(
     if not words and not any(map(is_label, columns)):
         return None
     inspection = InspectedTable.of(columns, source, arm, meanings).inspection
-    joints = columns_of(inspection.blocks, "q")
+    joints = list_columns(inspection.blocks, "q")
     values = [name for pose in inspection.sources for name in pose.columns]
     for state in _possible_states(inspection, joints, columns, words):
         points = spread_points(columns, words, state, values, () if state == joints else joints)
@@ -80,7 +80,7 @@ def _possible_states(
 ) -> Iterator[list[str]]:
     """Columns that may be equal in all rows of a state: the joints, the times, or those that name poses."""
     yield joints
-    yield columns_of(inspection.blocks, "time")
+    yield list_columns(inspection.blocks, "time")
     used = {name for pose in inspection.sources for name in pose.columns} | {*joints}
     yield from ([name] for name in (*words, *filter(is_label, columns)) if name not in used)
 

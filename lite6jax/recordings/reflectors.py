@@ -5,7 +5,6 @@ of a row carries the shape onto its points (W. Kabsch, Acta Cryst. A32, 1976). A
 row in which all points are seen.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -14,16 +13,13 @@ from numpy.typing import NDArray
 
 from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns import sizes
-from lite6jax.recordings.columns.names import unit_of
+from lite6jax.recordings.columns.names import list_points, unit_of
 from lite6jax.recordings.columns.quantities import units_of
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 
 FEWEST_POINTS = 3
-_AXIS = re.compile(r"(?P<body>.*?)[\s_.:/\[-]*(?P<axis>[xyz])[\s_.\[(/-]*(?P<unit>mm|m|met(?:er|re)s?)?[\])\s]*", re.I)
-_TURNED = re.compile(r"rot|ori|quat|euler|rpy|vel|acc|force|torque|twist|angular|(?:^|[^a-z])[rqwa]$", re.I)
-"""In names of triples that are no points."""
 _RIGID = 0.02
 """Of the way of the points: their distances from each other, which a rigid body keeps, vary by less."""
 _FLAT = 0.05
@@ -90,7 +86,7 @@ def with_pose_of_reflectors(
         columns: `(row,)` numbers by name.
         candidates: the columns x y z of each point; by their names where not given.
     """
-    points = _rigid_points(reflector_columns(list(columns)) if candidates is None else candidates, columns)
+    points = _rigid_points(list_points(list(columns)) if candidates is None else candidates, columns)
     if not points:
         return None
     body = _rigid_pose(np.stack([np.stack([columns[name] for name in point], 1) for point in points], 1))
@@ -103,18 +99,6 @@ def with_pose_of_reflectors(
     pose |= dict(zip(("qw", "qx", "qy", "qz"), body.quaternion.T, strict=True))
     remaining = {name: column for name, column in columns.items() if name not in names | pose.keys()}
     return WithPose(remaining | pose, tuple(points), body, unit)
-
-
-def reflector_columns(names: Sequence[str]) -> list[tuple[str, str, str]]:
-    """The columns x y z of points of which there may be enough on a rigid body; empty where there are not."""
-    by_body: dict[tuple[str, str], dict[str, str]] = {}
-    for name in names:
-        if (match := _AXIS.fullmatch(name.strip())) and match["body"] and not _TURNED.search(match["body"]):
-            by_body.setdefault((match["body"], (match["unit"] or "").lower()), {}).setdefault(
-                match["axis"].lower(), name
-            )
-    points = [(axes["x"], axes["y"], axes["z"]) for axes in by_body.values() if len(axes) == 3]
-    return points if len(points) >= FEWEST_POINTS else []
 
 
 def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:

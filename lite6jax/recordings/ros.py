@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
+from lite6jax.recordings.columns.names import UR_JOINTS
 from lite6jax.recordings.columns.quantities import PLACE, QUATERNION, spelled
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
 
@@ -31,8 +32,6 @@ _SENT = re.compile(r"command|cmd|desired|target|setpoint|reference", re.IGNORECA
 _NO_POSITIONS = re.compile(r"veloc|effort|torque|current", re.IGNORECASE)
 _SAME_CLOCK = 100_000_000
 """ns, within which stamps of headers and of the log may be of one clock."""
-UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-"""Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
 METADATA = "metadata.yaml"
 """In the folder of a rosbag2."""
 _SHOWN = 8

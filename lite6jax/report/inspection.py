@@ -202,7 +202,7 @@ def sidecar_text(inspection: Inspection, settings: Mapping[str, Any], table: str
         of.add("torques")
     if inspection.of("cmd") is not None:
         of.add("commands")
-    if inspection.of("position") is not None or any(name.startswith("x_") for name in inspection.given.values()):
+    if inspection.holds("x"):
         of.add("poses")
     lines.append("recording:" if settings else "recording: {}  # nothing is declared yet")
     for key, (meaning, example) in KEYS.items():
@@ -268,7 +268,7 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     """What is still unknown, and the command that follows."""
     q, tau, current, position = map(inspection.of, ("q", "tau", "current", "position"))
     efforts = tau and tau.unit and tau.unit.sure == "assumed" and not says_torque(tau.columns[0])
-    timed = inspection.of("time") is not None or any(name.startswith("time") for name in inspection.given.values())
+    timed = inspection.holds("time")
     noises = []
     if tau is not None or current is not None:
         noises = list(_NOISES["tau"])

@@ -135,7 +135,7 @@ def with_joints(file: InspectedTable, arm: Arm, captures: bool = False) -> WithJ
         f"q{joint + 1}_{'m' if slides else 'rad'}": column
         for joint, (slides, column) in enumerate(zip(arm.slides, path.position.T, strict=True))
     }
-    times = {name: file.columns[name] for name in file.columns_of("time")}
+    times = {name: file.columns[name] for name in file.list_columns("time")}
     table = InspectedTable.of(times | columns, file.source, arm, file.inspection.given)
     return WithJoints(table, path, turned.renamed(form=form)[turned.columns[0]])
 
@@ -195,7 +195,7 @@ def join_files(joints: InspectedTable, poses: InspectedTable, arm: Arm) -> Joine
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     times = [file.in_si("time") for file in (joints, poses)]
-    used = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *joints.columns_of("time"), *poses.columns_of("time")}
+    used = {*_kept(joints, (*_OF_JOINTS, "time")), *_kept(poses, (*_OF_POSES, "time"))}
     left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in used)
     if (by_name := _joined_by_name(joints, poses, arm, q, position)) is not None:
         return by_name._replace(left_out=left_out)
@@ -270,7 +270,7 @@ def _joined_by_time(
         raise InputError(f"{who}: {error}{_assumed(joints, poses)}") from error
     robot_times = clocks.robot_time(at[placed] - start)
     used = _kept(joints, _OF_JOINTS)
-    names = [name for name in joints.columns_of("q") if name in used]
+    names = [name for name in joints.list_columns("q") if name in used]
     joined = join(stream.time, {name: column[states] for name, column in used.items()}, names, robot_times)
     rows = placed[joined.usable]
     table = {_TIME: robot_times[joined.usable] + first} | _table(joints, poses, joined.columns, rows)
@@ -292,7 +292,7 @@ def _table(joints: InspectedTable, poses: InspectedTable, moved: Mapping[str, Ar
 
 
 def _kept(file: InspectedTable, kinds: Sequence[str]) -> dict[str, Array]:
-    return {name: file.columns[name] for kind in kinds for name in file.columns_of(kind)}
+    return {name: file.columns[name] for kind in kinds for name in file.list_columns(kind)}
 
 
 def _joint_positions(file: InspectedTable, arm: Arm) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.columns import physics_of
+from lite6jax.domains.pose.deflections import physics_of
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.estimation.least_squares import Fit, fit, relinearise
 from lite6jax.estimation.options import EngineOptions

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import quaternion_from_rotation
-from lite6jax.domains.pose.columns import Deflections, columns_of, site_of
+from lite6jax.domains.pose.deflections import Deflections, columns_of, site_of
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
     MARGIN,

@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
-from lite6jax.domains.pose import columns
-from lite6jax.domains.pose.columns import Deflections, MassErrors, mass_errors, physics_of, site_of
+from lite6jax.domains.pose.deflections import (
+    Deflections,
+    MassErrors,
+    columns_of,
+    components,
+    mass_errors,
+    physics_of,
+    quantities,
+    site_of,
+)
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Site,
@@ -212,10 +220,10 @@ class PoseProblem(RigidArm):
             elif isinstance(effect, Loading) or not (effect.linear or not values[part].any()):
                 neighbours, at = (term_set, values) if beside is None else beside
                 unit = self.deflections.by_each(effect, values[part], physics_of(neighbours), at)
-                jacobian[part] = columns.columns_of(unit, self.sites)
+                jacobian[part] = columns_of(unit, self.sites)
             else:
                 if effect not in self._columns:
-                    self._columns[effect] = columns.columns_of(self.deflections.unit(effect), self.sites)
+                    self._columns[effect] = columns_of(self.deflections.unit(effect), self.sites)
                 jacobian[part] = self._columns[effect]
         return jacobian
 
@@ -225,7 +233,7 @@ class PoseProblem(RigidArm):
             return None
         key = term.where, term.component
         if key not in self._columns:
-            self._columns[key] = self.sites[columns.site_of(*key)][None]
+            self._columns[key] = self.sites[site_of(*key)][None]
         return Factored(self._columns[key], self.deflections.basis(term))
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
@@ -237,7 +245,7 @@ class PoseProblem(RigidArm):
         through = np.zeros((len(self.masses), self.rows, self.samples))
 
         def through_masses(effect: Effect, numbers: Array) -> Array:
-            return columns.columns_of(at.through_masses(self.masses, Physics((effect,)), numbers), self.sites)
+            return columns_of(at.through_masses(self.masses, Physics((effect,)), numbers), self.sites)
 
         for effect, part in zip(physics.effects, physics.slices, strict=True) if physics.loaded else ():
             if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:
@@ -275,7 +283,7 @@ class PoseProblem(RigidArm):
     @lazy
     def components(self) -> tuple[Component, ...]:
         """Of every site, as far as the sensor sees them."""
-        candidates = columns.components(self.sites, self.motion, 6 if self.rows == 6 else 3)
+        candidates = components(self.sites, self.motion, 6 if self.rows == 6 else 3)
         return tuple(
             component for component in candidates if component.site != "sensor" or isinstance(self.measured, PoseSensor)
         )
@@ -283,7 +291,7 @@ class PoseProblem(RigidArm):
     @lazy
     def quantities(self) -> tuple[DriverValues, ...]:
         """As far as they are known and vary."""
-        return columns.quantities(self.deflections.host_motion, self.deflections.loads)
+        return quantities(self.deflections.host_motion, self.deflections.loads)
 
     @property
     def every_run(self) -> NDArray[np.integer]:

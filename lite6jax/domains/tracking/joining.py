@@ -47,8 +47,8 @@ def join_commands(states: InspectedTable, commands: InspectedTable) -> JoinedCom
     Raises:
         InputError: a file without times, another number of joints, or times that do not overlap.
     """
-    sent = commands.columns_of("q")
-    measured = states.columns_of("q")
+    sent = commands.list_columns("q")
+    measured = states.list_columns("q")
     if len(sent) != len(measured):
         raise InputError(
             f"{commands.source}: has {len(sent)} joints and {states.source} {len(measured)}; leave out what is no "
@@ -82,7 +82,7 @@ def join_commands(states: InspectedTable, commands: InspectedTable) -> JoinedCom
             f"{commands.source} and {states.source}: no joint state lies between commands (commands {shown[0]}, joints "
             f"{shown[1]}); stamp both by one clock"
         )
-    times = states.columns_of("time")
+    times = states.list_columns("time")
     columns = {name: column[used] for name, column in states.columns.items() if name not in times}
     names = [_command_name(name, columns) for name in sent]
     columns = {"time_s": clocks[1][used], **columns, **dict(zip(names, joined[used].T, strict=True))}

@@ -171,7 +171,7 @@ def units_allowed(kind: str, *slides: bool) -> set[str]:
     return {unit for slide in slides or (False,) for unit in units_of(OF_POSES.get(kind, kind), slide) if unit}
 
 
-def columns_of(blocks: Iterable[Block], kind: str) -> list[str]:
+def list_columns(blocks: Iterable[Block], kind: str) -> list[str]:
     """The columns of all blocks of a kind: those of joints along the arm, all of a matrix."""
     of_kind = [block for block in blocks if block.kind == kind]
     names = [name for block in of_kind for name in block.matrix or block.columns]

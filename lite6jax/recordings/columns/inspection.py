@@ -23,7 +23,16 @@ from lite6jax.recordings import streams
 from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.cells import Words, is_label, write_whole
-from lite6jax.recordings.columns.column import KINDS, Block, Column, Decision, by_name, columns_of, in_si, units_allowed
+from lite6jax.recordings.columns.column import (
+    KINDS,
+    Block,
+    Column,
+    Decision,
+    by_name,
+    in_si,
+    list_columns,
+    units_allowed,
+)
 from lite6jax.recordings.columns.documented import (
     is_refused,
     is_standard,
@@ -197,6 +206,12 @@ class Inspection:
         """The names of the joint positions in a recording, along the arm: `q1_deg`, `q2_mm`."""
         members = [column for block in self.blocks if block.kind == "q" for column in block.members]
         return tuple(column.documented for column in sorted(members, key=lambda column: column.joint))
+
+    def holds(self, quantity: str) -> bool:
+        """Whether a column holds a quantity, as recognised or as given."""
+        recognised = [column.quantity for block in self.blocks for column in block.members]
+        given = [column.quantity for name in self.given.values() if (column := known_column(name))]
+        return quantity in (*recognised, *given)
 
     def of(self, kind: str) -> Block | None:
         """The block of a kind: of revolute joints where there are some."""
@@ -441,8 +456,8 @@ def _motors(
 
 def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
-    joints = columns_of(blocks, "q")
-    time = next(iter(columns_of(blocks, "time")), "")
+    joints = list_columns(blocks, "q")
+    time = next(iter(list_columns(blocks, "time")), "")
     for position in (block.columns for block in blocks if block.kind == "position"):
         try:
             if (merged := streams.merge(numbers, joints, position, time, [])) is not None:
@@ -454,7 +469,7 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
 
 def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with joints, where commands stand in other rows: each is held until the next."""
-    joints, commands, time, run = (columns_of(blocks, kind) for kind in ("q", "cmd", "time", "run"))
+    joints, commands, time, run = (list_columns(blocks, kind) for kind in ("q", "cmd", "time", "run"))
     if not time:
         return numbers
     of_run = {"run": numbers[run[0]]} if run else {}
@@ -641,7 +656,7 @@ def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Ar
     travel = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     pose = Pose((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
     q = [block for block in blocks if block.kind == "q"]
-    columns = columns_of(q, "q")
+    columns = list_columns(q, "q")
     if not columns:
         return pose
     sliding = tuple(joint - 1 for block in q if block.slides for joint in block.joints)
@@ -825,9 +840,9 @@ class InspectedTable(NamedTuple):
         row_labels = {name: values for name, values in self.columns.items() if name not in used and is_label(name)}
         return {**self.words, **{name: write_whole(values) for name, values in row_labels.items()}}
 
-    def columns_of(self, kind: str) -> list[str]:
+    def list_columns(self, kind: str) -> list[str]:
         """Its columns of a kind, those of joints along the arm."""
-        return columns_of(self.inspection.blocks, kind)
+        return list_columns(self.inspection.blocks, kind)
 
     def in_si(self, kind: str) -> Array | None:
         """`(row, column)` in SI units of a kind, those of joints along the arm; None where it has none."""

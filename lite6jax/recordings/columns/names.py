@@ -127,6 +127,7 @@ _GREEK = str.maketrans(
 _FRANKA_TWIST = re.compile(r"(?<![A-Za-z])d{1,2}P(?=_)")
 """Of libfranka's `O_dP_EE_d`, the velocity of the end effector, and `O_ddP_EE_c`, its acceleration."""
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+"""Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
 _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
@@ -135,6 +136,9 @@ _ROBOTS = (
     tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
+_AXIS = re.compile(r"(?P<point>.*?)[\s_.:/\[-]*(?P<axis>[xyz])[\s_.\[(/-]*(?P<unit>mm|m|met(?:er|re)s?)?[\])\s]*", re.I)
+_NO_POINT = re.compile(r"rot|ori|quat|euler|rpy|vel|acc|force|torque|twist|angular|(?:^|[^a-z])[rqwa]$", re.I)
+"""In names of triples that are no points."""
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
 _COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|d[xyz]|roll|pitch|yaw|alpha|beta|gamma")
@@ -273,6 +277,16 @@ def spoken_words(name: str) -> set[str]:
     """The words of a name, whatever letters they are of."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", normalize("NFKC", name))
     return {*re.findall(r"[^\W\d_]+", spaced.lower())}
+
+
+def list_points(names: Sequence[str]) -> list[tuple[str, str, str]]:
+    """The columns x y z of each point that has a name, as of reflectors on a body."""
+    by_point: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        if (match := _AXIS.fullmatch(name.strip())) and match["point"] and not _NO_POINT.search(match["point"]):
+            key = match["point"], (match["unit"] or "").lower()
+            by_point.setdefault(key, {}).setdefault(match["axis"].lower(), name)
+    return [(axes["x"], axes["y"], axes["z"]) for axes in by_point.values() if len(axes) == 3]
 
 
 def is_of_gripper(name: str) -> bool:

@@ -7,7 +7,7 @@ import pytest
 from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_motion, with_effects
 from scipy.spatial.transform import Rotation
 
-from lite6jax.domains.pose.columns import components, quantities
+from lite6jax.domains.pose.deflections import components, quantities
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic import (
     JointBacklash,
