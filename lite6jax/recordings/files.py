@@ -19,7 +19,7 @@ from lite6jax import suffixes
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError, command_line, require_type
-from lite6jax.recordings.columns.quantities import is_per_joint
+from lite6jax.recordings.columns.column import is_per_joint
 from lite6jax.recordings.formats import Asked, find_format
 from lite6jax.recordings.parquet import one_line
 from lite6jax.recordings.recording import Recording, check_scale, drop_missing

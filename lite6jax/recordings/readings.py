@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns.quantities import READINGS, spelled
+from lite6jax.recordings.columns.column import READINGS, spelled
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
 from lite6jax.sensors.kinds import KINDS, Kind

@@ -15,8 +15,8 @@ from lite6jax.arms.description import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
+from lite6jax.recordings.columns.column import MATRIX, OF_ARRAY, is_scalar, name_columns
 from lite6jax.recordings.columns.orientations import quaternions
-from lite6jax.recordings.columns.quantities import MATRIX, OF_ARRAY, is_scalar, name_columns
 from lite6jax.recordings.readings import Readings
 from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings

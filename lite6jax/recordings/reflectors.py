@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns import sizes
+from lite6jax.recordings.columns.column import units_of
 from lite6jax.recordings.columns.names import list_points, unit_of
-from lite6jax.recordings.columns.quantities import units_of
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
+from lite6jax.recordings.columns.column import PLACE, QUATERNION, spelled
 from lite6jax.recordings.columns.names import UR_JOINTS
-from lite6jax.recordings.columns.quantities import PLACE, QUATERNION, spelled
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
 
 Array = NDArray[np.floating]

@@ -22,7 +22,7 @@ from msgspec import Meta
 from lite6jax import suffixes
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
-from lite6jax.recordings.columns.quantities import IGNORED
+from lite6jax.recordings.columns.column import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres

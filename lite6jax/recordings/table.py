@@ -12,10 +12,9 @@ import pyarrow as pa
 from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
-from lite6jax.recordings.columns.column import Column
+from lite6jax.recordings.columns.column import LABELS, OF_ARRAY, Column, is_scalar, name_columns
 from lite6jax.recordings.columns.documented import nearest_known, parse_columns, sliding_of
 from lite6jax.recordings.columns.orientations import add_deviations, with_quaternions
-from lite6jax.recordings.columns.quantities import LABELS, OF_ARRAY, is_scalar, name_columns
 from lite6jax.recordings.readings import with_readings
 from lite6jax.recordings.streams import hold_commands, merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible

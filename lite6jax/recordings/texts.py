@@ -19,9 +19,9 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from lite6jax.errors import InputError
+from lite6jax.recordings.columns.column import LABELS, units_of
 from lite6jax.recordings.columns.documented import is_standard
 from lite6jax.recordings.columns.names import unit_of
-from lite6jax.recordings.columns.quantities import LABELS, units_of
 from lite6jax.recordings.pairs import holds_pairs, read_pairs
 from lite6jax.recordings.parquet import one_line
 from lite6jax.recordings.table import RawTable, Values, like_a_clock

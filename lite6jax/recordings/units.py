@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns.quantities import OF_ARRAY, QUANTITIES, name_columns
+from lite6jax.recordings.columns.column import OF_ARRAY, QUANTITIES, name_columns
 from lite6jax.recordings.columns.sizes import without_marks
 
 FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit affects most rows

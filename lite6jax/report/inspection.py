@@ -18,10 +18,19 @@ from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns.cells import NamedColumns, Points
-from lite6jax.recordings.columns.column import Block, Decision, units_allowed
+from lite6jax.recordings.columns.column import (
+    DEVIATION,
+    FINE,
+    IGNORED,
+    MATRIX,
+    Block,
+    Decision,
+    spelled,
+    units_allowed,
+    units_of,
+)
 from lite6jax.recordings.columns.inspection import READINGS_OF, Inspection, Pose, poses_of
 from lite6jax.recordings.columns.names import Role, says_torque, unit_of
-from lite6jax.recordings.columns.quantities import DEVIATION, FINE, IGNORED, MATRIX, spelled, units_of
 from lite6jax.recordings.reflectors import WithPose
 from lite6jax.recordings.streams import said_of
 from lite6jax.report.screen import indented, unbroken
@@ -61,12 +70,14 @@ def inspection_report(inspection: Inspection, path: str) -> Iterator[RenderableT
     for block in inspection.blocks:
         yield indented(statement(block))
         recognised |= block.renamed()
-    for column, (quantity, unit) in inspection.announced.items():
-        meaning = _TEXTS["readings"][quantity]
-        sure = "" if unit is None else _sure(unit)
-        yield indented(sentences.announced_column(column, meaning, inspection.given[column], sure))
+    for reading in inspection.announced:
+        meaning = _TEXTS["readings"][reading.kind]
+        sure = "" if reading.unit is None else _sure(reading.unit)
+        for column, name in reading.renamed().items():
+            yield indented(sentences.announced_column(column, meaning, name, sure))
+        recognised |= reading.renamed()
     for column, name in inspection.given.items():
-        if recognised.get(column) != name and column not in inspection.announced:
+        if recognised.get(column) != name:
             yield indented(f"{column}: {name}, {'by name' if column == name else 'as given'}.")
     for column, why in inspection.denied.items():
         yield indented(f"{column}: {_TEXTS['denied'][why]}, so it is not used.")

@@ -17,10 +17,10 @@ from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_o
 from lite6jax.errors import InputError
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns.cells import Names, match_names
+from lite6jax.recordings.columns.column import FORMS, PLACE, QUATERNION, Block, spelled
 from lite6jax.recordings.columns.inspection import InspectedTable
 from lite6jax.recordings.columns.kinematics import CLEARLY, CLOSE, FEWEST
 from lite6jax.recordings.columns.orientations import with_quaternions
-from lite6jax.recordings.columns.quantities import FORMS, PLACE, QUATERNION, spelled
 from lite6jax.recordings.streams import Joined, JointStream, in_order, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -121,9 +121,7 @@ def with_joints(file: InspectedTable, arm: Arm, captures: bool = False) -> WithJ
     path = None
     form = ""
     for form in dict.fromkeys([turned.form.choice, *further_forms]):
-        values = dict(zip(map(spelled, FORMS[form]), turned.in_si(file.columns).T, strict=True))
-        turns = with_quaternions(values, file.source)
-        path = solve(arm, position.in_si(file.columns), np.stack([turns[name] for name in QUATERNION], 1))
+        path = solve(arm, position.in_si(file.columns), _quaternions(file, turned, form))
         if path is not None:
             break
     if path is None:
@@ -167,9 +165,7 @@ def solve_pairs(file: InspectedTable, arm: Arm) -> SolvedPairs:
     if position is None or rotation is None or rotation.form is None or len(reached) < FEWEST:
         return SolvedPairs(columns, moved, False, (np.inf, np.inf))
     q = _joint_positions(solved, arm)
-    values = dict(zip(map(spelled, FORMS[rotation.form.choice]), rotation.in_si(columns).T, strict=True))
-    turns = with_quaternions(values, file.source)
-    R = Rotation.from_quat(np.stack([turns[name] for name in QUATERNION], 1), scalar_first=True)
+    R = Rotation.from_quat(_quaternions(solved, rotation, rotation.form.choice), scalar_first=True)
     places = position.in_si(columns)
     flange = flange_poses(arm, q)
     inverse = -R.inv().apply(places)
@@ -293,6 +289,13 @@ def _table(joints: InspectedTable, poses: InspectedTable, moved: Mapping[str, Ar
 
 def _kept(file: InspectedTable, kinds: Sequence[str]) -> dict[str, Array]:
     return {name: file.columns[name] for kind in kinds for name in file.list_columns(kind)}
+
+
+def _quaternions(file: InspectedTable, rotation: Block, form: str) -> Array:
+    """`(row, 4)`, scalar first, of orientations in a form."""
+    values = dict(zip(map(spelled, FORMS[form]), rotation.in_si(file.columns).T, strict=True))
+    turns = with_quaternions(values, file.source)
+    return np.stack([turns[name] for name in QUATERNION], 1)
 
 
 def _joint_positions(file: InspectedTable, arm: Arm) -> Array:

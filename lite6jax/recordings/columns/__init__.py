@@ -8,11 +8,11 @@ Two functions answer it, and no other module or domain does:
   command that reads a recording comes here through `recordings.table.tabulate`.
 
 Both speak of a `Column`: its name, quantity, joint and unit. Columns that are decided together are a `Block`, whose
-`Decision` says the unit or the form, how sure it is, and why (`column`). What decides, in this order:
+`Decision` says the unit or the form, how sure it is, and why. What decides, in this order:
 
 | module | decides |
 |---|---|
-| `quantities` | what a column may hold: the table of quantities with their units, arrays and usual words |
+| `column` | what a column may hold: the table `QUANTITIES` with units, arrays and usual words |
 | `documented` | by a documented name, or what is wrong with it |
 | `names`, `cells` | by words in names of people's own, and in cells: which blocks are possible |
 | `sizes` | by the size of numbers: whether they can be what names say, and in which unit |

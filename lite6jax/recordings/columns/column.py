@@ -1,16 +1,192 @@
-"""What a column of a table holds (`Column`), and columns that are decided together, with how sure that is and why."""
+"""What columns may hold, `QUANTITIES`, and what they do: a `Column` each, in a `Block` where they belong together."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from math import pi
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns.quantities import DEVIATION, FORMS, MATRIX, PLACE, QUANTITIES, spelled, units_of
-
 Array = NDArray[np.floating]
+
+
+class ColumnQuantity(NamedTuple):
+    """What a column may hold.
+
+    Attributes:
+        units: by name, the SI one first, each with the divisor that leads to it: dividing by 1000 rounds correctly.
+        of_slide: those of a prismatic joint; none where they are no others.
+        per_joint: whether there is a column for each joint.
+        array: of a recording, to which the column belongs.
+        largest: magnitude in SI units, beyond which no arm or sensor gives it.
+        common: whether the name without a unit is taken for a misspelling, and not for any column of the user's own.
+        words: by which people call such a column, in lower case.
+    """
+
+    units: dict[str, float]
+    of_slide: dict[str, float] = {}  # noqa: RUF012 (never changed)
+    per_joint: bool = False
+    array: str = ""
+    largest: float = math.inf
+    common: bool = True
+    words: frozenset[str] = frozenset()
+
+    def called(self, words: str) -> "ColumnQuantity":
+        """The same, with the words by which people call it, between spaces."""
+        return self._replace(words=frozenset(words.split()))
+
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
+"""The other forms of an orientation (`quaternions`)."""
+VECTOR, RPY, XYZ, ZYZ = ANGLES
+MATRIX = tuple(f"r{row}{column}" for row in "123" for column in "123")
+"""A rotation matrix, row by row."""
+FORMS: Mapping[str, tuple[str, ...]] = {
+    "scalar_first": QUATERNION,
+    "scalar_last": (*QUATERNION[1:], QUATERNION[0]),
+    **{form[0]: form for form in (MATRIX, *ANGLES)},
+}
+"""The parts of an orientation in the order of its columns, by the name of its form."""
+PLACE = ("x", "y", "z")
+DEVIATION = ("devx", "devy", "devz")
+"""Of the measured position from a nominal one, which x y z are where they stand beside them."""
+LABELS = ("contact", "plane", "anchor", "image")
+"""Columns of words that tell rows of one point, plane, anchor or image from the others."""
+READINGS = {
+    "contact": ("contact",),
+    "plane": ("plane",),
+    "distance": ("distance", "anchor"),
+    "axis": ("axis",),
+    "camera": ("u", "v", "image", "corner"),
+}
+"""The quantities of each kind of reading; the first tells of the kind."""
+IGNORED = "ignore"
+"""What a sidecar says of a column that is not to be read."""
+
+_USUAL_ANGLE = {"rad": 1.0, "deg": 180 / pi}
+_USUAL_LENGTH = {"m": 1.0, "mm": 1e3}
+_FINE_ANGLE = {"mrad": 1e3, "cdeg": 1.8e4 / pi, "mdeg": 1.8e5 / pi, "1e-4deg": 1.8e6 / pi}
+_FINE_LENGTH = {"cm": 1e2, "dmm": 1e4, "um": 1e6}
+"""Units of which devices write whole numbers; `dmm` is 0.1 mm."""
+FINE = frozenset((*_FINE_ANGLE, *_FINE_LENGTH))
+_ANGLE = _USUAL_ANGLE | _FINE_ANGLE
+_LENGTH = _USUAL_LENGTH | _FINE_LENGTH
+
+
+def _per(time: str) -> tuple[dict[str, float], dict[str, float]]:
+    """The units of rates, of turning and of sliding joints."""
+    turning = {f"{unit}_per_{time}": divisor for unit, divisor in _ANGLE.items()}
+    sliding = {f"{unit}_per_{time}": divisor for unit, divisor in _LENGTH.items()}
+    return turning, sliding
+
+
+_NONE = {"": 1.0}
+QUANTITIES: Mapping[str, ColumnQuantity] = {
+    "time": ColumnQuantity({"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}, array="time", largest=1e12).called(
+        "time timestamp datetime stamp elapsed clock duration"
+    ),
+    "q": ColumnQuantity(_ANGLE, _LENGTH, True, "joint_position", 2000 * pi).called(  # a joint that counts its turns on
+        "q joint joints jnt jt axis achse gelenk qpos theta th angle angles servo motor j"
+    ),
+    "dq": ColumnQuantity(*_per("s"), True, "joint_velocity", 1e4).called(
+        "dq qd qdot vel velocity velocities speed speeds dot dtheta qvel"
+    ),
+    "ddq": ColumnQuantity(*_per("s2"), True, "joint_acceleration", 1e7).called(
+        "ddq qdd qddot acc accel acceleration accelerations ddot qacc"
+    ),
+    "tau": ColumnQuantity({"Nm": 1.0, "mNm": 1e3}, {"N": 1.0, "kN": 1e-3}, True, "joint_torque", 1e5).called(
+        "tau torque torques effort efforts eff trq moment moments qfrc"
+    ),
+    "current": ColumnQuantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5).called("current currents amps"),
+    "temp": ColumnQuantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4).called("temp temperature temperatures"),
+    "cmd": ColumnQuantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
+    "ambient": ColumnQuantity({"degC": 1.0}, array="ambient_temperature", largest=1e4).called(
+        "ambient amb room air env environment"
+    ),
+    "payload": ColumnQuantity({"kg": 1.0}, array="payload", largest=1e5).called("payload"),
+    "run": ColumnQuantity(_NONE, array="run").called("run episode trial segment"),
+    **dict.fromkeys(
+        PLACE, ColumnQuantity(_LENGTH, array="position", largest=1e7)
+    ),  # which a float resolves to nanometres
+    **dict.fromkeys(DEVIATION, ColumnQuantity(_LENGTH, common=False)),
+    **dict.fromkeys(QUATERNION, ColumnQuantity(_NONE, array="quaternion")),
+    **dict.fromkeys(MATRIX, ColumnQuantity(_NONE)),
+    **{part: ColumnQuantity(_ANGLE, common=False) for form in ANGLES for part in form},
+    "missing": ColumnQuantity(_NONE),
+    "distance": ColumnQuantity(_LENGTH, common=False).called(
+        "wire rope cable string draw distance dist length range extension seil seillänge länge abstand distanz"
+    ),
+    "axis": ColumnQuantity(_LENGTH, common=False).called(
+        "dial gauge indicator height z plunger lvdt messuhr höhe taster uhr"
+    ),
+    "corner": ColumnQuantity(_NONE),
+    **dict.fromkeys(("u", "v"), ColumnQuantity({"px": 1.0}, common=False)),
+    **dict.fromkeys(LABELS, ColumnQuantity(_NONE)),
+    "contact": ColumnQuantity(_NONE).called(
+        "socket sockets contact contacts nest ball cone hole point points target feature touched fiducial "
+        "punkt messpunkt kugel pfanne buchse"
+    ),
+    "plane": ColumnQuantity(_NONE).called(
+        "plane planes plate plates face faces surface surfaces wall ebene fläche platte wand"
+    ),
+    "anchor": ColumnQuantity(_NONE).called("anchor anchors post anker"),
+}
+"""What columns may hold, by the beginning of their names in a recording: of poses, torques and commands alike."""
+OF_ARRAY: dict[str, tuple[str, ...]] = {
+    definition.array: tuple(name for name, sibling in QUANTITIES.items() if sibling.array == definition.array)
+    for definition in QUANTITIES.values()
+    if definition.array
+}
+"""The quantities of each array of a recording."""
+
+
+def units_of(quantity: str, slides: bool = False, fine: bool = True) -> dict[str, float]:
+    """The accepted units of a quantity, the SI one first, with what to divide by to get there.
+
+    Args:
+        quantity: such as `q` or `x`.
+        slides: whether it is that of a prismatic joint.
+        fine: whether those of `FINE` are among them.
+    """
+    definition = QUANTITIES[quantity]
+    units = definition.of_slide if slides and definition.of_slide else definition.units
+    return units if fine else {unit: divisor for unit, divisor in units.items() if unit.partition("_")[0] not in FINE}
+
+
+def differs_by_joint(quantity: str) -> bool:
+    """Whether a prismatic joint has other units of it than a revolute one."""
+    return bool(QUANTITIES[quantity].of_slide)
+
+
+def is_per_joint(quantity: str) -> bool:
+    """Whether there is one column for each joint."""
+    return quantity in QUANTITIES and QUANTITIES[quantity].per_joint
+
+
+def spelled(quantity: str, joint: int = 0, unit: str | None = None, slides: bool = False) -> str:
+    """The name of a column: of a joint counted from 1, in a unit, the SI one where none is given."""
+    unit = next(iter(units_of(quantity, slides))) if unit is None else unit
+    return f"{quantity}{joint or ''}" + (f"_{unit}" if unit else "")
+
+
+def name_columns(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> list[str]:
+    """The names in SI units of the columns of an array of a recording; prismatic joints count from 0."""
+    quantities = OF_ARRAY[array]
+    if not is_per_joint(quantities[0]):
+        return [spelled(quantity) for quantity in quantities]
+    return [spelled(quantities[0], joint + 1, slides=joint in sliding) for joint in range(joints)]
+
+
+def is_scalar(array: str) -> bool:
+    """Whether an array of a recording has one number a sample, `(sample,)`."""
+    return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
+
+
+# ------------------------------------------------------------------ what columns hold
 
 Sureness = Literal["certain", "likely", "assumed"]
 """By name or by kinematics; by size; or the usual one, where neither tells."""
@@ -18,8 +194,8 @@ KINDS = (
     *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "deviation", "rotation"),
     *("time", "payload", "ambient", "run"),
 )
-OF_POSES = {"position": "x", "deviation": "devx", "rotation": "rx"}
-"""Quantities of the units of poses."""
+OF_POSES = {"position": PLACE, "deviation": DEVIATION, "rotation": VECTOR}
+"""The quantities of kinds that are no quantities, of rotations in one of their forms."""
 
 
 class Column(NamedTuple):
@@ -122,12 +298,17 @@ class Block:
         return self.kind, self.slides
 
     @property
+    def quantities(self) -> tuple[str, ...]:
+        """Of its columns, or of those of each joint; of a rotation without a form those of one with the same units."""
+        if self.form:
+            return FORMS[self.form.choice]
+        return OF_POSES.get(self.kind, (self.kind,))
+
+    @property
     def members(self) -> tuple[Column, ...]:
         """Each of the columns, once unit and form are decided."""
-        places = {"position": PLACE, "deviation": DEVIATION}
-        parts = FORMS[self.form.choice] if self.form else places.get(self.kind, (self.kind,))
         unit = self.unit.choice if self.unit else ""
-        held = product(parts, self.joints or (0,))
+        held = product(self.quantities, self.joints or (0,))
         return tuple(
             Column(name, quantity, joint, unit) for name, (quantity, joint) in zip(self.columns, held, strict=True)
         )
@@ -135,8 +316,7 @@ class Block:
     @property
     def units(self) -> dict[str, float]:
         """The units in which the columns may be, as `units_of`."""
-        quantity = FORMS[self.form.choice][0] if self.form else OF_POSES.get(self.kind, self.kind)
-        return units_of(quantity, self.slides)
+        return units_of(self.quantities[0], self.slides)
 
     @property
     def forms(self) -> tuple[str, ...]:
@@ -168,7 +348,7 @@ class Block:
 
 def units_allowed(kind: str, *slides: bool) -> set[str]:
     """The units that a kind of block may have, of revolute joints unless it is said of which."""
-    return {unit for slide in slides or (False,) for unit in units_of(OF_POSES.get(kind, kind), slide) if unit}
+    return {unit for slide in slides or (False,) for unit in units_of(OF_POSES.get(kind, (kind,))[0], slide) if unit}
 
 
 def list_columns(blocks: Iterable[Block], kind: str) -> list[str]:

@@ -5,8 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import NamedTuple
 
-from lite6jax.recordings.columns.column import Column
-from lite6jax.recordings.columns.quantities import (
+from lite6jax.recordings.columns.column import (
     ANGLES,
     DEVIATION,
     IGNORED,
@@ -15,6 +14,7 @@ from lite6jax.recordings.columns.quantities import (
     QUANTITIES,
     QUATERNION,
     READINGS,
+    Column,
     is_per_joint,
     spelled,
     units_of,

@@ -24,14 +24,22 @@ from lite6jax.recordings.alignment import computed_by_controller, digit_step, me
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.cells import Words, is_label, write_whole
 from lite6jax.recordings.columns.column import (
+    DEVIATION,
+    FORMS,
+    IGNORED,
     KINDS,
+    MATRIX,
+    PLACE,
     Block,
     Column,
     Decision,
     by_name,
+    differs_by_joint,
     in_si,
+    is_per_joint,
     list_columns,
     units_allowed,
+    units_of,
 )
 from lite6jax.recordings.columns.documented import (
     is_refused,
@@ -54,17 +62,6 @@ from lite6jax.recordings.columns.names import (
     unit_of,
 )
 from lite6jax.recordings.columns.orientations import is_no_rotation, quaternions
-from lite6jax.recordings.columns.quantities import (
-    DEVIATION,
-    FORMS,
-    IGNORED,
-    MATRIX,
-    PLACE,
-    differs_by_joint,
-    is_per_joint,
-    spelled,
-    units_of,
-)
 
 Array = NDArray[np.floating]
 
@@ -142,8 +139,7 @@ class Inspection:
         sources: the poses; where several are possible and none is taken, the caller is to choose.
         motors: groups of joint positions of which nothing says which are the arm's; empty where that is clear.
         in_file: of columns that are called otherwise in the file, their names there.
-        announced: columns of `given` that are readings as `pose_source` says, with what it says and the unit of those
-            that have one.
+        announced: columns of `given` that are readings as `pose_source` says, a block each, of a kind of reading.
         likely_readings: where `pose_source` does not say of readings, what it would say, of which column, and what that
             would be.
         unclear_deviations: columns of deviations from positions of which nothing says that they are nominal.
@@ -164,7 +160,7 @@ class Inspection:
     sources: tuple[Pose, ...]
     motors: tuple[tuple[str, ...], ...] = ()
     in_file: Mapping[str, str] = field(default_factory=dict)
-    announced: Mapping[str, tuple[str, Decision | None]] = field(default_factory=dict)
+    announced: tuple[Block, ...] = ()
     likely_readings: tuple[tuple[str, str, str], ...] = ()
     unclear_deviations: tuple[str, ...] = ()
     unread_commands: tuple[tuple[str, tuple[str, ...]], ...] = ()
@@ -326,7 +322,7 @@ def inspect(
     decided = decide(blocks, numbers, agreed, arm)
     used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
-    announced: dict[str, tuple[str, Decision | None]] = {}
+    announced: tuple[Block, ...] = ()
     likely: list[tuple[str, str, str]] = []
     if not read and not any(map(reading_of, given.values())):
         unread = {name: values for name, values in numbers.items() if name not in used}
@@ -334,12 +330,11 @@ def inspect(
         if pose_source is not None and pose_source in READINGS_OF:
             announced = _readings(pose_source, unread, cells)
         else:
-            called = {of: _readings(of, unread, cells, only_called=True) for of in READINGS_OF}
-            likely = [
-                (of, name, quantity) for of, readings in called.items() for name, (quantity, _) in readings.items()
-            ]
-        given |= {name: spelled(quantity, unit=unit and unit.choice) for name, (quantity, unit) in announced.items()}
-        used |= announced.keys()
+            called = [(of, reading) for of in READINGS_OF for reading in _readings(of, unread, cells, only_called=True)]
+            likely = [(of, reading.columns[0], reading.kind) for of, reading in called]
+        for reading in announced:
+            given |= reading.renamed()
+        used |= given.keys()
     return Inspection(
         blocks=decided,
         given=given,
@@ -387,8 +382,8 @@ READINGS_OF: Mapping[str, tuple[str, ...]] = {
 
 def _readings(
     pose_source: str, numbers: Mapping[str, Array], words: Mapping[str, Words], only_called: bool = False
-) -> dict[str, tuple[str, Decision | None]]:
-    """The columns that are readings of a source: those that are called so, or the only ones that may be.
+) -> tuple[Block, ...]:
+    """The columns that are readings of a source, a block each: those that are called so, or the only ones that may be.
 
     Args:
         pose_source: of `READINGS_OF`.
@@ -397,7 +392,7 @@ def _readings(
         only_called: whether only those are wanted that are called so.
 
     Returns:
-        the quantity of each, and the unit of what has one; none where several columns may be meant.
+        none where several columns may be meant.
     """
     kinds = READINGS_OF[pose_source]
     labels = {name: [*cells] for name, cells in words.items()}
@@ -413,19 +408,17 @@ def _readings(
     if not called and not only_called:
         chosen = possible
     if len(chosen) != 1:
-        return {}
+        return ()
     name = chosen[0]
     if pose_source == "touch":
-        meant = reading_words(name)
-        if "plane" in meant and "contact" not in meant:
-            return {name: ("plane", None)}
-        return {name: ("contact", None)}
+        is_plane = reading_words(name) & {*kinds} == {"plane"}
+        return (Block("plane" if is_plane else "contact", (name,)),)
     stated = unit_of(name)
     unit = by_name(stated) if stated else sizes.length_unit(numbers[name][:, None])
-    readings: dict[str, tuple[str, Decision | None]] = {name: (kinds[0], unit)}
+    readings = (Block(kinds[0], (name,), unit),)
     anchors = [label for label in labels if "anchor" in reading_words(label)]
     if kinds == ("distance",) and len(anchors) == 1:
-        readings[anchors[0]] = "anchor", None
+        readings += (Block("anchor", (anchors[0],)),)
     return readings
 
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import sizes
-from lite6jax.recordings.columns.column import KINDS, Block, Decision, Sureness, in_si
+from lite6jax.recordings.columns.column import ANGLES, KINDS, MATRIX, Block, Decision, Sureness, in_si, units_of
 from lite6jax.recordings.columns.orientations import quaternions
-from lite6jax.recordings.columns.quantities import ANGLES, MATRIX, units_of
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
 
 Array = NDArray[np.floating]

@@ -15,16 +15,20 @@ from unicodedata import combining, normalize
 import numpy as np
 
 from lite6jax.recordings.columns.column import (
+    ANGLES,
     KINDS,
+    MATRIX,
     OF_POSES,
+    PLACE,
+    QUANTITIES,
     Block,
     Decision,
     Sureness,
     by_name,
+    is_per_joint,
     units_allowed,
 )
 from lite6jax.recordings.columns.documented import is_standard
-from lite6jax.recordings.columns.quantities import ANGLES, MATRIX, PLACE, QUANTITIES, is_per_joint
 
 Role = Literal["controller", "sensor"]
 
@@ -109,7 +113,7 @@ _UNITS |= {
     for word, form in product(words.split(), forms.split())
 }
 _UNITS |= {re.sub(r"^([\d.]+)", r"\1 ", word): unit for word, unit in _UNITS.items() if word.startswith("0.")}
-"""Units as `quantities` has them, by how people write them."""
+"""Units as `QUANTITIES` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )

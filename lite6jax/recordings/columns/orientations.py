@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns.quantities import (
+from lite6jax.recordings.columns.column import (
     ANGLES,
     DEVIATION,
     MATRIX,

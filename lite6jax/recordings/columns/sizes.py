@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.recordings.columns.column import Decision, Sureness, by_name
-from lite6jax.recordings.columns.quantities import FINE, MATRIX, units_of
+from lite6jax.recordings.columns.column import FINE, MATRIX, Decision, Sureness, by_name, units_of
 
 Array = NDArray[np.floating]
 
