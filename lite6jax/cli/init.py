@@ -478,7 +478,7 @@ def _join(
         for table in (first, second)
     ]
     with_joints = [file for file in joined if file.inspection.of("q") is not None]
-    if len(with_joints) == 2 and (place := tracking_joining.find_commands(joined)) is not None:
+    if len(with_joints) == 2 and (place := recognition.find_commands(joined)) is not None:
         return _join_commands((first, second), joined, place, notes)
     if arm is None and len(with_joints) < 2:
         example = command_line("init", *sources, "--arm", "NAME")

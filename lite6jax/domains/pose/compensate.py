@@ -25,6 +25,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import ArmJoints, Recording, Targets, assemble_motion, read_targets, sidecar_path
+from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.inspection import inspect
 from lite6jax.recordings.files import declare_anew, open_table, require_table
 from lite6jax.recordings.settings import read_sidecar
@@ -43,8 +44,6 @@ _SINGULAR = 2e-3
 """m: with a smaller error inside the joint limits, a target is next to a singular position; else out of reach."""
 _FAR = 0.2
 """rad: a solution further than this from the joint positions given is reported."""
-_NEAREST = 0.03
-"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _STARTS = (8, 24, 96)
 """Random joint positions to start from where none are given, and how many more where these do not converge."""
 _NEAR = 1e-2
@@ -257,7 +256,7 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     path = require_table(path)
     reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
-    columns, notes = _recognised(path, model, reach, given or {})
+    columns, notes = _name_targets(path, model, reach, given or {})
     recording, start = read_targets(path, model.dof, model.joint_limits, reach, columns)
     recording = replace(recording, notes=(*notes, *recording.notes))
     settings = recording.settings
@@ -268,13 +267,13 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm, given: Mapping[str,
     return Targets(declare_anew(recording, settings), start)
 
 
-def _recognised(
+def _name_targets(
     path: Path, model: DiagnosedArm, reach: float, meanings: Mapping[str, str]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
     """The names in a recording of a table's own names, and a note; empty where it has a recording's names already."""
     declared = read_sidecar(sidecar_path(path)).columns
     _, table = open_table(path, (), ArmJoints(model.dof), [])
-    if not meanings and (declared or any(name in ("x_m", "x_mm") for name in table.names)):
+    if not meanings and (declared or {"x_m", "x_mm"} & {*table.names}):
         return {}, ()
     columns = dict(table.numbers())
     inspection = inspect(list(columns.items()), given={**declared, **meanings}, source=str(path))
@@ -297,29 +296,19 @@ def _recognised(
     assert place.unit is not None
     unit = place.unit.choice
     if place.unit.reason != "name":
-        points = np.stack([np.asarray(columns[name], float) for name in place.columns], 1)
-        T = np.asarray(model.model.T_sensor_base)
-        units = [
-            name
-            for name, size in place.units.items()
-            if name in ("m", "mm") and _can_be_reached(points / size, reach, T)
-        ]
-        if len(units) != 1:
+        numbers = {name: values for name, values in columns.items() if values is not None}
+        sensor = np.asarray(model.model.T_sensor_base)[:3, 3]
+        reachable = sizes.unit_within_reach(place.values(numbers), reach, (np.zeros(3), sensor))
+        if reachable is None:
             name = place.columns[0]
             raise InputError(
                 f"{path}: whether {', '.join(place.columns)} are in m or mm is not certain; say it: --column "
                 f"{name}=x_mm (or x_m), and likewise the others, or `columns:` in its sidecar"
             )
-        unit = units[0]
+        unit = reachable
     meant = inspection.columns | place.renamed(unit=unit)
     pairs = ", ".join(f"{column}={name}" for column, name in meant.items() if name != "ignore" and column != name)
     return meant, ((f"columns are read as {pairs}",) if pairs else ())
-
-
-def _can_be_reached(points: Array, reach: float, T_sensor_base: Array) -> bool:
-    """Whether most points `(row, 3)` m, in the base's frame or the sensor's, are where an arm can work."""
-    far = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in (np.zeros(3), T_sensor_base[:3, 3])]
-    return any(_NEAREST * reach < distance < 1.1 * reach for distance in far)
 
 
 def _reached(solved: InverseSolution) -> Flags:

@@ -1,10 +1,8 @@
 """The commands of one file beside the measured joints of another: each command is held until the next.
 
-Both files must be stamped by one clock. The file with the commands is found by the names of its columns, else by its
-own name, else by a text column that says so in all rows.
+Both files must be stamped by one clock.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns.inspection import InspectedTable
-from lite6jax.recordings.columns.names import says_commanded, tells_of_commands
+from lite6jax.recordings.columns.names import says_commanded
 from lite6jax.recordings.streams import Held, hold, in_order, said_of_commands
 
 Array = NDArray[np.floating]
@@ -30,15 +28,6 @@ class JoinedCommands(NamedTuple):
     columns: dict[str, Array]
     commands: int
     dropped: list[str]
-
-
-def find_commands(files: Sequence[InspectedTable]) -> int | None:
-    """Which of two files with joint positions has the commands; None where nothing says it of one alone."""
-    for says in (_by_columns, _by_name, _by_cells):
-        commanded = [says(file) for file in files]
-        if sum(commanded) == 1:
-            return commanded.index(True)
-    return None
 
 
 def join_commands(states: InspectedTable, commands: InspectedTable) -> JoinedCommands:
@@ -110,17 +99,3 @@ def _command_name(name: str, columns: dict[str, Array]) -> str:
     if says_commanded(name) and name not in columns:
         return name
     return f"commanded.{name}"
-
-
-def _by_columns(file: InspectedTable) -> bool:
-    q = file.inspection.of("q")
-    return q is not None and q.rank == 2
-
-
-def _by_name(file: InspectedTable) -> bool:
-    return tells_of_commands(file.stem)
-
-
-def _by_cells(file: InspectedTable) -> bool:
-    vocabularies = [{*cells} for cells in file.words.values()]
-    return any(tells_of_commands(*words) for words in vocabularies if len(words) == 1)

@@ -59,6 +59,7 @@ from lite6jax.recordings.columns.names import (
     pose_sources,
     reading_words,
     source_words,
+    tells_of_commands,
     unit_of,
 )
 from lite6jax.recordings.columns.orientations import is_no_rotation, quaternions
@@ -840,3 +841,19 @@ class InspectedTable(NamedTuple):
     def in_si(self, kind: str) -> Array | None:
         """`(row, column)` in SI units of a kind, those of joints along the arm; None where it has none."""
         return in_si(self.inspection.blocks, kind, self.columns)
+
+
+def find_commands(tables: Sequence[InspectedTable]) -> int | None:
+    """Which of two tables with joint positions has the commands; None where nothing says it of one alone.
+
+    The names of its columns say it, else its own, else a text column that says so in all rows.
+    """
+    joints = [table.inspection.of("q") for table in tables]
+    by_columns = [q is not None and q.rank == 2 for q in joints]
+    by_name = [tells_of_commands(table.stem) for table in tables]
+    constant = [[words for cells in table.words.values() if len(words := {*cells}) == 1] for table in tables]
+    by_cells = [any(tells_of_commands(*words) for words in vocabularies) for vocabularies in constant]
+    for commanded in (by_columns, by_name, by_cells):
+        if sum(commanded) == 1:
+            return commanded.index(True)
+    return None

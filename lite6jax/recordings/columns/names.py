@@ -178,7 +178,7 @@ class Source(NamedTuple):
         return "sensor" if words & _SENSOR else None
 
 
-class _Word(NamedTuple):
+class _SplitName(NamedTuple):
     """A name taken apart: what its block shares, the number or component, the unit, and all of its words."""
 
     name: str
@@ -196,7 +196,7 @@ def candidate_blocks(names: Sequence[str], joint_names: Sequence[str] = ()) -> l
         names: of the columns that hold numbers, in order.
         joint_names: of the arm, along it, where it has some.
     """
-    words = [_taken_apart(name) for name in names]
+    words = [_split_name(name) for name in names]
     blocks = [*_joint_labels(words, joint_names)]
     labelled = {name for block in blocks for name in block.columns}
     words = [word for word in words if word.name not in labelled and not _is_unused(word)]
@@ -207,7 +207,7 @@ def candidate_blocks(names: Sequence[str], joint_names: Sequence[str] = ()) -> l
     return sorted(blocks, key=lambda block: min(place[name] for name in block.columns))
 
 
-def _is_unused(word: _Word) -> bool:
+def _is_unused(word: _SplitName) -> bool:
     """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
     unused = _UNUSED & {*word.all_words}
     return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
@@ -268,7 +268,7 @@ def pose_sources(blocks: Sequence[Block]) -> list[Source]:
 
 def unit_of(name: str) -> str | None:
     """The unit that a column's name states; None where it states none."""
-    return _taken_apart(name).unit
+    return _split_name(name).unit
 
 
 def reading_words(name: str) -> set[str]:
@@ -295,12 +295,12 @@ def list_points(names: Sequence[str]) -> list[tuple[str, str, str]]:
 
 def is_of_gripper(name: str) -> bool:
     """Whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
-    return bool({"gripper", "finger", "jaw"} & {*_taken_apart(name).all_words})
+    return bool({"gripper", "finger", "jaw"} & {*_split_name(name).all_words})
 
 
 def says_commanded(name: str) -> bool:
     """Whether a name is of what was commanded, and not of what was measured."""
-    words = {*_taken_apart(name).all_words}
+    words = {*_split_name(name).all_words}
     return bool(words & _WANTED) and not words & _MEASURED
 
 
@@ -311,16 +311,16 @@ def tells_of_commands(text: str) -> bool:
 
 def says_torque(name: str) -> bool:
     """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
-    return not {"effort", "efforts"} & {*_taken_apart(name).all_words} and not is_standard(name)
+    return not {"effort", "efforts"} & {*_split_name(name).all_words} and not is_standard(name)
 
 
 def source_words(names: Iterable[str]) -> tuple[str, ...]:
     """The words by which the columns of one pose say whose it is."""
-    listed = [_taken_apart(name).words for name in names]
+    listed = [_split_name(name).words for name in names]
     return tuple(word for word in _source(listed[0]) if all(word in words for words in listed))
 
 
-def _taken_apart(name: str) -> _Word:
+def _split_name(name: str) -> _SplitName:
     text = name
     unit = None
     match = _UNIT.search(name)
@@ -352,7 +352,7 @@ def _taken_apart(name: str) -> _Word:
         component = parts.pop()
     elif digits:
         number = int(parts.pop(digits[-1])[:9])
-    return _Word(name, tuple(parts), number, component, unit, all_words)
+    return _SplitName(name, tuple(parts), number, component, unit, all_words)
 
 
 def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | None:
@@ -375,7 +375,7 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     return bound[0] if quantity in (None, "q") and len(bound) == 1 else None
 
 
-def _block(kind: str, words: Sequence[_Word], stem: Sequence[str], **options: object) -> Iterator[Block]:
+def _block(kind: str, words: Sequence[_SplitName], stem: Sequence[str], **options: object) -> Iterator[Block]:
     """Columns as a block, unless their units are of something else."""
     units = {word.unit for word in words}
     unit = units.pop() if len(units) == 1 else None
@@ -415,9 +415,11 @@ def _form(words: Iterable[str]) -> Decision | None:
     return by_name("roll", "likely") if "rpy" in words else None
 
 
-def _grouped(words: Sequence[_Word], index: Literal["number", "component"]) -> dict[tuple[str, ...], dict[Any, _Word]]:
+def _grouped(
+    words: Sequence[_SplitName], index: Literal["number", "component"]
+) -> dict[tuple[str, ...], dict[Any, _SplitName]]:
     """Words that differ in their number or component alone, by what they share."""
-    groups: dict[tuple[str, ...], dict[Any, _Word]] = {}
+    groups: dict[tuple[str, ...], dict[Any, _SplitName]] = {}
     for word in words:
         if (at := getattr(word, index)) is not None:
             groups.setdefault(word.words, {}).setdefault(at, word)
@@ -430,7 +432,7 @@ def _counts(numbers: Iterable[int]) -> bool:
     return listed in ([*range(len(listed))], [*range(1, len(listed) + 1)])
 
 
-def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
+def _joint_labels(words: Sequence[_SplitName], joint_names: Sequence[str]) -> Iterator[Block]:
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
     used: set[str] = set()
     state = [
@@ -440,11 +442,11 @@ def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterato
         if not _UNUSED & set(word.all_words)
     ]
     for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
-        labels = [_taken_apart(name).all_words for name in names]
+        labels = [_split_name(name).all_words for name in names]
         labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
         if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
             continue  # numbers say which joint it is
-        groups: dict[tuple[str, ...], dict[int, _Word]] = {}
+        groups: dict[tuple[str, ...], dict[int, _SplitName]] = {}
         for (k, label), word in product(enumerate(labels), words):
             at = next(
                 (i for i in range(len(word.all_words)) if label and word.all_words[i : i + len(label)] == label), None
@@ -460,9 +462,9 @@ def _joint_labels(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterato
                     yield block
 
 
-def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
+def _matrices(words: Sequence[_SplitName]) -> Iterator[Block]:
     """Homogeneous and rotation matrices, by two indices (`T00`, `r_1_1`) or by one in either order (`O_T_EE_0`)."""
-    pairs: dict[tuple[str, ...], dict[tuple[int, int], _Word]] = {}
+    pairs: dict[tuple[str, ...], dict[tuple[int, int], _SplitName]] = {}
     for word in words:
         if match := re.fullmatch(r"(.*?) ?(\d) ?(\d)", " ".join(word.all_words)):
             pairs.setdefault(tuple(match[1].split()), {})[int(match[2]), int(match[3])] = word
@@ -487,7 +489,7 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
             yield from _block("position", [*grid[:3, 3]], stem, **options)
 
 
-def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
+def _scalars(words: Sequence[_SplitName]) -> Iterator[Block]:
     for word in words:
         present = set(word.words)
         stated = word.unit
@@ -505,7 +507,7 @@ def _scalars(words: Sequence[_Word]) -> Iterator[Block]:
             yield from _block("run", [word], (), weak=len(present - _RUNS - {"index"}))
 
 
-def _components(words: Sequence[_Word]) -> Iterator[Block]:
+def _components(words: Sequence[_SplitName]) -> Iterator[Block]:
     """Positions and rotations whose columns end in x, y, z, w, roll, rx and the like."""
     for stem, group in _grouped(words, "component").items():
         if _quantity({*stem} - {*_POSE, *_PLACE}) not in (None, "q"):
@@ -534,7 +536,7 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
                 yield from _block("rotation", members, stem, form=by_name(form, sure) if form else None, source=source)
 
 
-def _unnumbered(words: Sequence[_Word]) -> list[Block]:
+def _unnumbered(words: Sequence[_SplitName]) -> list[Block]:
     """`position velocity torque` of the only joint there is; none without a position."""
     alone = [word for word in words if word.number is None and word.component is None and not _side(word.words)]
     kinds = [(word, _quantity(word.words, [word.unit])) for word in alone if word.words]
@@ -542,7 +544,7 @@ def _unnumbered(words: Sequence[_Word]) -> list[Block]:
     return blocks if any(block.kind == "q" for block in blocks) else []
 
 
-def _numbers(words: Sequence[_Word]) -> Iterator[Block]:
+def _numbers(words: Sequence[_SplitName]) -> Iterator[Block]:
     """Blocks whose columns differ in a number: joints, or a pose of six or seven numbers."""
     for stem, group in _grouped(words, "number").items():
         count = len(group)

@@ -31,6 +31,8 @@ LARGE_NM = 2000.0
 """Beyond, torques are millinewton metres."""
 _CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 """Times since 1970, by their least magnitude."""
+_NEAREST = 0.03
+"""Of the reach, that points lie from the base at least: taken a thousand times too small, they all lie within."""
 _SLOW = 2e-3
 _FAST = 8.0
 """rad/s: between them is the median speed of joints that move from row to row."""
@@ -202,6 +204,23 @@ def length_unit(position: Array) -> Decision:
         return Decision("mm", sure, "beyond_reach", numbers)
     # an arm that moved less than 5 mm is not measured
     return Decision("m", "likely" if spread < 5.0 else "assumed", "within_reach", numbers)
+
+
+def unit_within_reach(position: Array, reach: float, centres: Sequence[Array]) -> str | None:
+    """`m` or `mm`, in which most positions are where an arm can work; None where that is of both or of neither.
+
+    Args:
+        position: `(row, 3)`.
+        reach: m, of the arm.
+        centres: `(3,)` m each, where its base may be.
+    """
+    units = []
+    for unit in ("m", "mm"):
+        points = position / units_of("x")[unit]
+        distances = [np.nanmedian(np.linalg.norm(points - centre, axis=1)) for centre in centres]
+        if any(_NEAREST * reach < distance < 1.1 * reach for distance in distances):
+            units.append(unit)
+    return units[0] if len(units) == 1 else None
 
 
 def current_unit(current: Array) -> Decision:
