@@ -104,7 +104,7 @@ def with_pose_of_reflectors(
 def _rigid_points(points: Sequence[tuple[str, str, str]], columns: Mapping[str, Array]) -> list[tuple[str, str, str]]:
     """Those of some points that keep their distances from each other while they move: the largest such group."""
     placed = {point: _seen(np.stack([columns[name] for name in point], 1)) for point in points}
-    visible = (place[np.isfinite(place).all(axis=1)] for place in placed.values())
+    visible = map(sizes.complete_rows, placed.values())
     travel = max((median_distance(places) for places in visible if len(places)), default=0.0)
 
     def keeps(first: Array, second: Array) -> bool:

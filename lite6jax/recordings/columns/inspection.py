@@ -509,8 +509,7 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
             step = max(len(numbers[names[0]]) // _ENOUGH, 1)
         values = np.stack([numbers[name][::step] for name in names], 1)
         if block.kind == "run":
-            finite = values[np.isfinite(values)]
-            right = bool((finite == np.round(finite)).all())
+            right = sizes.in_whole_numbers(values)
             if right and run is None:
                 run = values[:, 0]
         elif block.matrix:
@@ -536,7 +535,7 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
 
 def _matrix(entries: Array) -> bool:
     """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
-    M = entries[np.isfinite(entries).all(1)]
+    M = sizes.complete_rows(entries)
     M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
     wrong = is_no_rotation(M[:, :3, :3].reshape(-1, 9))
     if M.shape[1] == 4:
@@ -646,7 +645,7 @@ def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm
 def _read_pose(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> Pose:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
     position = source.position.values(numbers)
-    finite = position[np.isfinite(position).all(1)]
+    finite = sizes.complete_rows(position)
     travel = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
     pose = Pose((source.position, *source.rotations[:1]), source.role, arm, travel=travel)
     q = [block for block in blocks if block.kind == "q"]
@@ -712,7 +711,7 @@ def _without_differences(blocks: Sequence[Block], numbers: Mapping[str, Array]) 
     steps = [digit_step(of_block) for of_block in values]
     differences = set()
     for k, nominal, measured in permutations(range(len(places)), 3):
-        small = 10 * _median_size(values[k]) < median_distance(_whole(values[nominal]))
+        small = 10 * _median_size(values[k]) < median_distance(sizes.complete_rows(values[nominal]))
         for scale in (1.0, 1e3, 1e-3) if small else ():
             missed = values[nominal] + scale * values[k] - values[measured]
             tolerance = 0.6 * (steps[nominal] + scale * steps[k] + steps[measured]) + 1e-9
@@ -722,13 +721,10 @@ def _without_differences(blocks: Sequence[Block], numbers: Mapping[str, Array]) 
     return [block for block in blocks if block.columns not in differences]
 
 
-def _whole(values: Array) -> Array:
-    return values[np.isfinite(values).all(axis=1)]
-
-
 def _median_size(values: Array) -> float:
-    if len(_whole(values)):
-        return float(np.median(np.linalg.norm(_whole(values), axis=1)))
+    complete = sizes.complete_rows(values)
+    if len(complete):
+        return float(np.median(np.linalg.norm(complete, axis=1)))
     return np.inf
 
 
@@ -756,7 +752,8 @@ def _read_sum(
     offsets = deviation.values(numbers)
     of_places = position.unit or alone.agreed.units.get(position.key) or sizes.length_unit(places)
     unit = deviation.unit
-    if unit is None and _median_size(offsets) > CLOSE * median_distance(_whole(places)) and of_places.choice == "m":
+    spread = median_distance(sizes.complete_rows(places))
+    if unit is None and _median_size(offsets) > CLOSE * spread and of_places.choice == "m":
         unit = Decision("mm", "likely", "beside_nominal", {"largest": float(np.nanmax(np.abs(offsets)))})
     scale = 1.0
     if unit is not None:

@@ -52,9 +52,14 @@ def increases(time: Array, run: Array | None = None) -> bool:
 
 def has_unit_length(quaternion: Array) -> bool:
     """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
-    length = np.linalg.norm(quaternion[np.isfinite(quaternion).all(1)], axis=1)
+    length = np.linalg.norm(complete_rows(quaternion), axis=1)
     length = length[length > 0]
     return bool(length.size) and float(np.mean(np.abs(length - 1) < 0.01)) > 0.9
+
+
+def complete_rows(values: Array) -> Array:
+    """The rows `(row, column)` in which all numbers are finite."""
+    return values[np.isfinite(values).all(axis=1)]
 
 
 def in_whole_numbers(values: Array) -> bool:
@@ -96,7 +101,7 @@ def angle_unit(
     spread = max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in columns if column.size), default=0.0)
     numbers = {"largest": largest}
     finite = position[np.isfinite(position)]
-    if largest > 360 and (finite == np.round(finite)).all() and finite.min() >= 0 and finite.max() < TURN_TICKS:
+    if largest > 360 and in_whole_numbers(position) and finite.min() >= 0 and finite.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", numbers)
     if servo and WIDE_RAD < largest <= PERCENT:
         in_ticks = _in_ticks(columns)
@@ -192,7 +197,7 @@ def rate_unit(
 def length_unit(position: Array) -> Decision:
     """The unit of positions `(sample, 3)`, or of prismatic joints `(sample, joint)`."""
     position = without_marks(position)
-    finite = position[np.isfinite(position).all(1)]
+    finite = complete_rows(position)
     spread = float(np.max(np.ptp(np.quantile(finite, [0.02, 0.98], axis=0), axis=0))) if len(finite) else 0.0
     numbers = {"spread": spread}
     are_whole = in_whole_numbers(finite)
@@ -231,8 +236,7 @@ def current_unit(current: Array) -> Decision:
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`; whole numbers, which may be neither, have the reason `register`."""
     decided = _by_largest(torque, LARGE_NM, "Nm", "mNm")
-    finite = torque[np.isfinite(torque)]
-    if 100 < decided.numbers["largest"] <= LARGE_NM and (finite == np.round(finite)).all():
+    if 100 < decided.numbers["largest"] <= LARGE_NM and in_whole_numbers(torque):
         return decided._replace(reason="register")
     return decided
 
@@ -289,7 +293,7 @@ def rotation_form(rotation: Array, unit: Decision | None, form: Decision | None)
     """
     if rotation.shape[1] in (4, len(MATRIX)):
         return form or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
-    finite = rotation[np.isfinite(rotation).all(1)]
+    finite = complete_rows(rotation)
     largest = _largest(finite)
     by_size = Decision("deg" if largest > WIDE_RAD else "rad", "likely", "largest_angle", {"largest": largest})
     if largest > TURNS_DEG:  # a rotation has no more turns than one
