@@ -267,7 +267,7 @@ class Block:
     """Columns that belong together, and what they mean.
 
     Attributes:
-        kind: one of `KINDS`; `position` and `rotation` of the tool, the others as in `QUANTITIES`.
+        kind: one of `KINDS`, or of readings; `position` and `rotation` of the tool, the others as in `QUANTITIES`.
         columns: along the arm; x y z; the rotation's components, a quaternion's as `form` says, a matrix row by row.
         unit: in which they are, and why; None before it is decided, where their names do not say it.
         form: of a rotation, the name that it has in `FORMS`, and why; None likewise.
