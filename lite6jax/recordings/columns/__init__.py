@@ -19,5 +19,6 @@ Both speak of a `Column`: its name, quantity, joint and unit. Columns that are d
 | `kinematics` | by an arm with which joints and poses agree: units and the form of rotations |
 | `inspection` | of all that, for the table as a whole; what is left open is asked by `init` |
 
-`orientations` makes quaternions of every documented form.
+`orientations` makes quaternions of every documented form. Readers of logs need none of this: the type of a message says
+what it holds, and they give its columns documented names.
 """
