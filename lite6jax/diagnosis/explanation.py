@@ -21,7 +21,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.domains.pose.screening.screen import price, screen
-from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.domains.pose.screening.screened import Corrections, ScreenedPoses
 from lite6jax.effects.deflection import place_of
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
@@ -72,7 +72,7 @@ class Explanation:
         decisions: between faults and physics.
     """
 
-    screened: Screened
+    screened: ScreenedPoses
     selection: Selection
     price: float
     decisions: Decisions
@@ -134,19 +134,19 @@ class Case:
     factory: FactoryCalibration | None = None
     training: Mask | None = None
 
-    def screened(self, corrections: Corrections) -> Screened:
+    def screened(self, corrections: Corrections) -> ScreenedPoses:
         """With these faults corrected, from the training rows."""
         entered("screening")
         used = self.recording if self.training is None else self.recording.select(self.training)
         return screen(used, self.arm, self.geometry, self.options.prior, corrections, self.factory)
 
-    def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
+    def problem(self, screened: ScreenedPoses, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
         recording = screened.recording if self.training is None else screened.transferred(self.recording)
         jumps = [(int(f.numbers["row"]), str(f.numbers["part"])) for f in screened.found if f.code == "frame_jump"]
         return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, screened.factory, jumps)
 
-    def prepared(self, screened: Screened, decisions: Decisions) -> tuple[Screened, PoseProblem]:
+    def prepared(self, screened: ScreenedPoses, decisions: Decisions) -> tuple[ScreenedPoses, PoseProblem]:
         """The screened recording and its problem under these decisions."""
         if decisions.sigma is not None:
             screened = _uncertain(screened, decisions.sigma)
@@ -157,11 +157,11 @@ class Case:
         rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
         file = {"factory_calibration": decisions.published, "factory_uncertainty": None}
         recording = replace(screened.recording, settings=replace(screened.recording.settings, **file))
-        screened = replace(screened, recording=recording)
+        screened = replace(screened, data=recording)
         problem = self.problem(screened, "exact")
         return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
 
-    def search(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
+    def search(self, screened: ScreenedPoses, decisions: Decisions, price_: float | None = None) -> Explanation:
         """With the physics that a search finds under these decisions, or that they name and the rows support."""
         screened, problem = self.prepared(screened, decisions)
         training = self.training
@@ -435,13 +435,13 @@ def _products(explanation: Explanation, columns: Array, noise: NoiseModel) -> Ar
     return flat @ flat.T
 
 
-def _uncertain(screened: Screened, sigma: float) -> Screened:
+def _uncertain(screened: ScreenedPoses, sigma: float) -> ScreenedPoses:
     """With a calibration known to `sigma` m and rad."""
     settings = replace(screened.recording.settings, factory_uncertainty=FactoryUncertainty(sigma, sigma))
-    return replace(screened, recording=replace(screened.recording, settings=settings))
+    return replace(screened, data=replace(screened.recording, settings=settings))
 
 
-def _with_numbers(screened: Screened, code: str, numbers: dict[str, object]) -> Screened:
+def _with_numbers(screened: ScreenedPoses, code: str, numbers: dict[str, object]) -> ScreenedPoses:
     """With more numbers for the faults of one code."""
     faults = tuple(f.with_numbers(**numbers) if f.code == code else f for f in screened.found)
     return replace(screened, found=faults)

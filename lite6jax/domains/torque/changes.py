@@ -6,16 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.hypotheses import GRAVITY, POSITIONS, TORQUES, Hypothesis, SuspectedFault, places
+from lite6jax.domains.faults import GRAVITY, Hypothesis, SuspectedFault, places
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
 
-CODES = (*GRAVITY, *POSITIONS, *TORQUES)
-"""The faults, in the order in which their changes are made."""
-
+POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
+"""What hypotheses suspect beside gravity: of joints that are coupled, torques are as well."""
 STEP = np.deg2rad(15.0)
 """rad between zeros that are tried; the best are refined."""
 _SAME_ZERO = 1.5 * STEP
@@ -99,50 +98,56 @@ def alike(a: Hypothesis, b: Hypothesis) -> bool:
 
 
 def faults_of(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
-    """The faults of a hypothesis, those of one kind together."""
-    of_code = {code: [c for c in hypothesis if c.code == code] for code in CODES}
-    mirrored = {c.joints for c in of_code["reversed_positions"]} & {c.joints for c in of_code["reversed_torque"]}
-    faults = []
-    declared = data.bodies.gravity
-    for change in of_code["wrong_gravity"]:
-        cosine = float(declared @ change.gravity) / (np.linalg.norm(declared) * np.linalg.norm(change.gravity))
-        numbers: dict[str, Any] = {"declared_m_per_s2": declared.tolist(), "found_m_per_s2": list(change.gravity)}
-        faults.append(DataFault("wrong_gravity", (), numbers | {"tilt_rad": float(np.arccos(np.clip(cosine, -1, 1)))}))
-    if of_code["no_gravity"]:
-        faults.append(DataFault("no_gravity", (), {"declared_m_per_s2": declared.tolist()}))
+    """The faults of a hypothesis, those of one kind together, and of both columns of a joint."""
+    joints_of = {
+        code: [change.joints for change in hypothesis if change.code == code]
+        for code in ("swapped_positions", "swapped_torques", "reversed_positions", "reversed_torque")
+    }
+    exchanged = {*joints_of["swapped_positions"]} & {*joints_of["swapped_torques"]}
+    mirrored = {*joints_of["reversed_positions"]} & {*joints_of["reversed_torque"]}
+    faults = [_of_gravity(change, data.bodies.gravity) for change in hypothesis if change.code in GRAVITY]
     if mirrored:
         faults.append(DataFault("reversed_joint", (), {"joints": sorted(1 + j for (j,) in mirrored)}))
-    exchanged = {c.joints for c in of_code["swapped_positions"]} & {c.joints for c in of_code["swapped_torques"]}
-    of_code["swapped_torques"] = [c for c in of_code["swapped_torques"] if c.joints not in exchanged]
-    for change in of_code["swapped_positions"]:
-        code = "swapped_positions"
-        if change.joints in exchanged:
-            code = "swapped_columns"
-        faults.append(DataFault(code, (), {"joints": [1 + j for j in change.joints]}))
-    for change in of_code["coupled_joint"]:
-        i, j = change.joints
-        faults.append(
-            DataFault("coupled_positions", (), {"joint": 1 + i, "added_joint": 1 + j, "factor": change.value})
-        )
-    for change in of_code["joint_zero"]:
-        faults.append(DataFault("joint_zero", (), {"joint": 1 + change.joints[0], "added_rad": change.value}))
-    if swaps := of_code["swapped_torques"]:
-        order = np.arange(data.arm.dof)
-        for i, j in (change.joints for change in swaps):
+    for change in hypothesis:
+        fault = change.data_fault
+        if change.code == "swapped_positions" and change.joints in exchanged:
+            faults.append(replace(fault, code="swapped_columns"))
+        elif change.code == "coupled_joint":
+            faults.append(replace(fault, code="coupled_positions"))
+        elif change.code in ("swapped_positions", "joint_zero"):
+            faults.append(fault)
+    order = np.arange(data.arm.dof)
+    for i, j in joints_of["swapped_torques"]:
+        if (i, j) not in exchanged:
             order[[i, j]] = order[[j, i]]
-        moved = np.flatnonzero(order != np.arange(len(order)))
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    if moved.size:
         numbers = {"joints": (1 + moved).tolist(), "columns": (1 + order[moved]).tolist()}
         faults.append(DataFault("swapped_torques", (), numbers))
     for code in ("reversed_torque", "reversed_positions"):
-        if joints := sorted(1 + c.joints[0] for c in of_code[code] if c.joints not in mirrored):
+        if joints := sorted(1 + j for (j,) in joints_of[code] if (j,) not in mirrored):
             faults.append(DataFault(code, (), {"joints": joints}))
+    return faults + _of_constants(hypothesis, data)
+
+
+def _of_gravity(change: SuspectedFault, declared: Array) -> DataFault:
+    """Gravity that is not as declared, or not there."""
+    numbers: dict[str, Any] = {"declared_m_per_s2": declared.tolist()}
+    if change.code == "wrong_gravity":
+        cosine = float(declared @ change.gravity) / (np.linalg.norm(declared) * np.linalg.norm(change.gravity))
+        numbers |= {"found_m_per_s2": list(change.gravity), "tilt_rad": float(np.arccos(np.clip(cosine, -1, 1)))}
+    return DataFault(change.code, (), numbers)
+
+
+def _of_constants(hypothesis: Hypothesis, data: TorqueRows) -> list[DataFault]:
+    """Torques that are measured in other units, or by other constants."""
     constants = data.recording.settings.torque_constant_Nm_per_A
-    from_currents = constants is not None and data.recording.joint_torque is None
+    if data.recording.joint_torque is not None:
+        constants = None
+    faults = []
     for code in ("wrong_torque_constant", "torque_unit"):
-        if changes := of_code[code]:
+        if changes := [change for change in hypothesis if change.code == code]:
             numbers = {"joints": [1 + c.joints[0] for c in changes], "factors": [c.value for c in changes]}
-            true = None
-            if from_currents and constants is not None:
-                true = [constants[c.joints[0]] / c.size for c in changes]
+            true = None if constants is None else [constants[c.joints[0]] / c.size for c in changes]
             faults.append(DataFault(code, (), numbers | {"constants_Nm_per_A": true}))
     return faults

@@ -2,34 +2,37 @@
 
 A hypothesis is a tuple of changes, each a fault and what undoes it. All are ranked by a penalised likelihood of what
 the rigid arm as declared leaves beside friction that takes power, and the best by their evidence beside other masses, a
-payload, springs and scales. Of those within `TRUSTED` of the best one, the one of fewest faults is taken; several of as
-few are listed. It has to exceed the recording as it is declared by as much.
+payload, springs and scales. Of those within the prior's cost of a fault of the best one, the one of fewest faults is
+taken; several of as few are listed. It has to exceed the recording as it is declared by as much.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, combinations, product
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from lite6jax.domains.hypotheses import (
+from lite6jax.domains.faults import (
     GRAVITY,
-    POSITIONS,
     Hypothesis,
+    Screened,
     SuspectedFault,
-    compatible,
     couplings,
+    distinct,
+    fault_cost,
     joined,
     listed,
     places,
+    search,
     signs_of_sets,
+    simplest,
 )
-from lite6jax.domains.torque.changes import STEP, alike, faults_in, faults_of, turned_back, undo
-from lite6jax.domains.torque.likelihood import TRUSTED, Samples, Scored
+from lite6jax.domains.torque.changes import POSITIONS, STEP, alike, faults_in, faults_of, turned_back, undo
+from lite6jax.domains.torque.likelihood import Samples, Scored
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import TILT, direction
 from lite6jax.estimation.noise import autocorrelation_time
@@ -63,80 +66,66 @@ _SIGNS = ("reversed_torque", "reversed_positions")
 """Of which a joint without weight may show only that one is there: its friction would exert power."""
 _OF_JOINTS = ("reversed_sign", "reversed_joint", "swapped_columns", "coupled_positions", "joint_axis")
 """Faults beside which no zero of a joint is ruled out."""
+_RULED_OUT = {
+    "swapped_torques": {"swapped_torques", "reversed_torque", *_OF_JOINTS[:3]},
+    "wrong_gravity": set(GRAVITY),
+    "wrong_torque_constant": {"wrong_torque_constant", "torque_unit"},
+    "joint_zero": {*POSITIONS, *_OF_JOINTS},
+}
+"""What is said not to be there, and the faults of which none is there then."""
 _RANK = 1e-9
 """Of the length of a column, below which what others leave of it is rounding."""
 _FELT = 0.01
 """Of a joint's torque, RMS: what another gravity changes at least, where it is a hypothesis."""
 
 
-class ScreenedTorques(NamedTuple):
-    """A recording as it is diagnosed.
-
-    Attributes:
-        data: filtered, with corrected columns.
-        found: data faults.
-        ruled_out: faults that were tested for and are not there.
-    """
-
-    data: TorqueRows
-    found: tuple[DataFault, ...]
-    ruled_out: tuple[DataFault, ...]
-
-
-def correct_faults(data: TorqueRows) -> ScreenedTorques:
+def correct_faults(data: TorqueRows) -> Screened[TorqueRows]:
     """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
     rows, compared = _compare(Samples(data))
+    likeliest = compared.hypotheses
     faults: list[DataFault] = []
     # several faults at once may be one of the description
-    doubtful = rows.suspicious(rows.declared) and (len(compared.alternatives) > 0 or faults_in(compared.found) != 1)
+    doubtful = rows.suspicious(rows.declared) and [faults_in(h) for h in likeliest] != [1]
     if doubtful and (axis := _other_axis(rows, compared.evidence)) is not None:
         faults = [axis]
-    elif compared.found:
-        faults = faults_of(compared.found, data)
+    elif len(likeliest) == 1:
+        faults = faults_of(likeliest[0], data)
         if compared.signs_alike:
             faults = [replace(fault, code="reversed_sign") if fault.code in _SIGNS else fault for fault in faults]
-        data = undo(compared.found, data)
-    elif compared.alternatives:
-        alternatives = listed(faults_of(hypothesis, data) for hypothesis in compared.alternatives)
+        data = undo(likeliest[0], data)
+    elif likeliest:
+        alternatives = listed(faults_of(hypothesis, data) for hypothesis in likeliest)
         faults = [DataFault("undecided_torques", (), {"alternatives": alternatives})]
-    codes = {fault.code for fault in faults}
     doubted = {
         fault["fault"] for f in faults for hypothesis in f.numbers.get("alternatives", ()) for fault in hypothesis
     }
-    ruled_out = [
-        DataFault(code, (), {})
-        for code, rival_codes in (
-            ("swapped_torques", {"swapped_torques", "reversed_torque", *_OF_JOINTS[:3]}),
-            ("wrong_gravity", set(GRAVITY)),
-            ("wrong_torque_constant", {"wrong_torque_constant", "torque_unit"}),
-            ("joint_zero", {*POSITIONS, *_OF_JOINTS}),
-        )
-        if not (codes | doubted) & rival_codes
-    ]
-    return ScreenedTorques(data, tuple(faults), tuple(ruled_out))
+    doubted |= {fault.code for fault in faults}
+    absent = [code for code, rival_codes in _RULED_OUT.items() if not doubted & rival_codes]
+    return Screened(data, tuple(faults)).rule_out(*absent)
 
 
-def correct_signs(data: TorqueRows) -> ScreenedTorques:
+def correct_signs(data: TorqueRows) -> Screened[TorqueRows]:
     """The rows with the signs of joints whose friction would exert power, where no inertial number is known.
 
     Each joint is fitted by any arm's torques, an offset and friction: of a wrong sign, friction that takes power leaves
     more than friction that exerts it. Whether the positions are reversed or the torques, all joints together show.
     """
-    joints = [joint for joint in range(data.arm.dof) if _power_gain(data, joint) > TRUSTED + np.log(data.arm.dof)]
+    required = fault_cost(data.recording)
+    joints = [joint for joint in range(data.arm.dof) if _power_gain(data, joint) > required + np.log(data.arm.dof)]
     if not joints:
-        return ScreenedTorques(data, (), ())
+        return Screened(data)
     misfits = {}
     for code in _SIGNS:
         hypothesis = tuple(SuspectedFault(code, (joint,)) for joint in joints)
         misfits[code] = _left_by_any_arm(undo(hypothesis, data))
     torque, positions = (misfits[code] for code in _SIGNS)
     apart = torque - positions
-    code = "reversed_sign" if abs(apart) < TRUSTED else _SIGNS[int(apart > 0)]
+    code = "reversed_sign" if abs(apart) < required else _SIGNS[int(apart > 0)]
     undone = "reversed_torque"
     if code == "reversed_positions":
         undone = "reversed_positions"
     corrected = undo(tuple(SuspectedFault(undone, (joint,)) for joint in joints), data)
-    return ScreenedTorques(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),), ())
+    return Screened(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),))
 
 
 def _of_any_arm(data: TorqueRows, joint: int) -> tuple[Array, Array]:
@@ -179,7 +168,7 @@ def _left_by_any_arm(data: TorqueRows) -> float:
 
 def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
     """The joint that turns about another axis of its frame than described; None where none exceeds that evidence."""
-    threshold = max(evidence, rows.evidence(())) + TRUSTED + np.log(len(_AXES) * rows.dof)
+    threshold = max(evidence, rows.evidence(())) + rows.required + np.log(len(_AXES) * rows.dof)
     fault = None
     for joint in (i for i in range(rows.dof) if i not in rows.data.arm.sliding):
         for name, R in _AXES.items():
@@ -247,57 +236,49 @@ def _conventions(data: TorqueRows) -> Iterator[Hypothesis]:
             yield tuple(SuspectedFault("joint_zero", (i,), float(value)) for i, value in zip(pair, values, strict=True))
 
 
-class _Comparison(NamedTuple):
+class _Compared(NamedTuple):
     """How the hypotheses of a recording compare.
 
     Attributes:
-        found: the hypothesis to be taken; empty where nothing is wrong, nothing explains it, or several do alike.
-        alternatives: where none is taken, two or more that cannot be told apart.
-        evidence: of what is taken, or of the best alternative.
+        hypotheses: the one to be taken; none where nothing is wrong or explains it, several that cannot be told apart.
+        evidence: of the best of them.
         signs_alike: whether the positions of the joints whose torques are reversed may be so instead.
     """
 
-    found: Hypothesis = ()
-    alternatives: tuple[Hypothesis, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
     evidence: float = -np.inf
     signs_alike: bool = False
 
 
-def _compare(rows: Samples) -> tuple[Samples, _Comparison]:
+def _compare(rows: Samples) -> tuple[Samples, _Compared]:
     """The samples with the noise that the likeliest hypothesis leaves, and how the hypotheses compare in it."""
     declared = rows.declared
     if not rows.suspicious(declared):
-        return rows, _Comparison()
-    contenders = [
-        scored for scored in _search(rows) if scored.hypothesis and (scored.left < declared.left / _CLEARLY).any()
-    ]
+        return rows, _Compared()
+    ranked = _Ranking(rows)
+    search(ranked, ranked.costs([()]))
+    least = sorted(ranked.scored.values(), key=lambda scored: scored.cost)[:_COMPARED]
+    contenders = [s.hypothesis for s in least if s.hypothesis and (s.left < declared.left / _CLEARLY).any()]
     if not contenders:
-        return rows, _Comparison()
-    rows = rows.about(contenders[0].hypothesis)
-    evidence = {
-        scored.hypothesis: rows.evidence(scored.hypothesis) - rows.price(scored.hypothesis) for scored in contenders
-    }
-    ranked = sorted(evidence, key=lambda h: -evidence[h])
-    threshold = rows.evidence(()) + TRUSTED
-    if evidence[ranked[0]] < threshold:
-        return rows, _Comparison()
-    likely = [h for h in ranked if evidence[h] > max(evidence[ranked[0]] - TRUSTED, threshold)]
-    fewest = min(map(faults_in, likely))
-    simple = [h for h in likely if faults_in(h) == fewest]
-    simple = [h for h in simple if not any(places(rival) < places(h) for rival in simple)]  # what it adds is not seen
-    beyond = {h: rows.beyond_limits(h) for h in simple}
-    simple = [h for h in simple if beyond[h] == min(beyond.values())]
-    distinct = [h for k, h in enumerate(simple) if not any(alike(h, earlier) for earlier in simple[:k])]
-    signs_alike = len(distinct) > 1 and len({_without_signs(h) for h in distinct}) == 1
+        return rows, _Compared()
+    rows = rows.about(contenders[0])
+    evidence = {h: rows.evidence(h) - rows.price(h) for h in contenders}
+    best = max(evidence.values())
+    threshold = rows.evidence(()) + rows.required
+    if best < threshold:
+        return rows, _Compared()
+    likely = [h for h in evidence if evidence[h] >= max(best - rows.required, threshold)]
+    likely.sort(key=lambda h: -evidence[h])
+    tied = distinct(simplest(likely, lambda h: (faults_in(h), rows.beyond_limits(h))), alike)
+    signs_alike = len(tied) > 1 and len({_without_signs(h) for h in tied}) == 1
     if signs_alike:
-        distinct = [min(distinct, key=lambda h: sum(c.code == "reversed_positions" for c in h))]
-    if len(distinct) > 1:
-        return rows, _Comparison(alternatives=tuple(distinct), evidence=evidence[ranked[0]])
-    (likeliest,) = distinct
-    common = _with_one_constant(likeliest)
-    together = rows.evidence(common) - rows.price(common)
-    chosen = common if together > evidence[likeliest] else likeliest
-    return rows, _Comparison(chosen, evidence=max(together, evidence[likeliest]), signs_alike=signs_alike)
+        tied = [min(tied, key=lambda h: sum(c.code == "reversed_positions" for c in h))]
+    if len(tied) > 1:
+        return rows, _Compared(tuple(tied), best)
+    common = _with_one_constant(tied[0])
+    evidence[common] = rows.evidence(common) - rows.price(common)
+    chosen = max(tied[0], common, key=lambda h: evidence[h])
+    return rows, _Compared((chosen,), evidence[chosen], signs_alike)
 
 
 def _without_signs(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[int, ...]]:
@@ -315,33 +296,50 @@ def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
     return tuple(replace(c, value=median) if c.code == "wrong_torque_constant" else c for c in hypothesis)
 
 
-def _search(rows: Samples) -> list[Scored]:
-    """Hypotheses worth their evidence: the best by squares, of few changes first, more where these do not suffice."""
-    simple = [h for h in single_changes(rows.data) if h[0].code not in GRAVITY or rows.feels(h, _FELT)]
-    scored: dict[Hypothesis, Scored] = {(): rows.scored(())}
-    beam: list[Hypothesis] = [()]
-    for first in (True, False):
-        hypotheses = dict.fromkeys(joined(h, more) for h in beam for more in simple if compatible(h, more))
-        hypotheses |= dict.fromkeys(_conventions(rows.data)) if first else {}
-        new = {h: rows.scored(h) for h in hypotheses if h not in scored}
+@final
+class _Ranking:
+    """Hypotheses about positions and gravity by a penalised likelihood, each with the changes of torques that fit it.
+
+    Attributes:
+        scored: by hypothesis.
+    """
+
+    most_changes = 2
+
+    def __init__(self, rows: Samples) -> None:
+        self.scored: dict[Hypothesis, Scored] = {}
+        self._rows = rows
+        self._simple = [h for h in single_changes(rows.data) if h[0].code not in GRAVITY or rows.feels(h, _FELT)]
+
+    def simple(self, changes: int) -> Sequence[Hypothesis]:
+        """Single changes, and at first two zeros."""
+        return self._simple if changes else [*self._simple, *_conventions(self._rows.data)]
+
+    def costs(self, hypotheses: Sequence[Hypothesis]) -> dict[Hypothesis, float]:
+        """Negative log-likelihoods, with what changes cost."""
+        new = {h: self._rows.scored(h) for h in hypotheses}
+        self.scored |= new
+        return {h: scored.cost for h, scored in new.items()}
+
+    def refined(self, costs: Mapping[Hypothesis, float], origins: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """With zeros and a direction of gravity that fit best."""
         zeros: dict[Hypothesis, Hypothesis] = {}  # of those that differ in zeros alone the best
-        for h in sorted(new, key=lambda h: new[h].cost):
+        for h in sorted(costs, key=lambda h: costs[h]):
             zeros.setdefault(tuple(replace(c, value=0.0) if c.code == "joint_zero" else c for c in h), h)
-        for h in [h for key, h in zeros.items() if key != h][: 2 * _BEAM]:
-            refined = rows.refined(h)
-            new[refined] = rows.scored(refined)
-        for h in beam:
-            turned = rows.gravity_found(h)
+        refined = [self._rows.refined(h) for h in [h for key, h in zeros.items() if key != h][: 2 * _BEAM]]
+        for h in origins:
+            turned = self._rows.gravity_found(h)
             if turned is not None:
-                more = joined(tuple(c for c in h if c.code not in GRAVITY), (turned,))
-                new[more] = rows.scored(more)
-        before = min(scored_hypothesis.cost for scored_hypothesis in scored.values())
-        scored |= new
-        distinct: dict[frozenset[tuple[str, tuple[int, ...]]], Hypothesis] = {}
-        for h in sorted(scored, key=lambda h: scored[h].cost):
-            distinct.setdefault(frozenset(places(h)), h)
-        beam = [*distinct.values()][:_BEAM]
-        leader = scored[beam[0]]
-        if not rows.suspicious(leader, _EXPLAINED) or leader.cost > before - TRUSTED:
-            break
-    return sorted(scored.values(), key=lambda scored_hypothesis: scored_hypothesis.cost)[:_COMPARED]
+                refined.append(joined(tuple(c for c in h if c.code not in GRAVITY), (turned,)))
+        return refined
+
+    def nearest(self, costs: Mapping[Hypothesis, float]) -> list[Hypothesis]:
+        """The best, of those that differ in numbers alone the first."""
+        likeliest: dict[frozenset[tuple[str, tuple[int, ...]]], Hypothesis] = {}
+        for h in sorted(costs, key=lambda h: costs[h]):
+            likeliest.setdefault(places(h), h)
+        return [*likeliest.values()][:_BEAM]
+
+    def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
+        """Whether it leaves little of all torques, or is not clearly likelier."""
+        return not self._rows.suspicious(self.scored[nearest], _EXPLAINED) or cost > before - self._rows.required

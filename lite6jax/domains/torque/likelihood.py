@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, regressor
-from lite6jax.domains.hypotheses import Hypothesis, SuspectedFault
+from lite6jax.domains.faults import Hypothesis, SuspectedFault, fault_cost
 from lite6jax.domains.torque.changes import STEP, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
@@ -38,8 +38,6 @@ _STRENGTH = 0.15
 """Relative deviation of gravity's strength up to which another direction of it is believed."""
 _UPRIGHT = 0.1
 """rad from an axis of the base within which gravity points along it: arms stand, hang, or are mounted on a wall."""
-TRUSTED = 5.7
-"""Log-likelihood by which a hypothesis exceeds another: log 300, one file in some hundred is wrong."""
 _WIDTHS = (0.03, 0.1, 0.3, 1.0)
 """Relative standard deviations of declared inertial numbers, of which each hypothesis has the likeliest."""
 _FLOOR = 2e-3
@@ -76,6 +74,7 @@ class Samples:
 
     def __init__(self, data: TorqueRows) -> None:
         self.data = data
+        self.required = fault_cost(data.recording)  # log-likelihood by which a fault is likelier than none
         self.likeliest: Hypothesis = ()  # what it leaves is the noise of them all
         sampled = np.linspace(0, len(data.filter.kept) - 1, _ROWS).round().astype(int)
         at = data.filter.kept[sampled]
@@ -237,7 +236,7 @@ class Samples:
         numbers, rss = _nonnegative(np.concatenate([joint_columns, (rigid / weight)[:, None]], 1), signed_torques)
         factor = numbers[..., -1].T / weight.T
         loaded = rss.T / n
-        observable = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > TRUSTED
+        observable = half * np.log(squares[:, -1] / np.maximum(loaded.min(0), 1e-300)) > self.required
         square = np.maximum(square, self.floor[None, :, None] ** 2)
         loaded = np.maximum(loaded, self.floor**2)
         joints = np.arange(dof)

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
+from lite6jax.domains.faults import Screened
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.hypotheses import ScreenedTorques, computed_torque, correct_faults, correct_signs
+from lite6jax.domains.torque.hypotheses import computed_torque, correct_faults, correct_signs
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
 from lite6jax.effects.dynamic import DIRECTION_SPEED, direction
@@ -75,7 +76,7 @@ _BAND = 2.0
 """Times Coulomb friction, up to which static friction holds a joint: what is more has another cause."""
 
 
-def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
+def screen_torques(recording: Recording, arm: Arm) -> Screened[TorqueRows]:
     """Refuses what cannot be diagnosed, and corrects spikes and what is declared wrongly.
 
     Args:
@@ -124,7 +125,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
         elif computed_torque(data):
             faults.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
     inertia_known = recording.settings.inertial != "unknown"
-    corrected = ScreenedTorques(data, (), ())
+    corrected = Screened(data)
     if inertia_known:
         corrected = correct_faults(data)
     elif not still:
@@ -148,7 +149,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     faults += stiction.found
     if not still:
         data = replace(data, turning=turning_friction(data))
-    return ScreenedTorques(data, tuple(faults), corrected.ruled_out)
+    return Screened(data, tuple(faults), corrected.ruled_out)
 
 
 def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording, list[DataFault]]:

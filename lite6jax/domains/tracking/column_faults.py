@@ -5,13 +5,15 @@ corrections the one is taken whose rollout is nearer to the read-outs; without m
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.domains.faults import Screened, SuspectedFault
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.following import (
     Lag,
@@ -83,14 +85,7 @@ _WIDEST = 4 * np.pi
 """rad, beyond which joints of an arm without end do not turn."""
 
 
-class CorrectedColumns(NamedTuple):
-    """A recording with corrected columns, and the faults."""
-
-    recording: Recording
-    found: list[DataFault]
-
-
-def correct_columns(recording: Recording, arm: Arm) -> CorrectedColumns:
+def correct_columns(recording: Recording, arm: Arm) -> Screened[Recording]:
     """Puts columns right that hold commands of another clock, or of other joints, signs, units or gears.
 
     Args:
@@ -101,11 +96,10 @@ def correct_columns(recording: Recording, arm: Arm) -> CorrectedColumns:
         InputError: as `even_rows`; joints that do not follow, as where the torque is off.
     """
     require_motion(even_rows(recording))
-    found: list[DataFault] = []
-    for correct in (_with_clock, _with_order, _with_signs, _with_ratios):
-        recording, more = correct(recording, arm)
-        found += more
-    return CorrectedColumns(recording, found)
+    screened = _with_clock(Screened(recording), arm)
+    for suspected in (_exchanged, _reversed, _rescaled):
+        screened = _with_columns(screened, suspected(screened.data, arm), arm)
+    return screened
 
 
 def require_motion(even: Recording) -> None:
@@ -148,24 +142,25 @@ class _Piece(NamedTuple):
     usual: Lag
 
 
-def _with_clock(recording: Recording, arm: Arm) -> CorrectedColumns:
+def _with_clock(screened: Screened[Recording], arm: Arm) -> Screened[Recording]:
     """The recording with commands at the times of the read-outs, where they are of another clock.
 
     Joints are behind their commands by half a second at most, and hardly ahead. Where all are not, by one lag or one
     that drifts, commands are of another clock.
     """
+    recording = screened.data
     even = even_rows(recording)
     least = -max(_EARLY, 2 * _period(even))
     model = None
     for long in _PIECES:
         model = model or _clock_of(_pieces(even, long, least), least, drifts=long == min(_PIECES))
     if model is None:
-        return CorrectedColumns(recording, [])
+        return screened
     drift, constant = model
     lag = _remaining_lag(recording, arm, drift, constant)
     shifted, has = _at_times(recording, drift, constant - lag)
     numbers = {"shift_s": round(constant - lag, 4), "drift_s_per_s": round(drift, 6), "count": int(np.sum(~has))}
-    return CorrectedColumns(shifted.select(has), [DataFault("other_clock", (), numbers)])
+    return screened.with_faults([DataFault("other_clock", (), numbers)], shifted.select(has))
 
 
 def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
@@ -254,7 +249,7 @@ def _at_times(recording: Recording, drift: float, constant: float) -> tuple[Reco
     return replace(recording, commanded_position=command[taken]), has
 
 
-# ------------------------------------------------------------------ order and signs
+# ------------------------------------------------------------------ order, signs, units and gears
 
 
 def _correlations(recording: Recording) -> tuple[NDArray[np.integer], Array]:
@@ -265,89 +260,61 @@ def _correlations(recording: Recording) -> tuple[NDArray[np.integer], Array]:
     return moving, lagged_correlation(command[:, moving], even.joint_position[:, moving], _period(even))
 
 
-def _with_order(recording: Recording, arm: Arm) -> CorrectedColumns:
-    """The recording with columns that are exchanged put in order, in pairs."""
+def _exchanged(recording: Recording, arm: Arm) -> list[SuspectedFault]:
+    """Pairs of joints that follow the command of each other."""
     moving, best = _correlations(recording)
     size = np.abs(best)
-    found = []
-    for one in range(len(moving)):
-        for other in range(one):
-            crossed = min(size[one, other], size[other, one])
-            straight = max(size[one, one], size[other, other])
-            if crossed > _FOLLOWS and straight < _UNRELATED:
-                pair = [int(moving[other]), int(moving[one])]
-                order = np.arange(recording.dof)
-                order[pair] = order[pair[::-1]]
-                choices = {
-                    "measured": with_readouts(recording, recording.joint_position[:, order]),
-                    "commanded": replace(
-                        recording, commanded_position=np.asarray(recording.commanded_position)[:, order]
-                    ),
-                }
-                side, recording = _nearer(choices, arm)
-                found.append(DataFault("joints_swapped", (), {"joints": [joint + 1 for joint in pair], "side": side}))
-    return CorrectedColumns(recording, found)
+    return [
+        SuspectedFault("joints_swapped", (int(moving[j]), int(moving[i])))
+        for i in range(len(moving))
+        for j in range(i)
+        if min(size[i, j], size[j, i]) > _FOLLOWS and max(size[i, i], size[j, j]) < _UNRELATED
+    ]
 
 
-def _with_signs(recording: Recording, arm: Arm) -> CorrectedColumns:
-    """The recording with joints that move against their commands turned round."""
+def _reversed(recording: Recording, arm: Arm) -> list[SuspectedFault]:
+    """Joints that move against their commands."""
     moving, best = _correlations(recording)
-    found = []
-    for joint in moving[np.diagonal(best) < -_FOLLOWS].tolist():
-        sign = np.where(np.arange(recording.dof) == joint, -1.0, 1.0)
-        choices = {
-            "measured": with_readouts(recording, recording.joint_position * sign),
-            "commanded": replace(recording, commanded_position=np.asarray(recording.commanded_position) * sign),
-        }
-        side, recording = _nearer(choices, arm)
-        found.append(DataFault("joint_sign", (), {"joints": [joint + 1], "side": side}))
-    return CorrectedColumns(recording, found)
+    return [SuspectedFault("joint_sign", (joint,)) for joint in moving[np.diagonal(best) < -_FOLLOWS].tolist()]
 
 
-# ------------------------------------------------------------------ units and gears
-
-
-class _Ratio(NamedTuple):
-    """How many times as far as its command a joint moves, and what it is."""
-
-    code: str
-    ratio: float
-
-
-def _with_ratios(recording: Recording, arm: Arm) -> CorrectedColumns:
-    """The recording with joints in radians after one gear, where they move much further than commanded, or less."""
+def _rescaled(recording: Recording, arm: Arm) -> list[SuspectedFault]:
+    """Joints that move much further than commanded, or less."""
     even = even_rows(recording)
     settings = even.settings
     gravity = np.array(settings.gravity_m_per_s2)
     bodies = Bodies.of_arm(arm, float(np.median(even.payload)), np.array(settings.payload_com_m), gravity)
-    groups: dict[tuple[_Ratio, str], list[int]] = {}
-    decisions: dict[tuple[_Ratio, str], bool] = {}
-    for joint in _moving(even).tolist():
-        ratio = _ratio_of(even, bodies, joint)
-        if ratio is None:
-            continue
-        factor = np.where(np.arange(even.dof) == joint, ratio.ratio, 1.0)
+    suspected = (_ratio_of(even, bodies, joint) for joint in _moving(even).tolist())
+    return [fault for fault in suspected if fault is not None]
+
+
+def _with_columns(screened: Screened[Recording], suspected: Sequence[SuspectedFault], arm: Arm) -> Screened[Recording]:
+    """The recording with the columns of one side put right, of each fault; joints of one ratio are one fault."""
+    recording = screened.data
+    faults: dict[tuple[Any, ...], DataFault] = {}
+    for fault in suspected:
+        A, _ = fault.of_positions(recording.dof)
+        command = np.asarray(recording.commanded_position)
         choices = {
-            "measured": with_readouts(recording, recording.joint_position / factor),
-            "commanded": replace(recording, commanded_position=np.asarray(recording.commanded_position) * factor),
+            "measured": with_readouts(recording, recording.joint_position @ A.T),
+            "commanded": replace(recording, commanded_position=command @ np.linalg.inv(A).T),
         }
-        side = _plausible_side(choices, arm, joint)
-        decided = True
-        if side is None:
-            side, decided = _relative_side(choices, arm, joint)
+        side, decided = _wrong_side(choices, arm, fault)
         recording = choices[side]
-        groups.setdefault((ratio, side), []).append(joint + 1)
-        decisions[ratio, side] = decided
-    found = []
-    for (ratio, side), joints in groups.items():
-        numbers = {"joints": joints, "side": side, "decided": decisions[ratio, side]}
-        if ratio.code == "gear":
-            numbers |= {"ratio": ratio.ratio}
-        found.append(DataFault(ratio.code, (), numbers))
-    return CorrectedColumns(recording, found)
+        numbers: dict[str, Any] = {"joints": [joint + 1 for joint in fault.joints], "side": side}
+        key = (fault.code, *fault.joints)
+        if fault.kind.operation == "divide":
+            key = (fault.code, side, fault.value)
+            numbers["decided"] = decided
+        if fault.kind.number:
+            numbers[fault.kind.number] = fault.value
+        if key in faults:
+            numbers["joints"] = [*faults[key].numbers["joints"], *numbers["joints"]]
+        faults[key] = DataFault(fault.code, (), numbers)
+    return screened.with_faults(faults.values(), recording)
 
 
-def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> _Ratio | None:
+def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> SuspectedFault | None:
     """What makes a joint, from 0, move further than its command or less; None where nothing in the file does.
 
     A soft servo moves less than commanded as well, by its sag: where that explains it nearly as well, nothing is said.
@@ -374,7 +341,7 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> _Ratio | None:
     degrees = float(np.rad2deg(1.0))
     for factor in (degrees, 1 / degrees):
         if 1 / _TRANSMITS < ratio / factor < _TRANSMITS:
-            return _Ratio("degrees", factor)
+            return SuspectedFault("degrees", (joint,), factor)
     gear = max(ratio, 1 / ratio)
     if round(gear) not in _GEARS or abs(gear / round(gear) - 1) > _NEAR_GEAR:
         return None
@@ -383,7 +350,7 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> _Ratio | None:
         free = np.std(fit_follower(past, measured).remaining)
         if np.std(fit_follower(past, measured, weight, gain=1.0).remaining) < _AS_GOOD * free:
             return None
-    return _Ratio("gear", float(round(gear)) if ratio > 1 else 1 / round(gear))
+    return SuspectedFault("gear", (joint,), float(round(gear)) if ratio > 1 else 1 / round(gear))
 
 
 def _plausible_side(choices: dict[str, Recording], arm: Arm, joint: int) -> str | None:
@@ -398,17 +365,25 @@ def _plausible_side(choices: dict[str, Recording], arm: Arm, joint: int) -> str 
     return plausible[0] if len(plausible) == 1 else None
 
 
-def _relative_side(choices: dict[str, Recording], arm: Arm, joint: int) -> tuple[str, bool]:
-    """The side after whose correction a rollout is nearer, as a share of the motion, and whether that decides."""
+def _wrong_side(choices: dict[str, Recording], arm: Arm, fault: SuspectedFault) -> tuple[str, bool]:
+    """The side after whose correction a rollout is nearer to the read-outs, and whether that decides.
+
+    A ratio changes how far a joint moves: errors are shares of that, and have to differ clearly.
+    """
+    least_ratio = 1.0
+    size = dict.fromkeys(choices, 1.0)
+    if fault.kind.operation == "divide":
+        plausible = _plausible_side(choices, arm, fault.joints[0])
+        if plausible is not None:
+            return plausible, True
+        least_ratio = _DECIDED
+        size = {side: float(np.std(choice.joint_position[:, fault.joints[0]])) for side, choice in choices.items()}
     if arm.mass is None:
         return "measured", False
-    errors = {
-        side: rollout_error(choice, arm) / float(np.std(choice.joint_position[:, joint]))
-        for side, choice in choices.items()
-    }
-    side = min(errors, key=lambda name: errors[name])
-    decided = max(errors.values()) > _DECIDED * errors[side]
-    return (side if decided else "measured"), bool(decided)
+    errors = {side: rollout_error(choice, arm) / size[side] for side, choice in choices.items()}
+    nearest = min(errors, key=lambda side: errors[side])
+    decided = bool(max(errors.values()) > least_ratio * errors[nearest])
+    return (nearest if decided else "measured"), decided
 
 
 # ------------------------------------------------------------------ what corrections share
@@ -428,16 +403,6 @@ def with_readouts(recording: Recording, position: Array) -> Recording:
         notes=recording.notes,
         sliding=recording.sliding,
     )
-
-
-def _nearer(choices: dict[str, Recording], arm: Arm) -> tuple[str, Recording]:
-    """The side that was corrected, and the recording, whose rollout is nearest to its read-outs."""
-    sides = list(choices)
-    if arm.mass is None:
-        return sides[0], choices[sides[0]]
-    errors = [rollout_error(choice, arm) for choice in choices.values()]
-    side = sides[int(np.argmin(errors))]
-    return side, choices[side]
 
 
 def rollout_error(recording: Recording, arm: Arm, rows: Mask | None = None) -> float:

@@ -1,12 +1,14 @@
 """Faults of rows of logs of commands: read-outs that repeat or are at their end, no torque, zeros of runs."""
 
 import itertools
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lite6jax.domains.faults import Screened
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
 from lite6jax.domains.tracking.problem import tracking_problem
@@ -77,8 +79,36 @@ _STEADY = 0.25
 """Of the largest difference of zeros, by which halves of runs differ at most."""
 
 
-def stale_rows(data: TrackingRows) -> Mask:
-    """`(sample,)`, rows whose read-outs repeat those of the row before, to all digits, while the arm moves."""
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScreenedTracking(Screened[TrackingRows]):
+    """Rows on an even grid, with corrected columns.
+
+    Attributes:
+        unusable: `(sample,)` bool of the grid, rows that are left out.
+    """
+
+    unusable: Mask
+
+    def without(self, code: str, rows: Mask, **numbers: Any) -> "ScreenedTracking":
+        """With more rows `(sample,)` left out, which have a fault."""
+        fault = DataFault(code, row_numbers(self.data.recording.row[rows]), {**numbers, "count": int(rows.sum())})
+        return replace(self.with_faults([fault]), unusable=self.unusable | rows)
+
+    def can_spare(self, rows: Mask) -> bool:
+        """Whether enough rows remain without more of them."""
+        return bool(np.mean(self.unusable | rows) <= 1 - _FEWEST_ROWS)
+
+
+def drop_stale_rows(state: ScreenedTracking) -> ScreenedTracking:
+    """Leaves rows out whose read-outs repeat those of the row before, to all digits, while the arm moves."""
+    stale = _stale_rows(state.data)
+    if not stale.any():
+        return state
+    return state.without("stale_rows", stale)
+
+
+def _stale_rows(data: TrackingRows) -> Mask:
     q = data.recording.joint_position
     run = data.recording.run
     same_run = np.diff(run) == 0
@@ -136,34 +166,21 @@ def _followed(data: TrackingRows, joint: int, rows: Mask) -> _Followed:
 # ------------------------------------------------------------------ read-outs at their end
 
 
-def drop_saturated_rows(data: TrackingRows, unusable: Mask) -> tuple[Mask, list[DataFault]]:
+def drop_saturated_rows(state: ScreenedTracking) -> ScreenedTracking:
     """Leaves rows out in which a read-out stays at its largest or smallest value while the joint goes on.
 
     A joint that its servo cannot move further slows down before it stops, and stops elsewhere under another load. A
     read-out that is at its end follows up to there, and is at the same value whenever the joint is beyond.
-
-    Args:
-        data: the rows.
-        unusable: `(sample,)`, rows that are left out already.
-
-    Returns:
-        `(sample,)`, rows that are left out, and the faults.
     """
-    found = []
-    dropped = unusable.copy()
+    data = state.data
+    usable = ~state.unusable
     for joint in range(len(data.measured)):
         for sign in (1.0, -1.0):
-            rows = _saturated(data, joint, sign, ~unusable)
-            if rows is None or np.mean(dropped | rows) > 1 - _FEWEST_ROWS:
-                continue
-            dropped |= rows
-            numbers = {
-                "joints": [joint + 1],
-                "end_rad": float(np.median(data.measured[joint][rows])),
-                "count": int(rows.sum()),
-            }
-            found.append(DataFault("saturated_readout", row_numbers(data.recording.row[rows]), numbers))
-    return dropped, found
+            rows = _saturated(data, joint, sign, usable)
+            if rows is not None and state.can_spare(rows):
+                end = float(np.median(data.measured[joint][rows]))
+                state = state.without("saturated_readout", rows, joints=[joint + 1], end_rad=end)
+    return state
 
 
 def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask | None:
@@ -258,57 +275,41 @@ def _at_limit(torque: Array, error: Array) -> bool:
     return bool(np.mean(np.sign(torque * error)) > _ALONG)
 
 
-def drop_rows_without_torque(data: TrackingRows, unusable: Mask) -> tuple[Mask, list[DataFault]]:
+def drop_rows_without_torque(state: ScreenedTracking) -> ScreenedTracking:
     """Leaves rows out in which joints fall or rest while their commands go on.
 
     Either all joints are at rest, as behind a protective stop; or a joint is far from where it would be, and has, by
     the masses of the arm, none of the torque that it has in other rows. One that is at its torque limit has that.
-
-    Args:
-        data: the rows.
-        unusable: `(sample,)`, rows that are left out already.
-
-    Returns:
-        `(sample,)`, rows that are left out, and the faults.
     """
+    data = state.data
     period = data.commands.period
-    joints = len(data.measured)
-    followed = [_followed(data, joint, ~unusable) for joint in range(joints)]
+    run = data.recording.run
+    joints = range(len(data.measured))
+    followed = [_followed(data, joint, ~state.unusable) for joint in joints]
     limits = [max(_FAR, _BEYOND * one.spread) for one in followed]
     away = np.stack(
         [np.abs(one.position - y) > limit for one, y, limit in zip(followed, data.measured, limits, strict=True)]
     )
-    away &= ~unusable
+    away &= ~state.unusable
     if not away.any():
-        return unusable, []
+        return state
     off = away & _still(data).all(0)
     if data.has_masses:
         off |= away & _weak(data, followed)
-    found = []
-    dropped = unusable.copy()
-    numbers_of = np.arange(joints) + 1
-    times = _intervals(np.asarray(off.any(0)), data.recording.run, period)
-    rows = np.zeros_like(unusable)
+    rows = np.zeros_like(state.unusable)
     assert data.recording.time is not None
     concerned: set[int] = set()
-    for first, last in times:
+    for first, last in _intervals(np.asarray(off.any(0)), run, period):
         # a joint falls before it is far away, and needs time to come back
-        begin, end = _whole_absence(np.asarray(away.any(0)), data.recording.run, first, last, round(_SHORTEST / period))
-        idle = [joint for joint in range(joints) if off[joint, first:last].any() and _idle(data, joint, first, last)]
+        begin, end = _whole_absence(np.asarray(away.any(0)), run, first, last, round(_SHORTEST / period))
+        idle = [joint for joint in joints if off[joint, first:last].any() and _idle(data, joint, first, last)]
         if idle:
             rows[begin:end] = True
-            concerned |= set(numbers_of[idle].tolist())
-    if rows.any() and np.mean(dropped | rows) <= 1 - _FEWEST_ROWS:
-        dropped |= rows
-        time = data.recording.time[rows]
-        numbers = {
-            "joints": sorted(concerned),
-            "from_s": float(time[0]),
-            "to_s": float(time[-1]),
-            "count": int(rows.sum()),
-        }
-        found.append(DataFault("torque_off", row_numbers(data.recording.row[rows]), numbers))
-    return dropped, found
+            concerned |= {joint + 1 for joint in idle}
+    if not rows.any() or not state.can_spare(rows):
+        return state
+    time = data.recording.time[rows]
+    return state.without("torque_off", rows, joints=sorted(concerned), from_s=float(time[0]), to_s=float(time[-1]))
 
 
 def _weak(data: TrackingRows, followed: list[_Followed]) -> Mask:
@@ -373,37 +374,30 @@ def _whole_absence(away: Mask, run: NDArray[np.integer], first: int, last: int, 
 # ------------------------------------------------------------------ zeros of runs
 
 
-def with_one_zero(data: TrackingRows, unusable: Mask) -> tuple[TrackingRows, list[DataFault]]:
+def with_one_zero(state: ScreenedTracking) -> ScreenedTracking:
     """Takes zeros of joints away that differ from run to run.
 
     The zero of a run is what its read-outs have beyond a follower of its command with the weight and the direction of
     motion, of all runs together. It counts where it is the same in both halves of the run, and leaves less than half
     of what is left without it. The run whose zero is nearest to the description's keeps it.
-
-    Args:
-        data: the rows.
-        unusable: `(sample,)`, rows that are left out.
-
-    Returns:
-        the rows with read-outs of one zero, and the faults.
     """
+    data = state.data
     runs = np.unique(data.recording.run)
     offsets = np.zeros((len(data.measured), len(runs)))
-    for joint in range(len(data.measured)):
-        zeros = _zeros_of_runs(data, joint, ~unusable)
+    for joint in range(len(data.measured) if len(runs) > 1 else 0):
+        zeros = _zeros_of_runs(data, joint, ~state.unusable)
         if zeros is not None:
             offsets[joint] = zeros
-    changed = offsets.any(1)
-    if not changed.any():
-        return data, []
-    raw = data.recording
-    place = np.searchsorted(runs, raw.run)
-    recording = with_readouts(raw, raw.joint_position - offsets.T[place])
-    found = [
+    changed = np.flatnonzero(offsets.any(1))
+    if not changed.size:
+        return state
+    place = np.searchsorted(runs, data.recording.run)
+    recording = with_readouts(data.recording, data.recording.joint_position - offsets.T[place])
+    faults = [
         DataFault("zero_per_run", (), {"joints": [joint + 1], "zeros_rad": offsets[joint].tolist()})
-        for joint in np.flatnonzero(changed).tolist()
+        for joint in changed.tolist()
     ]
-    return tracking_rows(recording, data.arm), found
+    return state.with_faults(faults, tracking_rows(recording, data.arm))
 
 
 def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:

@@ -1,25 +1,23 @@
 """Data faults of logs of commands and measured joints: what cannot be diagnosed, and what is located and corrected."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.domains.faults import Screened
 from lite6jax.domains.torque.rows import require_joints
 from lite6jax.domains.tracking.column_faults import correct_columns
 from lite6jax.domains.tracking.row_faults import (
+    ScreenedTracking,
     drop_rows_without_torque,
     drop_saturated_rows,
+    drop_stale_rows,
     require_torque,
-    stale_rows,
     with_one_zero,
 )
-from lite6jax.domains.tracking.rows import TrackingRows, tracking_rows
+from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
-from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
 
@@ -36,22 +34,6 @@ _CODES = (
 """Of the faults, in the order in which they are looked for."""
 
 
-class ScreenedTracking(NamedTuple):
-    """A recording as it is diagnosed.
-
-    Attributes:
-        data: on an even grid, with corrected columns.
-        unusable: `(sample,)` bool of the grid, rows that are left out.
-        found: data faults.
-        ruled_out: faults that were tested for and are not there.
-    """
-
-    data: TrackingRows
-    unusable: Mask
-    found: tuple[DataFault, ...]
-    ruled_out: tuple[DataFault, ...]
-
-
 def screen_tracking(recording: Recording, arm: Arm) -> ScreenedTracking:
     """Refuses what cannot be diagnosed, corrects columns, and leaves rows out that show no servo.
 
@@ -64,28 +46,17 @@ def screen_tracking(recording: Recording, arm: Arm) -> ScreenedTracking:
             follow, as where the torque is off.
     """
     require_joints(recording, arm)
-    found: list[DataFault] = []
-    tested = set(_CODES)
+    columns = Screened(recording)
     if recording.commanded_position is not None and recording.time is not None:
         _require_other_readouts(recording)
-        recording, found = correct_columns(recording, arm)
-    data = tracking_rows(recording, arm)
+        columns = correct_columns(recording, arm)
+    data = tracking_rows(columns.data, arm)
     require_torque(data)
-    unusable = stale_rows(data)
-    if unusable.any():
-        rows = row_numbers(data.recording.row[unusable])
-        found.append(DataFault("stale_rows", rows, {"count": int(unusable.sum())}))
-    for drop in (drop_saturated_rows, drop_rows_without_torque):
-        unusable, more = drop(data, unusable)
-        found += more
-    if len(np.unique(data.recording.run)) > 1:
-        data, more = with_one_zero(data, unusable)
-        found += more
-    else:
-        tested.discard("zero_per_run")
-    codes = {fault.code for fault in found}
-    ruled_out = tuple(DataFault(code) for code in _CODES if code in tested - codes)
-    return ScreenedTracking(data, unusable, tuple(found), ruled_out)
+    state = ScreenedTracking(data, columns.found, unusable=np.zeros(data.commands.samples, bool))
+    for screen in (drop_stale_rows, drop_saturated_rows, drop_rows_without_torque, with_one_zero):
+        state = screen(state)
+    several_runs = len(np.unique(data.recording.run)) > 1
+    return state.rule_out(*(code for code in _CODES if several_runs or code != "zero_per_run"))
 
 
 def _require_other_readouts(recording: Recording) -> None:

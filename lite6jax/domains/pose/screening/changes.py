@@ -3,58 +3,34 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import measured_rotations
-from lite6jax.domains.hypotheses import (
+from lite6jax.domains.faults import (
     DECLARED,
-    JOINTS,
     POSES,
     Hypothesis,
     SuspectedFault,
     couplings,
     joined,
-    places,
     signs_of_sets,
 )
 from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.recordings import Recording
-from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
 
 Array = NDArray[np.floating]
 
-CODES = (*DECLARED, *POSES, *JOINTS)
+CODES = (
+    *(*DECLARED, *POSES),
+    *("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "joint_turns"),
+)
 """The faults, in the order in which their changes are made. Of two that fit alike the earlier kind is preferred: a
 declaration is wrong more often than poses, and poses more often than joints."""
-_NUMBERS = {
-    "coupled_joint": "factor",
-    "joint_turns": "added_rad",
-    "mirrored_sensor": "axes",
-    "sensor_scale": "factor",
-    "orientation_convention": "convention",
-}
-"""What the value of a change is called."""
 _SCALAR_LAST = [3, 0, 1, 2]
-
-
-def as_fault(change: SuspectedFault) -> DataFault:
-    """What is reported of a change that is made."""
-    joints = [joint + 1 for joint in change.joints]
-    if change.code == "swapped_joints":
-        return DataFault(change.code, (), {"joints": joints})
-    numbers: dict[str, Any] = {"joint": joints[0]} if joints else {}
-    if change.code == "joint_unit":
-        numbers["unit"] = "deg" if change.size < 1 else "rad"
-    if change.code == "coupled_joint":
-        numbers["added_joint"] = joints[1]
-    if change.code in _NUMBERS:
-        numbers[_NUMBERS[change.code]] = change.value
-    return DataFault(change.code, (), numbers)
 
 
 def undo(hypothesis: Hypothesis, recording: Recording) -> Recording:
@@ -158,11 +134,6 @@ def added(hypothesis: Hypothesis, more: SuspectedFault) -> Hypothesis:
         elif change not in unchanged and more.code == "sensor_scale":
             more = replace(more, value=change.size * more.size)
     return joined(tuple(unchanged), (more,))
-
-
-def contains(hypothesis: Hypothesis, part: Hypothesis) -> bool:
-    """Whether a hypothesis is another with further changes, whatever their values: no other explanation then."""
-    return places(hypothesis) > places(part)
 
 
 def simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:

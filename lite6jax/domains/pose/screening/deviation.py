@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
-from lite6jax.domains.hypotheses import SuspectedFault
+from lite6jax.domains.faults import SuspectedFault
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.changes import rounded_to_quarters
 from lite6jax.estimation.robust import FREEDOM

@@ -12,7 +12,7 @@ from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.projection import Projected, estimated, next_step, physics_columns
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import (
     JUMP_LEVEL,
     MOST_FITTED,
@@ -68,7 +68,7 @@ class Jump(NamedTuple):
     p: float
 
 
-def remove_jumps(state: Screened) -> Screened:
+def remove_jumps(state: ScreenedPoses) -> ScreenedPoses:
     """The poses after each jump where they would have been without it."""
     known_jumps = state.corrections.known_jumps
     limit = state.corrections.jumps
@@ -90,7 +90,7 @@ def remove_jumps(state: Screened) -> Screened:
     return state
 
 
-def _without(state: Screened, jump: Jump) -> Screened:
+def _without(state: ScreenedPoses, jump: Jump) -> ScreenedPoses:
     arm, refined = without_jump(state.rigid_arm, jump, state.corrections.beside_physics)
     row = arm.recording.row
     run = arm.recording.run

@@ -7,9 +7,10 @@ where its log-likelihood exceeds that of the recording as it is declared, and of
 With the arm fitted, another nominal table of the same model is one more hypothesis.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,22 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, bundled_of, load_bundled
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import measured_rotations
-from lite6jax.domains.hypotheses import DECLARED, POSES, Hypothesis, SuspectedFault, compatible, joined, listed
+from lite6jax.domains.faults import (
+    DECLARED,
+    POSES,
+    Hypothesis,
+    SuspectedFault,
+    distinct,
+    joined,
+    listed,
+    places,
+    search,
+    simplest,
+)
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm, with_joints_of_touches
 from lite6jax.domains.pose.screening.changes import (
     CODES,
     added,
-    as_fault,
-    contains,
     differ_by_turns,
     is_estimated,
     rounded_to_quarters,
@@ -38,7 +48,7 @@ from lite6jax.domains.pose.screening.changes import (
 )
 from lite6jax.domains.pose.screening.deviation import Deviation
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED, PUBLISHED_TOLERANCE, SUSPECT_REACH
 from lite6jax.estimation.prior import Prior
 from lite6jax.model import LEVER, ArmModel
@@ -61,8 +71,10 @@ _EQUAL_NOISE = 0.1
 """The same as a difference, in standard deviations: below the scatter of a median."""
 _COLUMN_ROWS = 200
 """Rows on which single changes are compared; their median error is known to a tenth."""
+_MANY = 600
+"""Hypotheses at once, from which they are compared on fewer rows: of single changes there are some hundred."""
 _PAIR_ROWS = 60
-"""Rows on which several changes are compared; there are a thousand of them."""
+"""Rows on which so many are compared."""
 _PAIRS_FIRST = 8
 """Best hypotheses that are joined with more changes, or fitted; bounds the time."""
 _ZEROS_FIRST = 3
@@ -95,7 +107,7 @@ _TABLE_RATIO = 0.5
 """Ratio of residuals that decides where the share is vague; physics rarely halves them."""
 
 
-def correct_mismatch(state: Screened) -> Screened:
+def correct_mismatch(state: ScreenedPoses) -> ScreenedPoses:
     """The recording as the best hypothesis has it, where it misses the arm grossly as it is declared.
 
     It stays as it is where several hypotheses fit alike, or none does, or another bundled arm does.
@@ -121,9 +133,9 @@ def correct_mismatch(state: Screened) -> Screened:
             "corrected_error_m": nearest_error,
         }
         return state.corrected(DataFault("other_arm", (), numbers))
-    fits = [(h, _rigid(state, undo(h, arm.recording)).fitted(MOST_FITTED)) for h in near]
-    errors = [median_error(fit) for _, fit in fits]
-    smallest = min(errors, default=np.inf)
+    fits = {h: _rigid(state, undo(h, arm.recording)).fitted(MOST_FITTED) for h in near}
+    errors = {h: median_error(fit) for h, fit in fits.items()}
+    smallest = min(errors.values(), default=np.inf)
     # a chain that is not known may be further from its table than the limit, and fit the recording as it is
     recorded = arm.fitted(MOST_FITTED)
     fitted_error = median_error(recorded)
@@ -134,30 +146,24 @@ def correct_mismatch(state: Screened) -> Screened:
         numbers = {"median_error_m": error, "fitted_error_m": fitted_error, "best_alternative_m": None} | alternative
         return state.corrected(DataFault("unexplained", (), numbers))
     equal_below = max(_EQUAL_RATIO * smallest, smallest + _EQUAL_NOISE * arm.noise[0])
-    equal = [fit for fit, fit_error in zip(fits, errors, strict=True) if fit_error <= equal_below]
-    equal.sort(key=lambda pair: (_outside_limits(state, pair[0]), simplicity(pair[0])))
-    chosen, corrected = equal[0]
+    order = {h: (_outside_limits(state, h), *simplicity(h)) for h in near if errors[h] <= equal_below}
+    equal = sorted(order, key=lambda h: order[h])
+    chosen = equal[0]
+    corrected = fits[chosen]
     scale = min(corrected.scale, recorded.scale)
+    required = state.prior.cost("data_fault")
     gain = _deviation(state, corrected).log_likelihood(scale) - _deviation(state, recorded).log_likelihood(scale)
-    if gain < state.prior.cost("data_fault"):
+    if gain < required:
         return _rule_out(state, error, limit, fitted_error_m=fitted_error)
-    distinct = [chosen]
-    rivals = []
-    for hypothesis, fit in equal[1:]:
-        if any(differ_by_turns(hypothesis, accepted) for accepted in distinct) or contains(hypothesis, chosen):
-            continue
-        distinct.append(hypothesis)
-        equally_simple = simplicity(hypothesis)[:2] == simplicity(chosen)[:2]
-        equally_simple &= _outside_limits(state, hypothesis) == _outside_limits(state, chosen)
-        if equally_simple and corrected.log_likelihood(scale) - fit.log_likelihood(scale) < state.prior.cost(
-            "data_fault"
-        ):
-            rivals.append(hypothesis)
-    alternatives = [chosen, *rivals] if rivals else distinct[1:]
+    others = [h for h in distinct(equal, differ_by_turns) if h != chosen and not places(h) > places(chosen)]
+    tied = simplest(equal, lambda h: order[h][:3])
+    likelihood = corrected.log_likelihood(scale)
+    rivals = [h for h in others if h in tied and likelihood - fits[h].log_likelihood(scale) < required]
+    alternatives = [chosen, *rivals] if rivals else others
     numbers = {
         "median_error_m": error,
         "corrected_error_m": smallest,
-        "alternatives": listed(map(as_fault, hypothesis) for hypothesis in alternatives),
+        "alternatives": listed([change.data_fault for change in hypothesis] for hypothesis in alternatives),
     }
     if rivals:
         return state.corrected(DataFault("undecided", (), numbers))
@@ -167,7 +173,7 @@ def correct_mismatch(state: Screened) -> Screened:
     return correct(state, refined, _rigid(state, undo(refined, arm.recording)), numbers)
 
 
-def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
+def _refined(state: ScreenedPoses, hypothesis: Hypothesis, fitted: RigidArm) -> Hypothesis:
     """A hypothesis with its scale and its zeros, but for quarter turns, as all rows have them beside its prior."""
     of_values = [change for change in hypothesis if is_estimated(change)]
     deviation = _deviation(state, fitted)
@@ -177,7 +183,7 @@ def _refined(state: Screened, hypothesis: Hypothesis, fitted: RigidArm) -> Hypot
     return tuple(change for change in hypothesis if change.code != "sensor_scale" or _is_gross_scale(change))
 
 
-def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> Screened:
+def correct(state: ScreenedPoses, hypothesis: Hypothesis, rigid: RigidArm, numbers: dict[str, Any]) -> ScreenedPoses:
     """The recording without the faults of a hypothesis.
 
     Args:
@@ -188,7 +194,7 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
     """
     board = state.recording.settings.board
     for change in hypothesis:
-        fault_numbers = {**as_fault(change).numbers, **(numbers if change is hypothesis[-1] else {})}
+        fault_numbers = {**change.data_fault.numbers, **(numbers if change is hypothesis[-1] else {})}
         if change.code == "declared_frame":
             turned = Rotation.from_matrix(rigid.T_sensor_base[:3, :3]).as_rotvec()
             fault_numbers |= {"translation_m": rigid.T_sensor_base[:3, 3].tolist(), "rotation_rad": turned.tolist()}
@@ -201,7 +207,7 @@ def correct(state: Screened, hypothesis: Hypothesis, rigid: RigidArm, numbers: d
     return state.transformed(partial(undo, hypothesis))
 
 
-def _rule_out(state: Screened, error: float, limit: float, **numbers: Any) -> Screened:
+def _rule_out(state: ScreenedPoses, error: float, limit: float, **numbers: Any) -> ScreenedPoses:
     """Every hypothesis that the settings and the number of joints leave; the screen of turns speaks of turns."""
     recording = state.rigid_arm.recording
     missing = {"joint_turns"}
@@ -225,35 +231,59 @@ def touches_one_point(recording: Recording, noise: float) -> bool:
     return median_distance(recording.position) <= 3 * noise
 
 
-def _search(thinned: RigidArm, allowed: float) -> list[Hypothesis]:
-    """Hypotheses worth a fit: the best by error, of few changes first, more only where fewer do not suffice."""
-    simple = list(single_changes(thinned.recording))
-    touches = thinned.recording.touches is not None
-    if touches:  # each hypothesis takes a fit of its places
-        thinned = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
-    else:
-        simple += _scales(thinned)
-    beam: list[Hypothesis] = [()]
-    errors: dict[Hypothesis, float] = {}
-    for changes in range(1 if touches else _MOST_CHANGES):
-        rows = thinned if not changes else thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
-        candidates = {joined(h, more) for h in beam for more in simple if compatible(h, more)}
-        scored = {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in candidates}
-        beam = sorted(scored, key=lambda h: (scored[h], simplicity(h)))[:_PAIRS_FIRST]
-        if not beam:
-            break
-        missed = scored[beam[0]] > _UNFITTED_RATIO * allowed
-        missed |= any(change.code in DECLARED for change in beam[0])  # a zero does what a frame or a tool does
-        for h in [*([()] if not changes else []), *beam[:_ZEROS_FIRST]] if missed else ():
-            zeros = _zeros(rows, h)
+@final
+class _MedianErrors:
+    """Hypotheses by the median error of the nominal arm, with frame and tool in closed form where they are free.
+
+    Attributes:
+        allowed: m, an error that explains the poses.
+    """
+
+    def __init__(self, thinned: RigidArm, allowed: float) -> None:
+        self.allowed = allowed
+        self._touched = thinned.recording.touches is not None
+        self._fewer = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
+        self._rows = self._fewer if self._touched else thinned  # of touches each takes a fit of its places
+        self.most_changes = 1 if self._touched else _MOST_CHANGES
+        self._simple = list(single_changes(thinned.recording))
+        if not self._touched:
+            self._simple += _scales(self._fewer)
+
+    def simple(self, changes: int) -> Sequence[Hypothesis]:
+        """All."""
+        return self._simple
+
+    def costs(self, hypotheses: Sequence[Hypothesis]) -> dict[Hypothesis, float]:
+        """The median error of each, m."""
+        rows = self._fewer if len(hypotheses) > _MANY else self._rows
+        return {h: median_error(_free_frames(rows, undo(h, rows.recording))) for h in hypotheses}
+
+    def refined(self, costs: Mapping[Hypothesis, float], origins: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best with zeros of any angle, where they leave much, or where a zero does what a frame or a tool does."""
+        best = self.nearest(costs)
+        missed = costs[best[0]] > _UNFITTED_RATIO * self.allowed
+        if not missed and not any(change.code in DECLARED for change in best[0]):
+            return []
+        refined = []
+        for h in [*(h for h in origins if not h), *best[:_ZEROS_FIRST]]:
+            zeros = _zeros(self._rows, h)
             if zeros:
-                refined = joined(tuple(c for c in h if c.code != "joint_turns"), zeros)
-                scored[refined] = median_error(_free_frames(rows, undo(refined, rows.recording)))
-        smallest = min(scored.values())
-        stuck = bool(errors) and smallest > _WORTH_ANOTHER * min(errors.values())
-        errors |= scored
-        if smallest <= _UNFITTED_RATIO * allowed or stuck:
-            break
+                refined.append(joined(tuple(c for c in h if c.code != "joint_turns"), zeros))
+        return refined
+
+    def nearest(self, costs: Mapping[Hypothesis, float]) -> list[Hypothesis]:
+        """The best, but for those with zeros of any angle, which reduce some error of any arm."""
+        apart = [h for h in costs if not any(c.code == "joint_turns" and is_estimated(c) for c in h)]
+        return sorted(apart, key=lambda h: (costs[h], simplicity(h)))[:_PAIRS_FIRST]
+
+    def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
+        """Whether it explains the poses, or one more change hardly helped."""
+        return cost <= _UNFITTED_RATIO * self.allowed or (before < np.inf and cost > _WORTH_ANOTHER * before)
+
+
+def _search(thinned: RigidArm, allowed: float) -> list[Hypothesis]:
+    """Hypotheses worth a fit, the best by error."""
+    errors = search(_MedianErrors(thinned, allowed), {})
     smallest = min(errors.values(), default=np.inf)
     limit = max(_UNFITTED_RATIO * allowed, _FITTED_RATIO * smallest)
     # a number of any size reduces some error of any arm: `explain_deviation` judges what explains a part of it
@@ -264,7 +294,6 @@ def _search(thinned: RigidArm, allowed: float) -> list[Hypothesis]:
 
 def _scales(thinned: RigidArm) -> list[Hypothesis]:
     """The scale of the sensor at which the nominal arm misses the poses least, where it is grossly wrong."""
-    thinned = thinned.select(spread_rows(thinned.samples, _PAIR_ROWS))
 
     def error(log_scale: float) -> float:
         change = SuspectedFault("sensor_scale", (), float(np.exp(log_scale)))
@@ -328,11 +357,11 @@ def _nearest_arm(thinned: RigidArm) -> tuple[str | None, float]:
     return name, error
 
 
-def _deviation(state: Screened, fitted: RigidArm) -> Deviation:
+def _deviation(state: ScreenedPoses, fitted: RigidArm) -> Deviation:
     return Deviation(fitted, _rigid(state, fitted.recording))
 
 
-def _rigid(state: Screened, recording: Recording) -> RigidArm:
+def _rigid(state: ScreenedPoses, recording: Recording) -> RigidArm:
     return rigid_arm(recording, state.rigid_arm.arm, state.geometry, state.factory)
 
 
@@ -359,7 +388,7 @@ def median_error(arm: RigidArm) -> float:
     return float(np.median(np.hypot(arm.distance, LEVER * arm.turn)))
 
 
-def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
+def _outside_limits(state: ScreenedPoses, hypothesis: Hypothesis) -> int:
     """How many joint positions a hypothesis puts outside the limits."""
     arm = state.rigid_arm
     slack = LIMIT_SLACK_RAD
@@ -371,7 +400,7 @@ def _outside_limits(state: Screened, hypothesis: Hypothesis) -> int:
 # ------------------------------------------------------------------ what a fitted arm takes up
 
 
-def explain_deviation(state: Screened) -> Screened:
+def explain_deviation(state: ScreenedPoses) -> ScreenedPoses:
     """The recording without the gross errors that its fitted arm takes up, one after the other, the likeliest first."""
     fitted = state.rigid_arm
     if all(name != "link" for name, _, _ in fitted.unknown):
@@ -396,7 +425,7 @@ def explain_deviation(state: Screened) -> Screened:
         fitted = again
     if made:
         numbers: dict[str, Any] = {"median_error_m": error, "corrected_error_m": median_error(start)}
-        numbers["alternatives"] = listed(map(as_fault, hypothesis) for hypothesis in alternatives)
+        numbers["alternatives"] = listed([c.data_fault for c in hypothesis] for hypothesis in alternatives)
         state = correct(state, made, fitted, numbers)
     numbers = Deviation(fitted, start).summary()
     if numbers["factor"] < _BEYOND_GRANTED:
@@ -444,7 +473,7 @@ def tables_of_model(name: str) -> list[Arm]:
     return [load_bundled(table) for table in bundled_arms() if table.split("_")[0] == model]
 
 
-def use_other_table(state: Screened) -> Screened:
+def use_other_table(state: ScreenedPoses) -> ScreenedPoses:
     """Another table of the same model in the place of the one declared, where the data are of that one.
 
     Where they leave it open, the corrections decide. A declared chain that was asked for stays. Where it is a published

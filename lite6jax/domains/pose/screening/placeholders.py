@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, SUSPECT_REACH
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import flange_poses, frames_from_poses, median_distance
@@ -34,7 +34,7 @@ _POSES = ("joint_position", "position")
 """The arrays of a recording of poses in which marks are looked for."""
 
 
-def leave_out_placeholders(state: Screened) -> Screened:
+def leave_out_placeholders(state: ScreenedPoses) -> ScreenedPoses:
     """Without the rows in which joints or poses are marks; each mark is a fault of its own."""
     recording = state.recording
     assert recording.position is not None
@@ -53,7 +53,7 @@ def leave_out_placeholders(state: Screened) -> Screened:
         state = state.corrected(mark.fault(recording, rows), recording)
     if not lost.any():
         return state
-    return replace(state, recording=recording.without_rows(lost))
+    return replace(state, data=recording.without_rows(lost))
 
 
 @final

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, MOST_FITTED
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.recordings.fault import DataFault
 
 
-def free_constant(state: Screened) -> Screened:
+def free_constant(state: ScreenedPoses) -> ScreenedPoses:
     """With a constant of the distances that is fitted, where it is a fault or was decided to be one."""
     recording = state.recording
     decision = state.corrections.constant

@@ -29,7 +29,7 @@ from lite6jax.domains.pose.screening import (
     settling,
     stations,
 )
-from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.domains.pose.screening.screened import Corrections, ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED
 from lite6jax.errors import InputError
 from lite6jax.estimation.prior import PRIOR, Prior
@@ -64,7 +64,7 @@ _GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
 """Spacing of commands in rad, and the unit in which it is round."""
 
 
-def sort_rows(state: Screened) -> Screened:
+def sort_rows(state: ScreenedPoses) -> ScreenedPoses:
     """The rows of each run by time, where one is before an earlier row."""
     recording = state.recording
     late, step_back = time_disorder(recording)
@@ -74,7 +74,7 @@ def sort_rows(state: Screened) -> Screened:
     return state.corrected(fault, recording.sorted_by_time())
 
 
-def drop_repeats(state: Screened) -> Screened:
+def drop_repeats(state: ScreenedPoses) -> ScreenedPoses:
     """Each row once: rows that repeat an earlier one in joints and pose, to the last digit, are dropped."""
     again, first = repeated_rows(state.recording)
     if not again.size:
@@ -87,7 +87,7 @@ def drop_repeats(state: Screened) -> Screened:
     return state.corrected(fault, state.recording.select(retained))
 
 
-def convert_positions(state: Screened) -> Screened:
+def convert_positions(state: ScreenedPoses) -> ScreenedPoses:
     """Positions in m, where some rows are a thousand times too far away or too near."""
     recording = state.recording
     position = state.recording.position
@@ -122,7 +122,7 @@ def _factors(position: Array) -> tuple[Array, float, float]:
     return np.where(far, 1e3, np.where(near, 1e-3, 1.0)), float(distance(position).max()), size
 
 
-def note_commanded(state: Screened) -> Screened:
+def note_commanded(state: ScreenedPoses) -> ScreenedPoses:
     """As it is, where joints are round numbers: they were commanded."""
     recording = state.recording
     if recording.settings.joint_source == "commanded":
@@ -142,7 +142,7 @@ def note_commanded(state: Screened) -> Screened:
     return state.rule_out("commanded_joints", reason="not_round", share=largest, **grid_numbers)
 
 
-def drop_computed_orientations(state: Screened) -> Screened:
+def drop_computed_orientations(state: ScreenedPoses) -> ScreenedPoses:
     """Positions alone, where a table reproduces the orientations to rounding and not the positions: two sources."""
     recording = state.recording
     if recording.quaternion is None or recording.readings is not None:
@@ -168,7 +168,7 @@ def drop_computed_orientations(state: Screened) -> Screened:
     return state.transformed(lambda r: replace(r, quaternion=None))
 
 
-def note_computed(state: Screened) -> Screened:
+def note_computed(state: ScreenedPoses) -> ScreenedPoses:
     """As it is, where a table, or one that is fitted, reproduces the poses to rounding: a controller computed them."""
     arm = state.rigid_arm
     recording = state.recording
@@ -200,7 +200,7 @@ def _is_computed(fitted: RigidArm) -> bool:
     return is_below_sensors(grown * float(np.median(fitted.distance)), position)
 
 
-def remove_turns(state: Screened) -> Screened:
+def remove_turns(state: ScreenedPoses) -> ScreenedPoses:
     """Joints without whole turns, where they wrap round in a trajectory or are beyond their limits by such turns."""
     recording = state.recording
     slack = LIMIT_SLACK_RAD
@@ -235,7 +235,7 @@ class Screen:
 
     codes: tuple[str, ...]
     needs: Literal["recording", "arm", "fit"]
-    run: Callable[[Screened], Screened]
+    run: Callable[[ScreenedPoses], ScreenedPoses]
     estimated: Callable[[DataFault], int] = lambda fault: 0
     located: bool = False
     of_touches: bool = False
@@ -262,7 +262,7 @@ SCREENS = (
 """All screens, in order."""
 
 
-def price(screened: Screened, numbers: float, samples: int) -> float:
+def price(screened: ScreenedPoses, numbers: float, samples: int) -> float:
     """Log-likelihood that the corrections made must gain over physics: ½ log n a quantity (Schwarz), log samples a row.
 
     Args:
@@ -287,7 +287,7 @@ def screen(
     factory: FactoryCalibration | None = None,
     allow_undecided: bool = False,
     coarse: bool = False,
-) -> Screened:
+) -> ScreenedPoses:
     """The recording without the faults of its data, and those faults.
 
     Args:
@@ -306,7 +306,9 @@ def screen(
     """
     require_samples(recording, 1)
     prior = prior.given(recording.settings.prior or {})
-    state = Screened(recording, arm, geometry, corrections or Corrections(), prior, factory=factory)
+    state = ScreenedPoses(
+        recording, arm=arm, geometry=geometry, corrections=corrections or Corrections(), prior=prior, factory=factory
+    )
     fitted = False
     for entry in SCREENS:
         if (coarse and entry.needs == "fit") or (recording.touches is not None and not entry.of_touches):
@@ -338,10 +340,10 @@ def screen(
     return state
 
 
-def screen_rows(recording: Recording, arm: Arm | None = None) -> Screened:
+def screen_rows(recording: Recording, arm: Arm | None = None) -> ScreenedPoses:
     """The recording without placeholders, in order, each row once and positions in m: the screens of rows."""
     require_samples(recording, 1)
-    state = Screened(recording, arm, "declared", Corrections())
+    state = ScreenedPoses(recording, arm=arm, geometry="declared", corrections=Corrections())
     for entry in SCREENS:
         if entry.needs == "recording" and (recording.touches is None or entry.codes == ("time_order",)):
             state = entry.run(state)

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import final
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
+from lite6jax.domains.faults import Screened
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording
@@ -37,33 +38,32 @@ class Corrections:
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Screened:
-    """A recording without the faults that were found.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScreenedPoses(Screened[Recording]):
+    """A recording of poses without the faults that were found.
 
     Attributes:
-        recording: corrected.
         arm: the nominal arm; None until it has been read from the sidecar.
         geometry: what is known of it, as in `fit`.
         corrections: which of the faults that resemble physics are corrected.
         prior: the probabilities of explanations before any data: what a correction must gain is its cost.
-        found: the faults, in the order in which they were corrected.
-        ruled_out: faults that were tested for and not found.
         rigid: the rigid arm with this recording, from the first screen on that needs it.
         factory: the arm's calibration where it is not the sidecar's.
         transforms: what was done to the columns and poses, each applicable to other rows of the same recording.
     """
 
-    recording: Recording
     arm: Arm | None
     geometry: Geometry
     corrections: Corrections
     prior: Prior = PRIOR
-    found: tuple[DataFault, ...] = ()
-    ruled_out: tuple[DataFault, ...] = ()
     rigid: RigidArm | None = None
     factory: FactoryCalibration | None = None
     transforms: tuple[Callable[[Recording], Recording], ...] = ()
+
+    @property
+    def recording(self) -> Recording:
+        """Corrected so far."""
+        return self.data
 
     def transferred(self, recording: Recording) -> Recording:
         """Other rows of the same recording, corrected as these were, but for faults of single rows."""
@@ -71,7 +71,7 @@ class Screened:
             recording = transform(recording)
         return replace(recording, settings=self.recording.settings)
 
-    def transformed(self, transform: Callable[[Recording], Recording]) -> "Screened":
+    def transformed(self, transform: Callable[[Recording], Recording]) -> "ScreenedPoses":
         """With one more transform of `transferred`."""
         return replace(self, transforms=(*self.transforms, transform))
 
@@ -87,24 +87,13 @@ class Screened:
         tables = (fault for fault in self.ruled_out if fault.code == "nominal_table")
         return next((fault.numbers["table"] for fault in tables if fault.numbers.get("likelier")), None)
 
-    def count(self, code: str) -> int:
-        """How many faults of a code were found."""
-        return sum(fault.code == code for fault in self.found)
-
     def corrected(
         self, fault: DataFault, recording: Recording | None = None, rigid: RigidArm | None = None
-    ) -> "Screened":
+    ) -> "ScreenedPoses":
         """With a fault found and corrected; a rigid arm brings its recording."""
         rigid = rigid or self.rigid
         if recording is None:
             recording = self.recording if rigid is None else rigid.recording
         elif rigid is not None:
             rigid = rigid.with_poses(recording)
-        ruled_out = tuple(excluded for excluded in self.ruled_out if excluded.code != fault.code)
-        return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault), ruled_out=ruled_out)
-
-    def rule_out(self, *codes: str, **numbers: Any) -> "Screened":
-        """With faults ruled out by the same numbers, but for those of which one was found before."""
-        corrected_codes = {fault.code for fault in self.found}
-        ruled_out = (DataFault(code, (), numbers) for code in codes if code not in corrected_codes)
-        return replace(self, ruled_out=(*self.ruled_out, *ruled_out))
+        return replace(self.with_faults([fault], recording), rigid=rigid)

@@ -9,7 +9,7 @@ from scipy.special import chdtri, ndtr
 
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.domains.pose.screening.thresholds import JUMP_LEVEL, MOST_FITTED, MOST_SAMPLES, REFINEMENTS
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -53,7 +53,7 @@ class Unsettled(NamedTuple):
     std: Array
 
 
-def settle_joints(state: Screened) -> Screened:
+def settle_joints(state: ScreenedPoses) -> ScreenedPoses:
     """The joints of a static recording with the rest of their moves added, where they were read too early."""
     samples = state.recording.samples
     if state.recording.motion != "static":

@@ -11,7 +11,7 @@ from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import rigid_frames, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening import hypotheses
-from lite6jax.domains.pose.screening.screened import Screened
+from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import frames_from_poses
@@ -22,7 +22,7 @@ FEWEST_POSES = 8
 """Of a station: its frame has six numbers, and some poses must show what the others determine."""
 
 
-def join_stations(state: Screened) -> Screened:
+def join_stations(state: ScreenedPoses) -> ScreenedPoses:
     """The poses of all stations in the first one's frame, as far as the arm as declared shows them.
 
     Each station is a recording of its own, in which gross faults are corrected before its frame is found; the joined
@@ -45,17 +45,17 @@ def join_stations(state: Screened) -> Screened:
     largest = max(parts, key=lambda part: part.samples)
     frames = [_sensor_frame(part, largest.T_flange_tool) for part in parts]
     carried = partial(_carry, to_first=frames[0] @ np.linalg.inv(frames))
-    return replace(state, recording=carried(recording)).transformed(carried)
+    return replace(state, data=carried(recording)).transformed(carried)
 
 
-def _without_gross_faults(state: Screened, part: Recording) -> RigidArm:
+def _without_gross_faults(state: ScreenedPoses, part: Recording) -> RigidArm:
     """The rigid arm of one station, with its frames in closed form."""
 
     def rigid(recording: Recording, arm: Arm | None = state.arm) -> RigidArm:
         return rigid_arm(recording, arm, state.geometry, state.factory)
 
     begun = rigid(part)
-    corrected = hypotheses.correct_mismatch(replace(state, recording=part, rigid=begun, arm=begun.arm)).recording
+    corrected = hypotheses.correct_mismatch(replace(state, data=part, rigid=begun, arm=begun.arm)).recording
     changed = [
         code
         for code, before, after in (
