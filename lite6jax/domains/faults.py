@@ -1,7 +1,7 @@
 """Faults of the data, in every domain: what each changes, how hypotheses of them are sought, and what a screening says.
 
 A hypothesis is a tuple of suspected faults. `KINDS` says of each what it does to the columns. A domain lists its simple
-hypotheses, undoes one in its data and weighs what is left: that is its `Comparison`, of which `search` and `simplest`
+hypotheses, undoes one in its data and weighs what is left: that is its `Ranking`, of which `search` and `simplest`
 take the best. A fault of rows is found by a test of its own. What was decided are `DataFault`s in a `Screened`; their
 prior probability is `data_fault` of `estimation.prior`, and their words are in `report.faults`.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording
-from lite6jax.recordings.fault import DataFault
+from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
 Hypothesis = tuple["SuspectedFault", ...]
@@ -204,10 +204,29 @@ def listed(several: Iterable[Iterable[DataFault]]) -> list[list[dict[str, Any]]]
     return [[{"fault": fault.code, **fault.numbers} for fault in faults] for faults in several]
 
 
+LIMIT_SLACK_RAD = 0.01
+"""rad that a joint may be beyond its limits, as controllers stop a little late."""
+
+
+def rounded_to_quarters(angle: float, tolerance: float) -> float:
+    """An angle in rad, or the quarter turns, but no turn, that it is within a tolerance."""
+    quarters = float(np.round(angle / (np.pi / 2)) * np.pi / 2)
+    return quarters if quarters and abs(angle - quarters) < tolerance else angle
+
+
+def whole_turns(recording: Recording, without_turns: Array) -> DataFault | None:
+    """Joints and rows whose positions are others than these, which have no whole turns; None where there are none."""
+    turned = np.abs(without_turns - recording.joint_position) > 1.0
+    if not turned.any():
+        return None
+    joints = (1 + np.flatnonzero(turned.any(0))).tolist()
+    return DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints})
+
+
 # ------------------------------------------------------------------ how they are compared
 
 
-class Comparison(Protocol):
+class Ranking(Protocol):
     """How a domain compares hypotheses before the best are fitted: the less their cost, the nearer they are."""
 
     @property
@@ -236,22 +255,22 @@ class Comparison(Protocol):
         ...
 
 
-def search(comparison: Comparison, costs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
+def search(ranking: Ranking, costs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
     """Costs of hypotheses, of few changes first, of more where these do not suffice; those of `costs` are given."""
     compared = dict(costs)
     nearest: list[Hypothesis] = [()]
-    for changes in range(comparison.most_changes):
-        simple = comparison.simple(changes)
+    for changes in range(ranking.most_changes):
+        simple = ranking.simple(changes)
         extended = (joined(h, more) for h in nearest for more in simple if compatible(h, more))
-        new = comparison.costs([h for h in dict.fromkeys(extended) if h not in compared])
+        new = ranking.costs([h for h in dict.fromkeys(extended) if h not in compared])
         if not new:
             break
-        new |= comparison.costs(comparison.refined(new, nearest))
+        new |= ranking.costs(ranking.refined(new, nearest))
         before = min(compared.values(), default=np.inf)
-        nearest = comparison.nearest(new)
+        nearest = ranking.nearest(new)
         compared |= new
         best = min(new, key=lambda h: new[h])
-        if not nearest or comparison.suffices(best, new[best], before):
+        if not nearest or ranking.suffices(best, new[best], before):
             break
     return compared
 

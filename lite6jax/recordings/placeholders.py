@@ -4,6 +4,7 @@ A bus that is silent, or a sensor that sees nothing, leaves such numbers as -100
 repeats exactly may be a mark; whether it is one is decided by what is known of the arm or of the motion.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,3 +83,27 @@ def _of_array(array: str, values: Array | None) -> list[Mark]:
         repeats = np.flatnonzero(count > 1)
         marks += [Mark(array, column, float(numbers[k]), single[group.ravel() == k]) for k in repeats]
     return marks
+
+
+def without_marks(
+    recording: Recording,
+    marks: Sequence[Mark],
+    lost_of: Callable[[Mark, NDArray[np.integer], Rows], NDArray[np.integer]],
+) -> tuple[Recording, list[DataFault]]:
+    """The recording without rows that hold no measurement, and a fault for each mark.
+
+    Args:
+        recording: any.
+        marks: in the order in which they are judged.
+        lost_of: of a mark, its samples that no earlier one has and the rows lost so far, the samples that are lost.
+    """
+    lost = np.zeros(recording.samples, bool)
+    faults = []
+    for mark in marks:
+        rows = mark.samples[~lost[mark.samples]]
+        if len(rows):
+            rows = lost_of(mark, rows, lost)
+        if len(rows):
+            lost[rows] = True
+            faults.append(mark.fault(recording, rows))
+    return (recording.without_rows(lost) if faults else recording), faults

@@ -9,7 +9,6 @@ from lite6jax.arms.description import load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
-from lite6jax.domains.faults import Screened
 from lite6jax.domains.torque import screening
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.effects.dynamic import (
@@ -63,7 +62,7 @@ def recorded(declared=True, friction=True, extra=None):
 
 def diagnosed(recording, effects=(), faults=(), arm=LITE6):
     """The result of a search that adds just these effects: nothing is searched for, nor held out."""
-    with patch.object(screening, "correct_faults", lambda data: Screened(data)):
+    with patch.object(screening, "correct_faults", lambda screened: screened):
         problem = torque_problem(screening.screen_torques(recording, arm).data)
     rivals = (Alternative(TorqueOffset(1), 1.5), Alternative(TorqueOffset(6), 44.0))
     selection, findings = found_without_search(problem, effects, lambda _: rivals)

@@ -79,8 +79,9 @@ _FELT = 0.01
 """Of a joint's torque, RMS: what another gravity changes at least, where it is a hypothesis."""
 
 
-def correct_faults(data: TorqueRows) -> Screened[TorqueRows]:
+def correct_faults(state: Screened[TorqueRows]) -> Screened[TorqueRows]:
     """The rows corrected by the hypothesis that is taken; unchanged where none is, or where several are as likely."""
+    data = state.data
     rows, compared = _compare(Samples(data))
     likeliest = compared.hypotheses
     faults: list[DataFault] = []
@@ -101,19 +102,20 @@ def correct_faults(data: TorqueRows) -> Screened[TorqueRows]:
     }
     doubted |= {fault.code for fault in faults}
     absent = [code for code, rival_codes in _RULED_OUT.items() if not doubted & rival_codes]
-    return Screened(data, tuple(faults)).rule_out(*absent)
+    return state.with_faults(faults, data).rule_out(*absent)
 
 
-def correct_signs(data: TorqueRows) -> Screened[TorqueRows]:
+def correct_signs(state: Screened[TorqueRows]) -> Screened[TorqueRows]:
     """The rows with the signs of joints whose friction would exert power, where no inertial number is known.
 
     Each joint is fitted by any arm's torques, an offset and friction: of a wrong sign, friction that takes power leaves
     more than friction that exerts it. Whether the positions are reversed or the torques, all joints together show.
     """
+    data = state.data
     required = fault_cost(data.recording)
     joints = [joint for joint in range(data.arm.dof) if _power_gain(data, joint) > required + np.log(data.arm.dof)]
     if not joints:
-        return Screened(data)
+        return state
     misfits = {}
     for code in _SIGNS:
         hypothesis = tuple(SuspectedFault(code, (joint,)) for joint in joints)
@@ -125,7 +127,7 @@ def correct_signs(data: TorqueRows) -> Screened[TorqueRows]:
     if code == "reversed_positions":
         undone = "reversed_positions"
     corrected = undo(tuple(SuspectedFault(undone, (joint,)) for joint in joints), data)
-    return Screened(corrected, (DataFault(code, (), {"joints": [joint + 1 for joint in joints]}),))
+    return state.with_faults([DataFault(code, (), {"joints": [joint + 1 for joint in joints]})], corrected)
 
 
 def _of_any_arm(data: TorqueRows, joint: int) -> tuple[Array, Array]:
@@ -255,7 +257,7 @@ def _compare(rows: Samples) -> tuple[Samples, _Compared]:
     declared = rows.declared
     if not rows.suspicious(declared):
         return rows, _Compared()
-    ranked = _Ranking(rows)
+    ranked = _PenalisedLikelihoods(rows)
     search(ranked, ranked.costs([()]))
     least = sorted(ranked.scored.values(), key=lambda scored: scored.cost)[:_COMPARED]
     contenders = [s.hypothesis for s in least if s.hypothesis and (s.left < declared.left / _CLEARLY).any()]
@@ -297,7 +299,7 @@ def _with_one_constant(hypothesis: Hypothesis) -> Hypothesis:
 
 
 @final
-class _Ranking:
+class _PenalisedLikelihoods:
     """Hypotheses about positions and gravity by a penalised likelihood, each with the changes of torques that fit it.
 
     Attributes:

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import inverse_dynamics, regressor
-from lite6jax.domains.faults import Hypothesis, SuspectedFault, fault_cost
+from lite6jax.domains.faults import Hypothesis, SuspectedFault, fault_cost, rounded_to_quarters
 from lite6jax.domains.torque.changes import STEP, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
@@ -135,13 +135,11 @@ class Samples:
 
     def price(self, hypothesis: Hypothesis) -> float:
         """Log-likelihood that its changes cost: which joints, and half the logarithm of the samples for each number."""
-        pair = _of_pair(self.dof)
-        number = self._of_number
-        cost_of = {"joint_zero": number, "wrong_torque_constant": number, "torque_unit": number}
-        cost_of |= {"swapped_positions": pair, "swapped_torques": pair, "coupled_joint": np.log(4 * self.dof)}
+        cost_of = {"exchange": _of_pair(self.dof), "couple": float(np.log(4 * self.dof))}
+        cost_of |= dict.fromkeys(("add", "divide"), self._of_number)
         reversed_both = {c.joints for c in hypothesis if c.code == "reversed_positions"}
         reversed_both &= {c.joints for c in hypothesis if c.code == "reversed_torque"}
-        total = sum(cost_of.get(change.code, _OF_SIGN) for change in hypothesis)
+        total = sum(cost_of.get(change.kind.operation, _OF_SIGN) for change in hypothesis)
         constants = [c.value for c in hypothesis if c.code == "wrong_torque_constant"]
         repeated = 0.5 * np.log(self.counted) * (len(constants) - len(set(constants)))
         return float(total - _OF_SIGN * len(reversed_both) - repeated)
@@ -313,9 +311,8 @@ class Samples:
                 lambda value, at=at: self.scored(at(value)).cost, bounds=near, method="bounded", options={"xatol": 5e-3}
             )
             value = float(minimum.x)
-            quarters = float(np.round(value / (np.pi / 2)) * np.pi / 2)
-            value = quarters if abs(value - quarters) < _SNAP else float(f"{value:.3g}")
-            hypothesis = at(turned_back(value))
+            quarters = rounded_to_quarters(value, _SNAP)
+            hypothesis = at(turned_back(quarters if quarters != value else float(f"{value:.3g}")))
         return tuple(c for c in hypothesis if c.code != "joint_zero" or abs(c.size) > _LEAST_ZERO)
 
     def gravity_found(self, hypothesis: Hypothesis) -> SuspectedFault | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
-from lite6jax.domains.faults import Screened
+from lite6jax.domains.faults import LIMIT_SLACK_RAD, Screened, whole_turns
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.hypotheses import computed_torque, correct_faults, correct_signs
 from lite6jax.domains.torque.problem import TorqueProblem
@@ -25,7 +25,7 @@ from lite6jax.recordings import Recording, estimated_torque
 from lite6jax.recordings.checks import STILL_RAD, check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
-from lite6jax.recordings.placeholders import possible_marks
+from lite6jax.recordings.placeholders import Mark, possible_marks, without_marks
 from lite6jax.recordings.sequence import run_segments, stretches
 
 Array = NDArray[np.floating]
@@ -39,8 +39,6 @@ _MARKED_RAD = 0.1
 """rad, or m, by which a number that repeats is off the rows beside it, where it is a mark."""
 _MARKED_SHARE = 0.2
 """The same of torques, of their standard deviation."""
-_BEYOND = 0.01
-"""rad by which a joint may be beyond its limits: controllers stop a little late."""
 _UNITS = {"mN m": 1e3, "N cm": 100.0, "kgf cm": 100 / 9.80665, "kN m": 1e-3, "lbf in": 8.8507, "kgf m": 1 / 9.80665}
 """Of torques, and how many are one N m."""
 _SAME_UNIT = 0.15
@@ -92,114 +90,97 @@ def screen_torques(recording: Recording, arm: Arm) -> Screened[TorqueRows]:
     recording.torques()  # refuses what has none
     _require_inertia(recording, arm)
     require_joints(recording, arm)
-    recording, faults = _without_placeholders(recording, still)
+    columns = _without_placeholders(Screened(recording), still)
     doubt = 0.0
     if not still:
-        recording, turns = _without_turns(recording, arm, wraps_only=True)
-        faults += turns
-        biased = _velocity_bias(recording, arm)
-        if biased.any():
-            assert recording.joint_velocity is not None
-            at = np.flatnonzero(biased)
-            numbers = {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()}
-            faults.append(DataFault("velocity_bias", (), numbers))
-            recording = replace(recording, joint_velocity=recording.joint_velocity - biased)
-        recording, dead = _without_dead_zone(recording, arm)
-        faults += dead
-        recording, uneven, doubt = evenly_timed(recording)
-        faults += [] if uneven is None else [uneven]
+        columns = _without_turns(columns, arm, wraps_only=True)
+        columns = _without_dead_zone(_without_velocity_bias(columns, arm), arm)
+        recording, uneven, doubt = evenly_timed(columns.data)
+        columns = columns.with_faults([] if uneven is None else [uneven], recording)
+    recording = columns.data
     torque = recording.torques().T
     runs = each_posture(recording.samples).runs if still else runs_of(recording, sample_rate(recording))
     _require_motion(recording, arm)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
     spiked = spikes(torque, as_revolute(recording.velocities().T, "rad/s", arm.slides), runs)
+    data = torque_rows(recording, arm, without_spikes(torque, spiked))
+    state = Screened(data, columns.found)
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
-        faults.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
-    data = torque_rows(recording, arm, without_spikes(torque, spiked))
+        state = state.with_faults([DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())})])
     if recording.settings.torque_source == "unknown" and not still:
         if estimated_torque(recording):
-            faults.append(DataFault("estimated_torque", (), {}))
+            state = state.with_faults([DataFault("estimated_torque")])
         elif computed_torque(data):
-            faults.append(DataFault("estimated_torque", (), {"reason": "no_friction"}))
-    inertia_known = recording.settings.inertial != "unknown"
-    corrected = Screened(data)
-    if inertia_known:
-        corrected = correct_faults(data)
+            state = state.with_faults([DataFault("estimated_torque", (), {"reason": "no_friction"})])
+    if recording.settings.inertial != "unknown":
+        state = correct_faults(state)
     elif not still:
-        corrected = correct_signs(data)
-    _require_unit(recording, corrected.found)
-    _require_axes(recording, corrected.found)
-    data = corrected.data
-    faults += corrected.found
+        state = correct_signs(state)
+    _require_unit(recording, state.found)
+    _require_axes(recording, state.found)
     if not still:
         # a joint beyond its limits may have another sign or zero, which has been settled now
-        recording, turns = _without_turns(data.recording, arm, wraps_only=False)
-        if turns:
-            data = torque_rows(recording, arm, data.torque)
-        faults += turns
+        turned = _without_turns(Screened(state.data.recording), arm, wraps_only=False)
+        if turned.found:
+            state = state.with_faults(turned.found, torque_rows(turned.data, arm, state.data.torque))
+    data = state.data
     stiction = held_by_friction(data)
     if stiction.found or np.any(doubt):
         spread = 0.0
         if np.any(doubt):
             spread = np.sqrt(np.abs(data.recorded.whole(np.square(doubt)))[:, data.rows])
         data = replace(data, slack=np.hypot(stiction.slack, spread), repeated=stiction.repeated)
-    faults += stiction.found
     if not still:
         data = replace(data, turning=turning_friction(data))
-    return Screened(data, tuple(faults), corrected.ruled_out)
+    return state.with_faults(stiction.found, data)
 
 
-def _without_placeholders(recording: Recording, still: bool) -> tuple[Recording, list[DataFault]]:
+def _without_placeholders(state: Screened[Recording], still: bool) -> Screened[Recording]:
     """Without the rows in which all joints or all torques hold one number that no row beside them leads to.
 
     Of a single joint only positions are compared: a torque that is far from its neighbours is a spike.
     """
-    lost = np.zeros(recording.samples, bool)
-    faults = []
+    recording = state.data
     recorded = field_values(recording)
-    for mark in possible_marks(recording):
+
+    def far(mark: Mark, rows: NDArray[np.integer], lost: Flags) -> NDArray[np.integer]:
         values = recorded[mark.array]
         of_positions = mark.array == "joint_position"
         if mark.value is None or (mark.column is not None and (still or not of_positions)):
-            continue
-        unmarked = np.ones(recording.samples, bool)
+            return rows[:0]
+        unmarked = ~lost
         unmarked[mark.samples] = False
-        unmarked &= ~lost
         usual = np.median(values[unmarked], axis=0)
         if not still:
             time = recording.time if recording.time is not None else np.arange(float(recording.samples))
-            usual = np.stack([np.interp(time, time[unmarked], row[unmarked]) for row in values.T], 1)[mark.samples]
+            usual = np.stack([np.interp(time, time[unmarked], row[unmarked]) for row in values.T], 1)[rows]
         threshold = _MARKED_RAD if of_positions else _MARKED_SHARE * np.std(values[unmarked], axis=0)
-        far = (np.abs(values[mark.samples] - usual) > threshold).any(1) & ~lost[mark.samples]
-        if far.sum() >= min(2, len(mark.samples)):
-            lost[mark.samples[far]] = True
-            faults.append(mark.fault(recording, mark.samples[far]))
-    if faults:
-        return (recording.without_rows(lost), faults)
-    return (recording, [])
+        away = rows[(np.abs(values[rows] - usual) > threshold).any(1)]
+        return away if len(away) >= min(2, len(mark.samples)) else rows[:0]
+
+    corrected, faults = without_marks(recording, possible_marks(recording), far)
+    return state.with_faults(faults, corrected)
 
 
-def _without_turns(recording: Recording, arm: Arm, wraps_only: bool) -> tuple[Recording, list[DataFault]]:
+def _without_turns(state: Screened[Recording], arm: Arm, wraps_only: bool) -> Screened[Recording]:
     """Positions without whole turns, and the joints that had them.
 
     Args:
-        recording: a motion.
+        state: of a motion.
         arm: whose limits say which turn it is.
         wraps_only: whether a joint that is beyond its limits by a turn all the time is left.
     """
-    q = without_turns(recording, arm.possible_positions, _BEYOND)
-    apart = q - recording.joint_position
+    recording = state.data
+    q = without_turns(recording, arm.possible_positions, LIMIT_SLACK_RAD)
     if wraps_only:
-        q = np.where(np.ptp(apart, axis=0) > 1.0, q, recording.joint_position)
-    turned = np.abs(q - recording.joint_position) > 1.0
-    if not turned.any():
-        return recording, []
-    joints = (1 + np.flatnonzero(turned.any(0))).tolist()
-    fault = DataFault("joint_turns", row_numbers(recording.row[turned.any(1)]), {"joints": joints})
-    return at_positions(recording, q), [fault]
+        q = np.where(np.ptp(q - recording.joint_position, axis=0) > 1.0, q, recording.joint_position)
+    turned = whole_turns(recording, q)
+    if turned is None:
+        return state
+    return state.with_faults([turned], at_positions(recording, q))
 
 
 def _require_inertia(recording: Recording, arm: Arm) -> None:
@@ -269,6 +250,17 @@ def _postures(recording: Recording) -> Recording:
     return replace(recording, time=np.arange(float(recording.samples)))
 
 
+def _without_velocity_bias(state: Screened[Recording], arm: Arm) -> Screened[Recording]:
+    """Velocities without their bias, and the joints that have one."""
+    biased = _velocity_bias(state.data, arm)
+    if not biased.any():
+        return state
+    at = np.flatnonzero(biased)
+    fault = DataFault("velocity_bias", (), {"joints": (1 + at).tolist(), "bias_rad_per_s": biased[at].tolist()})
+    assert state.data.joint_velocity is not None
+    return state.with_faults([fault], replace(state.data, joint_velocity=state.data.joint_velocity - biased))
+
+
 def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     """`(joint,)` rad/s, m/s of prismatic joints, that recorded velocities show beyond those of the positions.
 
@@ -305,15 +297,16 @@ def _velocity_bias(recording: Recording, arm: Arm) -> Array:
     return biases
 
 
-def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[DataFault]]:
+def _without_dead_zone(state: Screened[Recording], arm: Arm) -> Screened[Recording]:
     """A register's zeros replaced by the slope of the positions where it has a dead zone, and the joints concerned.
 
     It has one if no other reading is smaller, and the joint moves slowly through enough of the zeros.
     """
+    recording = state.data
     recorded = recording.joint_velocity
     time = recording.time
     if recorded is None or recording.velocity_differentiated or time is None:
-        return recording, []
+        return state
     velocity = recorded.copy()
     widths = dict[int, float]()
     segment = run_segments(recording.run)
@@ -338,9 +331,11 @@ def _without_dead_zone(recording: Recording, arm: Arm) -> tuple[Recording, list[
                     velocity[rows, joint] = np.where(zero[rows], slope, velocity[rows, joint])
             widths[joint] = width
     if not widths:
-        return recording, []
+        return state
     numbers = {"joints": [1 + joint for joint in widths], "width_rad_per_s": [*widths.values()]}
-    return replace(recording, joint_velocity=velocity), [DataFault("velocity_dead_zone", (), numbers)]
+    return state.with_faults(
+        [DataFault("velocity_dead_zone", (), numbers)], replace(recording, joint_velocity=velocity)
+    )
 
 
 def _require_motion(recording: Recording, arm: Arm) -> None:

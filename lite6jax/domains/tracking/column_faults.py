@@ -25,7 +25,16 @@ from lite6jax.domains.tracking.following import (
 )
 from lite6jax.domains.tracking.predict import run_ends
 from lite6jax.domains.tracking.problem import tracking_problem
-from lite6jax.domains.tracking.rows import even_rows, lagged_correlation, tracking_rows
+from lite6jax.domains.tracking.rows import (
+    FOLLOWS,
+    LATEST,
+    MOVING,
+    TRANSMITS,
+    UNRELATED,
+    even_rows,
+    lagged_correlation,
+    tracking_rows,
+)
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
@@ -35,20 +44,12 @@ from lite6jax.recordings.settings import ServoSettings
 
 Array = NDArray[np.floating]
 
-_FOLLOWS = 0.9
-"""Correlation, at the best lag, from which a read-out follows a command."""
-_UNRELATED = 0.5
-"""Correlation below which it does not."""
-_MOVING = 1e-2
-"""rad, the standard deviation from which commands and read-outs are compared."""
 _LEAST_MOVED = 1e-3
 """rad, the standard deviation of read-outs likewise: those of commands in degrees move little beside these."""
 _STUCK = 0.1
 """Of a command's standard deviation: a read-out that moves less while its command moves does not follow."""
 _EARLY = 0.05
 """s, or two samples, by which a read-out is ahead of its command at most: it is logged in the next row."""
-_LATE = 0.5
-"""s, by which it is behind at most."""
 _CLOSER = float(np.log(3.0))
 """By which the logarithm of the remaining variance falls at least at the lag of another clock."""
 _CERTAIN = 0.97
@@ -67,8 +68,6 @@ _LAGS = (-0.06, 0.2)
 """s, between which rollouts choose the lag that is left to declared servos, less that of the correlation."""
 _LAG_STEP = 0.04
 """s, between rollouts of a first choice; it is halved down to a sample."""
-_TRANSMITS = 1.7
-"""Ratio of motions from which it is no property of a servo: the least gear is 2 : 1."""
 _GEARS = range(2, 11)
 """Ratios of gears that are looked for."""
 _NEAR_GEAR = 0.12
@@ -106,10 +105,10 @@ def require_motion(even: Recording) -> None:
     """Refuses joints that are commanded to move and do not."""
     command = np.asarray(even.commanded_position)
     asked = np.std(command, 0)
-    stuck = (asked > _MOVING) & (np.std(even.joint_position, 0) < _STUCK * asked)
+    stuck = (asked > MOVING) & (np.std(even.joint_position, 0) < _STUCK * asked)
     for joint in np.flatnonzero(stuck).tolist():  # one in another unit follows, by less
         follows = lagged_correlation(command[:, [joint]], even.joint_position[:, [joint]], _period(even))
-        stuck[joint] = abs(float(follows[0, 0])) < _FOLLOWS
+        stuck[joint] = abs(float(follows[0, 0])) < FOLLOWS
     if stuck.any():
         columns = ", ".join(f"q{joint + 1}_rad" for joint in np.flatnonzero(stuck))
         raise InputError(
@@ -121,7 +120,7 @@ def require_motion(even: Recording) -> None:
 def _moving(even: Recording) -> NDArray[np.integer]:
     """The joints, from 0, whose commands and read-outs move."""
     command = np.asarray(even.commanded_position)
-    return np.flatnonzero((np.std(command, 0) > _MOVING) & (np.std(even.joint_position, 0) > _LEAST_MOVED))
+    return np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(even.joint_position, 0) > _LEAST_MOVED))
 
 
 def _period(even: Recording) -> float:
@@ -176,7 +175,7 @@ def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
             rows = slice(int(begin), int(end))
             if len(joints) and end - begin > 10:
                 lags, squares = scan_lags(even, joints, rows)
-                usual = (lags >= least - 1e-9) & (lags <= _LATE + 1e-9)
+                usual = (lags >= least - 1e-9) & (lags <= LATEST + 1e-9)
                 middle = float(even.time[rows].mean())
                 all_lags = np.ones(len(lags), bool)
                 pieces.append(
@@ -192,12 +191,12 @@ def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
 
 def _clock_of(pieces: list[_Piece], least: float, drifts: bool) -> tuple[float, float] | None:
     """The drift in s a second and the lag in s at time zero of commands of another clock; None where it is the same."""
-    follows = [piece for piece in pieces if piece.any.correlation > _FOLLOWS]
+    follows = [piece for piece in pieces if piece.any.correlation > FOLLOWS]
     if not follows:
         return None
     closer = np.array([piece.usual.missed - piece.any.missed for piece in follows])
     lags = np.array([piece.any.lag for piece in follows])
-    outside = (lags < least) | (lags > _LATE)
+    outside = (lags < least) | (lags > LATEST)
     if not outside.any() or closer[outside].mean() < _CLOSER:
         return None
     constant = float(np.median(lags))
@@ -268,14 +267,14 @@ def _exchanged(recording: Recording, arm: Arm) -> list[SuspectedFault]:
         SuspectedFault("joints_swapped", (int(moving[j]), int(moving[i])))
         for i in range(len(moving))
         for j in range(i)
-        if min(size[i, j], size[j, i]) > _FOLLOWS and max(size[i, i], size[j, j]) < _UNRELATED
+        if min(size[i, j], size[j, i]) > FOLLOWS and max(size[i, i], size[j, j]) < UNRELATED
     ]
 
 
 def _reversed(recording: Recording, arm: Arm) -> list[SuspectedFault]:
     """Joints that move against their commands."""
     moving, best = _correlations(recording)
-    return [SuspectedFault("joint_sign", (joint,)) for joint in moving[np.diagonal(best) < -_FOLLOWS].tolist()]
+    return [SuspectedFault("joint_sign", (joint,)) for joint in moving[np.diagonal(best) < -FOLLOWS].tolist()]
 
 
 def _rescaled(recording: Recording, arm: Arm) -> list[SuspectedFault]:
@@ -326,7 +325,7 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> SuspectedFault | N
     ratios = []
     for run in np.unique(even.run):
         rows = even.run == run
-        if np.std(command[rows]) < _MOVING:
+        if np.std(command[rows]) < MOVING:
             continue
         follower = fit_follower(past, measured, None, rows)
         if np.std(follower.remaining[rows]) > _LINEAR * np.std(measured[rows]):
@@ -336,11 +335,11 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> SuspectedFault | N
         return None
     ratio = float(np.median(ratios))
     same = np.abs(np.array(ratios) / ratio - 1).max() < _SAME_RATIO
-    if not same or 1 / _TRANSMITS < ratio < _TRANSMITS:
+    if not same or 1 / TRANSMITS < ratio < TRANSMITS:
         return None
     degrees = float(np.rad2deg(1.0))
     for factor in (degrees, 1 / degrees):
-        if 1 / _TRANSMITS < ratio / factor < _TRANSMITS:
+        if 1 / TRANSMITS < ratio / factor < TRANSMITS:
             return SuspectedFault("degrees", (joint,), factor)
     gear = max(ratio, 1 / ratio)
     if round(gear) not in _GEARS or abs(gear / round(gear) - 1) > _NEAR_GEAR:

@@ -1,6 +1,5 @@
 """Faults of rows of logs of commands: read-outs that repeat or are at their end, no torque, zeros of runs."""
 
-import itertools
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
@@ -12,16 +11,15 @@ from lite6jax.domains.faults import Screened
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
 from lite6jax.domains.tracking.problem import tracking_problem
-from lite6jax.domains.tracking.rows import TrackingRows, lagged_correlation, quantum, tracking_rows
+from lite6jax.domains.tracking.rows import FOLLOWS, SAME, TrackingRows, lagged_correlation, quantum, tracking_rows
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.recordings.sequence import stretches
 
 Array = NDArray[np.floating]
 
-_SAME = 1e-6
-"""rad, by which read-outs that are one differ at most."""
 _STALE_STEPS = 4.0
 """Quanta, or standard deviations of the noise, that an arm moves beyond a row that repeats the one before it."""
 _ROUNDING = 1e-9
@@ -71,8 +69,6 @@ _ZERO = 5e-3
 """rad, the least difference of zeros of runs that is said."""
 _HALVED = 0.5
 """Of what is left without zeros of the runs, what is left with them at most."""
-_FOLLOWS = 0.9
-"""Correlation at the best lag, from which a run tells its zero."""
 _WIDER = 3.0
 """Times the difference of means over runs of read-outs less commands, up to which zeros are of the log."""
 _STEADY = 0.25
@@ -116,7 +112,7 @@ def _stale_rows(data: TrackingRows) -> Mask:
     if not repeated.any():
         return repeated
     quanta = np.array([quantum(column) for column in q.T])
-    size = np.maximum(np.maximum(quanta, data.noise), _SAME)
+    size = np.maximum(np.maximum(quanta, data.noise), SAME)
     later = np.minimum(np.arange(len(q)) + 1, len(q) - 1)
     moved = np.max(np.abs(q[later] - q) / size, 1)
     stale = repeated & (moved > _STALE_STEPS)
@@ -349,26 +345,18 @@ def _still(data: TrackingRows) -> Mask:
 def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tuple[int, int]]:
     """Where rows are true for long enough, from one up to another, within runs; short breaks do not count."""
     joined = np.asarray(ndimage.binary_closing(rows, iterations=max(1, round(_JOINED / period / 2))), bool) | rows
-    edges = np.flatnonzero(np.diff(np.r_[False, joined, False].astype(int)))
-    intervals = []
-    for first, last in edges.reshape(-1, 2).tolist():
-        pieces = [first, *(first + 1 + np.flatnonzero(np.diff(run[first:last]))).tolist(), last]
-        for begin, end in itertools.pairwise(pieces):
-            if (end - begin) * period >= _SHORTEST:
-                intervals.append((int(begin), int(end)))
-    return intervals
+    return [
+        (span.start, span.stop) for span in stretches(joined, run) if (span.stop - span.start) * period >= _SHORTEST
+    ]
 
 
 def _whole_absence(away: Mask, run: NDArray[np.integer], first: int, last: int, more: int) -> tuple[int, int]:
     """An interval with what is before and after it of the same absence, in its run."""
-    begin = first
-    end = last
-    while begin > 0 and away[begin - 1] and run[begin - 1] == run[first]:
-        begin -= 1
-    while end < len(away) and away[end] and run[end] == run[first]:
-        end += 1
+    rows = away.copy()
+    rows[first:last] = True
+    (absence,) = (span for span in stretches(rows, run) if span.start <= first < span.stop)
     in_run = np.flatnonzero(run == run[first])
-    return max(begin - more, int(in_run[0])), min(end + more, int(in_run[-1]) + 1)
+    return max(absence.start - more, int(in_run[0])), min(absence.stop + more, int(in_run[-1]) + 1)
 
 
 # ------------------------------------------------------------------ zeros of runs
@@ -427,7 +415,7 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
         if members.sum() < _FEWEST:
             return None
         follows = lagged_correlation(command[members][:, [joint]], measured[members][:, None], period)
-        if abs(follows[0, 0]) < _FOLLOWS:
+        if abs(follows[0, 0]) < FOLLOWS:
             return None
         apart.append(float(np.mean((measured - command[:, joint])[members])))
     plain = fit_follower(past, measured, features, rows)

@@ -40,17 +40,17 @@ _STILL = 0.2
 """s at the beginning of a run over which a resting arm is averaged."""
 _MOVED = 5.0
 """Standard deviations of the noise within which an arm rests."""
-_SAME = 1e-6
+SAME = 1e-6
 """rad, by which commands and read-outs differ at most where they are one."""
-_MOVING = 1e-2
+MOVING = 1e-2
 """rad, the standard deviation of commands and read-outs from which they are compared."""
-_LATEST = 0.5
+LATEST = 0.5
 """s, by which a read-out follows its command at most."""
-_FOLLOWS = 0.9
+FOLLOWS = 0.9
 """Correlation from which a read-out follows a command."""
-_UNRELATED = 0.5
+UNRELATED = 0.5
 """Correlation below which it does not."""
-_GAIN = 1.7
+TRANSMITS = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
 _UNITS = (0.5, np.pi / 180)
 """Gains of gears and units that are less than one."""
@@ -280,7 +280,7 @@ def _start(even: Recording, noise: Array) -> Array:
 
 
 def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
-    """How read-outs follow commands, `(read-out, command)`, each at the lag of at most `_LATEST` that suits it best.
+    """How read-outs follow commands, `(read-out, command)`, each at the lag of at most `LATEST` that suits it best.
 
     Args:
         command: `(sample, column)`.
@@ -288,7 +288,7 @@ def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
         period: s between samples.
     """
     count = measured.shape[1]
-    lags = np.unique(np.linspace(0, min(_LATEST / period, len(command) // 2), 26).astype(int))
+    lags = np.unique(np.linspace(0, min(LATEST / period, len(command) // 2), 26).astype(int))
     best = np.zeros((count, count))
     if not count:
         return best
@@ -303,32 +303,32 @@ def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
 def _check_commands(even: Recording) -> None:
     """Refuses read-outs that follow commands with another sign or unit, or those of another joint.
 
-    Read-outs and commands are correlated at the lag of at most `_LATEST` that suits each pair best.
+    Read-outs and commands are correlated at the lag of at most `LATEST` that suits each pair best.
     """
     assert even.time is not None
     command = np.asarray(even.commanded_position)
     measured = even.joint_position
-    moving = np.flatnonzero((np.std(command, 0) > _MOVING) & (np.std(measured, 0) > _MOVING))
+    moving = np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(measured, 0) > MOVING))
     period = float(np.median(np.diff(even.time)))
     best = lagged_correlation(command[:, moving], measured[:, moving], period)
     for place, joint in enumerate(moving.tolist()):
         follows = best[place, place]
         other = int(np.argmax(best[place]))
         column = joint + 1
-        if follows < -_FOLLOWS:
+        if follows < -FOLLOWS:
             raise InputError(
                 f"{even.source}: q{column}_rad moves against cmd{column}_rad; change the sign of one of them"
             )
-        if abs(follows) < _UNRELATED and best[place, other] > _FOLLOWS:
+        if abs(follows) < UNRELATED and best[place, other] > FOLLOWS:
             raise InputError(
                 f"{even.source}: q{column}_rad follows cmd{moving[other] + 1}_rad and not cmd{column}_rad; exchange "
                 "the columns"
             )
         gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
-        least = 1 / _GAIN
+        least = 1 / TRANSMITS
         if not isinstance(even.settings.servo, ServoSettings) and min(abs(gain / unit - 1) for unit in _UNITS) > _NEAR:
             least = 0.0  # a servo of which nothing is known may be so soft
-        if follows > _FOLLOWS and not least < gain < _GAIN:
+        if follows > FOLLOWS and not least < gain < TRANSMITS:
             raise InputError(
                 f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
                 "unit, after the same gear"
@@ -362,12 +362,12 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
         raise InputError(f"{recording.source}: has prismatic joints, whose commands are not diagnosed; leave them out")
     if recording.commanded_position is None:
         raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
-    if np.max(np.abs(recording.commanded_position - recording.joint_position)) < _SAME:
+    if np.max(np.abs(recording.commanded_position - recording.joint_position)) < SAME:
         raise InputError(
-            f"{recording.source}: commands and read-outs are equal to {_SAME:g} rad: the log holds commands twice, or "
+            f"{recording.source}: commands and read-outs are equal to {SAME:g} rad: the log holds commands twice, or "
             "a simulator without dynamics; record measured joints as q1_rad ..."
         )
-    still = np.ptp(recording.commanded_position, 0) < _SAME
+    still = np.ptp(recording.commanded_position, 0) < SAME
     if still.all():
         raise InputError(f"{recording.source}: its commands never move; record a motion")
     even = even_rows(recording)

@@ -15,18 +15,14 @@ from lite6jax.domains.tracking.row_faults import (
     require_torque,
     with_one_zero,
 )
-from lite6jax.domains.tracking.rows import tracking_rows
+from lite6jax.domains.tracking.rows import MOVING, SAME, tracking_rows
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 
-_SAME = 1e-6
-"""rad, by which commands and read-outs differ at most where they are one."""
 _SHIFTED = 5
 """Rows by which commands are compared with read-outs: logs of learned policies hold the next read-out as a command."""
-_MOVING = 1e-2
-"""rad, the range from which commands and read-outs are compared."""
 _CODES = (
     *("other_clock", "joints_swapped", "joint_sign", "degrees", "gear"),
     *("stale_rows", "saturated_readout", "torque_off", "zero_per_run"),
@@ -66,8 +62,8 @@ def _require_other_readouts(recording: Recording) -> None:
     for shift in range(1, min(_SHIFTED, len(command) - 1) + 1):
         pairs = {"before": (command[shift:], measured[:-shift]), "after": (command[:-shift], measured[shift:])}
         for side, (u, y) in pairs.items():
-            moves = np.ptp(y, 0) > _MOVING
-            if moves.any() and np.max(np.abs(u - y)[:, moves]) < _SAME:
+            moves = np.ptp(y, 0) > MOVING
+            if moves.any() and np.max(np.abs(u - y)[:, moves]) < SAME:
                 raise InputError(
                     f"{recording.source}: each command is the read-out of {shift} rows {side}: the log holds "
                     "measurements twice; record what the controller was sent as cmd1_rad ..."

@@ -117,14 +117,6 @@ def is_estimated(change: SuspectedFault) -> bool:
     return change.code == "joint_turns" and change.size not in np.pi / 2 * np.arange(-4, 5)
 
 
-def rounded_to_quarters(angle: float) -> float:
-    """An angle in rad, or the quarter turns that it is but for what a calibration corrects."""
-    quarters = float(np.round(angle / (np.pi / 2)) * np.pi / 2)
-    if quarters and abs(angle - quarters) < TOLERANCE["rad"]:
-        return quarters
-    return angle
-
-
 def added(hypothesis: Hypothesis, more: SuspectedFault) -> Hypothesis:
     """With one more change; a zero or a scale that is changed already is changed by both."""
     unchanged = [change for change in hypothesis if change.place != more.place]
@@ -138,9 +130,8 @@ def added(hypothesis: Hypothesis, more: SuspectedFault) -> Hypothesis:
 
 def simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
     """The fewer the changes and the earlier their kind in `CODES`, the less."""
-    ranks: dict[str, int] = {**dict.fromkeys(POSES, 1), **dict.fromkeys(DECLARED, 0)}
-    of_kinds = sum(ranks.get(c.code, 2) for c in hypothesis)
-    return len(hypothesis), of_kinds, tuple(CODES.index(c.code) for c in hypothesis)
+    of_kinds = sum({"declaration": 0, "poses": 1}.get(change.kind.changes, 2) for change in hypothesis)
+    return len(hypothesis), of_kinds, tuple(CODES.index(change.code) for change in hypothesis)
 
 
 def differ_by_turns(a: Hypothesis, b: Hypothesis) -> bool:

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.calibration.problem import TOUCHED_TOLERANCE
-from lite6jax.domains.faults import SuspectedFault
+from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
+from lite6jax.domains.faults import SuspectedFault, rounded_to_quarters
 from lite6jax.domains.pose.rigid_arm import RigidArm
-from lite6jax.domains.pose.screening.changes import rounded_to_quarters
 from lite6jax.estimation.robust import FREEDOM
 
 Array = NDArray[np.floating]
@@ -171,7 +170,7 @@ class Deviation:
         """A change by as much as its number says."""
         value = float(weighed.displacements[self.places(change)][0])
         if change.code == "joint_turns":
-            return replace(change, value=rounded_to_quarters(value))
+            return replace(change, value=rounded_to_quarters(value, TOLERANCE["rad"]))
         if change.code == "sensor_scale":
             return replace(change, value=1 / (1 - value))
         return change

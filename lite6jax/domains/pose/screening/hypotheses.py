@@ -24,13 +24,14 @@ from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.faults import (
     DECLARED,
-    POSES,
+    LIMIT_SLACK_RAD,
     Hypothesis,
     SuspectedFault,
     distinct,
     joined,
     listed,
     places,
+    rounded_to_quarters,
     search,
     simplest,
 )
@@ -40,7 +41,6 @@ from lite6jax.domains.pose.screening.changes import (
     added,
     differ_by_turns,
     is_estimated,
-    rounded_to_quarters,
     simplicity,
     single_changes,
     undo,
@@ -49,7 +49,7 @@ from lite6jax.domains.pose.screening.changes import (
 from lite6jax.domains.pose.screening.deviation import Deviation
 from lite6jax.domains.pose.screening.projection import estimated, physics_columns
 from lite6jax.domains.pose.screening.screened import ScreenedPoses
-from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED, PUBLISHED_TOLERANCE, SUSPECT_REACH
+from lite6jax.domains.pose.screening.thresholds import MOST_FITTED, PUBLISHED_TOLERANCE, SUSPECT_REACH
 from lite6jax.estimation.prior import Prior
 from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording
@@ -208,20 +208,12 @@ def correct(state: ScreenedPoses, hypothesis: Hypothesis, rigid: RigidArm, numbe
 
 
 def _rule_out(state: ScreenedPoses, error: float, limit: float, **numbers: Any) -> ScreenedPoses:
-    """Every hypothesis that the settings and the number of joints leave; the screen of turns speaks of turns."""
+    """Every hypothesis that the recording may have; the screen of turns speaks of turns."""
     recording = state.rigid_arm.recording
-    missing = {"joint_turns"}
-    if state.rigid_arm.rows == 3:
-        missing |= {"orientation_convention", "inverted_poses"}
-    if recording.touches is not None:
-        missing |= {*DECLARED, *POSES}
-    if recording.settings.pose_frame != "base":
-        missing.add("declared_frame")
-    if recording.settings.tool == "unknown":
-        missing.add("declared_tool")
-    if recording.dof == 1:
-        missing |= {"swapped_joints", "coupled_joint"}
-    codes = (code for code in CODES if code not in missing)
+    tested = {change.code for hypothesis in single_changes(recording) for change in hypothesis} - {"joint_turns"}
+    if recording.touches is None:
+        tested.add("sensor_scale")
+    codes = (code for code in CODES if code in tested)
     return state.rule_out(*codes, median_error_m=error, suspected_above_m=limit, **numbers)
 
 
@@ -334,7 +326,7 @@ def _zeros(thinned: RigidArm, hypothesis: Hypothesis) -> Hypothesis:
         total[change.joints[0]] = total.get(change.joints[0], 0.0) + change.size
     changes = []
     for i, value in total.items():
-        value = 0.0 if abs(value) < TOLERANCE["rad"] else rounded_to_quarters(value)
+        value = 0.0 if abs(value) < TOLERANCE["rad"] else rounded_to_quarters(value, TOLERANCE["rad"])
         changes += [SuspectedFault("joint_turns", (i,), value)] if value else []
     return tuple(changes)
 

@@ -4,7 +4,6 @@ What repeats exactly may be a mark (`recordings.placeholders`). It is one where 
 closed form, agrees with the other rows and misses these; home poses that are taken again and again agree.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, final
 
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm
+from lite6jax.domains.faults import LIMIT_SLACK_RAD
 from lite6jax.domains.pose.screening.screened import ScreenedPoses
-from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, SUSPECT_REACH
+from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import flange_poses, frames_from_poses, median_distance
 from lite6jax.recordings.columns.kinematics import CLOSE, FEWEST
-from lite6jax.recordings.placeholders import Mark, possible_marks
+from lite6jax.recordings.placeholders import Mark, possible_marks, without_marks
 
 Array = NDArray[np.floating]
 
@@ -42,18 +42,8 @@ def leave_out_placeholders(state: ScreenedPoses) -> ScreenedPoses:
     if not candidates:
         return state
     evidence = _evidence(recording, state.arm)
-    lost = np.zeros(recording.samples, bool)
-    for mark in candidates:
-        rows = mark.samples[~lost[mark.samples]]
-        if len(rows):
-            rows = rows[evidence.convicts(mark, rows)]
-        if not len(rows):
-            continue
-        lost[rows] = True
-        state = state.corrected(mark.fault(recording, rows), recording)
-    if not lost.any():
-        return state
-    return replace(state, data=recording.without_rows(lost))
+    corrected, faults = without_marks(recording, candidates, lambda mark, rows, _: rows[evidence.convicts(mark, rows)])
+    return state.with_faults(faults, corrected)
 
 
 @final

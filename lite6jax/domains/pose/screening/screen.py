@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
+from lite6jax.domains.faults import LIMIT_SLACK_RAD, whole_turns
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening import (
     changes,
@@ -30,7 +31,7 @@ from lite6jax.domains.pose.screening import (
     stations,
 )
 from lite6jax.domains.pose.screening.screened import Corrections, ScreenedPoses
-from lite6jax.domains.pose.screening.thresholds import LIMIT_SLACK_RAD, MOST_FITTED
+from lite6jax.domains.pose.screening.thresholds import MOST_FITTED
 from lite6jax.errors import InputError
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording, repeated_rows, require_radians, require_samples, time_disorder
@@ -206,15 +207,13 @@ def remove_turns(state: ScreenedPoses) -> ScreenedPoses:
     slack = LIMIT_SLACK_RAD
     limits = state.rigid_arm.arm.joint_limits
     q = without_turns(recording, limits, slack)
-    changed = np.abs(q - recording.joint_position) > 1.0
-    if not changed.any():
+    turned = whole_turns(recording, q)
+    if turned is None:
         low, high = limits.T
         beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
         outside = float(np.max(beyond, initial=-np.inf))
         return state.rule_out("joint_turns", outside_limits_rad=outside if outside > slack else 0.0)
-    joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
-    fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
-    state = state.corrected(fault, at_positions(recording, q))
+    state = state.corrected(turned, at_positions(recording, q))
     return state.transformed(lambda r: at_positions(r, without_turns(r, limits, slack)))
 
 

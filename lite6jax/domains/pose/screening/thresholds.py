@@ -1,7 +1,5 @@
 """Thresholds that several screens of pose recordings share, each with its unit and the reason for its value."""
 
-LIMIT_SLACK_RAD = 0.01
-"""rad that a joint may be beyond its limits, as controllers stop a little late."""
 SUSPECT_REACH = 0.01
 """Share of the reach: a larger median error is suspect, as physics moves the tool less."""
 PUBLISHED_TOLERANCE = 2e-5
