@@ -385,13 +385,18 @@ def joint_turns_ruled_out(fault: DataFault) -> str:
 
 
 def undecided_found(fault: DataFault) -> str:
-    """Says that several corrections explain the poses alike."""
+    """Says that several corrections explain the poses or the torques alike."""
     numbers = fault.numbers
     alternatives = numbers["alternatives"]
+    contradiction = "The torques contradict the arm"
+    remainder = ""
+    if "median_error_m" in numbers:
+        contradiction = f"The poses miss the arm by {milli(numbers['median_error_m'], 4)} mm (median)"
+        remainder = f", to {milli(numbers['corrected_error_m'])} mm"
     return (
-        f"The poses miss the arm by {milli(numbers['median_error_m'], 4)} mm (median), and {len(alternatives)} "
-        f"corrections explain that alike, to {milli(numbers['corrected_error_m'])} mm: {either(alternatives)}. Nothing "
-        "was corrected. Find out which it is, and correct the file."
+        f"{contradiction}, and {len(alternatives)} corrections explain that alike{remainder}: {either(alternatives)}. "
+        "Nothing was corrected. Find out which it is, and correct the file: what is found beside this is not to be "
+        "trusted."
     )
 
 
@@ -763,16 +768,6 @@ def coupled_positions_found(fault: DataFault) -> str:
     )
 
 
-def undecided_torques_found(fault: DataFault) -> str:
-    """Says that several corrections explain the torques alike."""
-    alternatives = fault.numbers["alternatives"]
-    return (
-        f"The torques contradict the arm, and {len(alternatives)} corrections explain that alike: "
-        f"{either(alternatives)}. Nothing was corrected, so that what is found beside this is not to be trusted. Find "
-        "out which it is, and correct the file."
-    )
-
-
 def wrong_torque_constant_clause(numbers: Numbers) -> str:
     """Says by which factors torques differ."""
     pairs = zip(numbers["factors"], numbers["joints"], strict=True)
@@ -872,30 +867,34 @@ def other_clock_found(fault: DataFault) -> str:
 def degrees_found(fault: DataFault) -> str:
     """Says which columns of a log of commands are in degrees."""
     numbers = fault.numbers
-    joints = numbers["joints"]
-    undecided = "Whether these or the other columns are wrong does not show in this log. "
-    if numbers["decided"]:
-        undecided = ""
     return (
-        f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')} 57 times as far as commanded, or a "
-        f"57th of that: the {numbers['side']} columns are in degrees where the name says radians, or the other way "
-        f"round. They were converted. {undecided}Check the unit of the columns."
+        f"{_moving(numbers)} 57 times as far as commanded, or a 57th of that: the {numbers['side']} columns are in "
+        "degrees where the name says radians, or the other way round. They were converted. "
+        f"{_undecided_side(numbers)}Check the unit of the columns."
     )
 
 
 def gear_found(fault: DataFault) -> str:
     """Says which joints have a gear between command and read-out."""
     numbers = fault.numbers
-    joints = numbers["joints"]
-    undecided = "Whether this or the other column is wrong does not show in this log. "
-    if numbers["decided"]:
-        undecided = ""
-    moving = f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
     return (
-        f"{moving} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} column is "
-        "before a gear, or after another one. It was divided "
-        f"or multiplied by that. {undecided}Give both columns after the gear."
+        f"{_moving(numbers)} {numbers['ratio']:.3g} times as far as commanded, in all runs: the {numbers['side']} "
+        "column is before a gear, or after another one. It was divided or multiplied by that. "
+        f"{_undecided_side(numbers)}Give both columns after the gear."
     )
+
+
+def _moving(numbers: Numbers) -> str:
+    joints = numbers["joints"]
+    return f"{capital(joints_named(joints))} {plural(len(joints), 'moves', 'move')}"
+
+
+def _undecided_side(numbers: Numbers) -> str:
+    """Says that the side of a fault was taken without a reason; nothing where it was decided."""
+    if numbers["decided"]:
+        return ""
+    which = plural(len(numbers["joints"]), "this or the other column is", "these or the other columns are")
+    return f"Whether {which} wrong does not show in this log. "
 
 
 def saturated_readout_found(fault: DataFault) -> str:
@@ -984,7 +983,7 @@ FOUND: Mapping[str, Statement] = {
     "velocity_dead_zone": velocity_dead_zone_found,
     "swapped_torques": swapped_torques_found,
     "coupled_positions": coupled_positions_found,
-    "undecided_torques": undecided_torques_found,
+    "undecided_torques": undecided_found,
     "wrong_torque_constant": wrong_torque_constant_found,
     "held_by_friction": held_by_friction_found,
     "contact": contact_found,
