@@ -28,13 +28,14 @@ _NAMES: dict[float, str] = {
     2481: "clamped_ring bent_sheath flipping_pull parting_pinion flattened_tube buckling_plate "
     "breathing_springs opening_chuck glass_pane",
     9101: " ".join(places.WORKSHOP),
-    SEALED: " ".join(vault.FAMILIES),
+    66602: " ".join(vault.FAMILIES),
 }
 """By the first seed of a campaign that draws them without --sealed, the names of families.
 
 A seed draws the families that were open then, of those that are still there: what was too much like others has been
 removed, so that seeds from 2321 to 9100 no longer mean the trials that they meant before. The order, too, decides what
-a seed draws: new families go to the end. With --sealed, a seed from 2481 to 9100 draws the twenty of 9101 and no other.
+a seed draws: new families go to the end. With --sealed, a seed from 2481 to 9100 draws the twenty of 9101 and no other,
+and one from 9101 to 66601 the thirty-three of 66602.
 """
 OPENED: dict[str, float] = {name: first for first, names in _NAMES.items() for name in names.split()}
 """By name, that seed."""
@@ -129,8 +130,14 @@ def families(seed: int, sealed: bool = False) -> tuple[str, ...]:
     """The families that a campaign draws; where `sealed`, those that were put aside next.
 
     A new family is `SEALED` until it was drawn once with --sealed and looked at.
+
+    Raises:
+        ValueError: none is put aside after the seed.
     """
     if not sealed:
         return tuple(name for name, first in OPENED.items() if first <= seed)
     following = min((first for first in OPENED.values() if first > seed), default=np.inf)
-    return tuple(name for name, first in OPENED.items() if first == following)
+    names = tuple(name for name, first in OPENED.items() if first == following)
+    if not names:
+        raise ValueError(f"seed {seed}: all families were looked at before it; give an earlier one, or write new ones")
+    return names

@@ -1,4 +1,4 @@
-"""Families that are drawn with --sealed only, and not to be read before that.
+"""Families that were drawn with --sealed once, by seed 66601, before anybody had developed against them.
 
 They are the other half of the list of `places.WORKSHOP`, up to `stitched_volume`, and those that were added at the end.
 """
