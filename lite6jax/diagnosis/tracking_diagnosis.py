@@ -41,7 +41,7 @@ from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
-from lite6jax.estimation.thresholds import CLOSE
+from lite6jax.estimation.thresholds import CLOSE, MARGIN
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
@@ -242,6 +242,8 @@ _COMPARED = 0.2
 """`settled` of fits that are compared: a step of this length gains 0.02 of a log-likelihood."""
 _ROUGHLY = 4
 """One in so many samples, in which names are looked for before the grip beside declared servos is known."""
+_GRIPS_IN_TURN = 3
+"""Times at most that the grip is sought beside the friction, and the friction is fitted beside the grip."""
 _MEMORY = 0.3
 """s, `EngineOptions.longest_memory`: whitening by a longer one leaves velocities alone."""
 _DAMPING = (1e-4, 1e-2, 1.0, 100.0)
@@ -264,8 +266,8 @@ def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
     """The numbers of unknown servos, and the names of joints that predict rows which they were not fitted to."""
     data = problem.data
     problem = relinearise(replace(problem, data=data.coarse, known=RolloutCache()), options, problem.valid, _STARTS)
-    nuisance, terms, values = grown(problem, interleaved_folds(problem.run), COARSE)
-    return _fitted(problem.relinearised(nuisance), terms, values, options.rough)
+    servos = grown(problem, interleaved_folds(problem.run), COARSE)
+    return _fitted(servos.problem.relinearised(servos.nuisance), servos.terms, servos.values, options.rough)
 
 
 def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: EngineOptions) -> Selection:
@@ -363,6 +365,25 @@ def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Sele
     return replace(selection, state=replace(state, tested=tuple(nearest)))
 
 
+def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection with the grip that its friction has at each joint, and its numbers beside that.
+
+    A friction that lets its joint creep is estimated as smaller than it is where rollouts hold the joint.
+    """
+    for _ in range(_GRIPS_IN_TURN):
+        problem = selection.problem
+        assert isinstance(problem, TrackingProblem)
+        f = selection.state.fit
+        gripped = problem.in_likeliest_grip(f.nuisance, f.terms, f.values, of_terms_alone=True)
+        if gripped is problem or not problem.data.coupled:
+            break
+        again = fit(gripped, f.terms, options.rough, f.values, f.nuisance, f.training, f.noise)
+        if again.gain_over(f) < MARGIN:
+            break
+        selection = replace(selection, problem=gripped, state=replace(selection.state, fit=again))
+    return selection
+
+
 def _without_negligible(selection: Selection, options: EngineOptions) -> Selection:
     """The selection without effects that move no joint by more than rollouts, or descriptions of others, may be wrong.
 
@@ -440,9 +461,10 @@ def diagnose_tracking(
                     engine = replace(engine.rough, most_exact=0)  # no digit counts beside its errors
             else:
                 selection = search(_begun(problem, engine), engine)
+            entered("estimating")
+            selection = _with_grip_of_friction(selection, engine)
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
-            entered("estimating")
             selection = _with_gaps_of_rollouts(_without_negligible(selection, engine), engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)

@@ -62,6 +62,8 @@ _FARTHEST = 1.0
 """By which the logarithm of a number changes in one step at most."""
 _MOST = 8
 """Names of a joint."""
+_GRIPS_IN_TURN = 2
+"""Times that the grip is sought beside names, and names are fitted beside the grip."""
 
 
 @final
@@ -298,8 +300,26 @@ def _chosen(terms: Terms) -> list[Term]:
     return [term for term in terms.terms if not isinstance(term, _USUAL)]
 
 
-def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> tuple[Array, Terms, Array]:
-    """The unknown numbers of servos, names of all joints, and their numbers.
+@final
+@dataclass(frozen=True, eq=False)
+class NamedServos:
+    """Servos with names of all joints.
+
+    Attributes:
+        problem: with the grip of each joint that friction holds.
+        nuisance: `(number,)`, the unknown numbers of servos.
+        terms: the names.
+        values: `(terms.size,)`, their numbers.
+    """
+
+    problem: "TrackingProblem"
+    nuisance: Array
+    terms: Terms
+    values: Array
+
+
+def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> NamedServos:
+    """Unknown servos with names of all joints.
 
     Args:
         problem: of unknown servos, linearised near what fits best without names.
@@ -319,6 +339,8 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
     for model in _with_usual(lanes, [models[joint] for joint in growing], folds):
         if lanes.is_better(model, models[model.joint]):
             models[model.joint] = model
+    lanes, models = _in_likeliest_grip(lanes, models)
+    models = lanes.judged(models, folds, valid)
     growing = [model.joint for model in models if model.error > enough]
     while growing:
         better = _with_one_more(lanes, [models[joint] for joint in growing], folds)
@@ -329,9 +351,15 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
                 if model.error > enough and len(model.terms.terms) < _MOST:
                     growing.append(model.joint)
     models = _without_idle(lanes, models, folds)
+    lanes, models = _in_likeliest_grip(lanes, models)
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
     models = lanes.fitted([_within(lanes, model) for model in models], [valid] * len(models), 2 * _STEPS)
-    nuisance = np.zeros(len(problem.unknowns))
+    return _together(lanes, models)
+
+
+def _together(lanes: _Lanes, models: Sequence[NamedJoint]) -> NamedServos:
+    """The models of all joints as one."""
+    nuisance = np.zeros(len(lanes.problem.unknowns))
     values = []
     terms: list[Term] = []
     for model in models:
@@ -339,7 +367,18 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> t
         nuisance[lanes.unknowns[model.joint]] = model.numbers[:count]
         values.append(model.numbers[count:])
         terms += model.terms.terms
-    return nuisance, Terms(tuple(terms)), np.concatenate(values)
+    return NamedServos(lanes.problem, nuisance, Terms(tuple(terms)), np.concatenate(values))
+
+
+def _in_likeliest_grip(lanes: _Lanes, models: Sequence[NamedJoint]) -> tuple[_Lanes, list[NamedJoint]]:
+    """Models fitted beside the grip by which friction holds each joint, and that grip beside the models, in turn."""
+    fitted = list(models)
+    for _ in range(_GRIPS_IN_TURN):
+        servos = _together(lanes, fitted)
+        lanes = _Lanes(servos.problem.in_likeliest_grip(servos.nuisance, servos.terms, servos.values))
+        again = [replace(model, parts=()) for model in fitted]
+        fitted = lanes.fitted(lanes.at_numbers(again), [lanes.problem.valid] * len(again), _STEPS)
+    return lanes, fitted
 
 
 def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:

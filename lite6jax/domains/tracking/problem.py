@@ -31,7 +31,15 @@ from lite6jax.effects.dynamic import (
     declared,
 )
 from lite6jax.effects.effect import Effect, OfJoint
-from lite6jax.effects.servo import RateLimit, Servo, ServoDamping, ServoStiffness, TorqueLimit, TorqueSpeedLimit
+from lite6jax.effects.servo import (
+    RIGID_GRIP,
+    RateLimit,
+    Servo,
+    ServoDamping,
+    ServoStiffness,
+    TorqueLimit,
+    TorqueSpeedLimit,
+)
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fields import field_values
@@ -391,6 +399,43 @@ class TrackingProblem:
         known.update(new)
         return columns | new
 
+    def in_likeliest_grip(
+        self, nuisance: Array, terms: Terms, values: Array, of_terms_alone: bool = False
+    ) -> "TrackingProblem":
+        """The problem with the likeliest grip of each joint that dry friction acts on; itself where there is none.
+
+        What holds one joint need not be what holds the others: it may creep at each load at a speed of its own.
+
+        Args:
+            nuisance: `(number,)`.
+            terms: what is known to be there.
+            values: `(terms.size,)`.
+            of_terms_alone: whether only joints count whose friction terms add to.
+        """
+        model = self.model(nuisance, terms, values)
+        joints = self._with_friction(model, of_terms_alone)
+        if not len(joints):
+            return self
+        self.readouts(nuisance, terms, values)  # the loads, in which joints are rolled out
+        grip = np.array(self.servo.grip)
+        for joint in joints.tolist():
+            here = np.array([joint])
+            grip[here] = _likeliest_grip(self, model, here)
+        return replace(self, servo=self.servo._replace(grip=grip))
+
+    def _with_friction(self, model: TrackingModel, of_terms_alone: bool) -> NDArray[np.integer]:
+        """The joints, from 0, on which dry friction acts in a model."""
+        acts = np.zeros(self.rows, bool)
+        described = self.servo._asdict()
+        modelled = model.servo._asdict()
+        for name in ("coulomb", "stribeck", "load_friction"):
+            before = np.asarray(described[name]) if of_terms_alone else np.zeros(self.rows)
+            acts |= np.asarray(modelled[name]) != before
+        exerted = self._exerted(model)
+        if exerted is not None:
+            acts |= np.any(exerted[:, 1] != 0, axis=1)
+        return np.flatnonzero(acts)
+
     def rolled(self, states: Sequence[_RolloutInputs]) -> Array:
         """Read-outs `(state, every sample)` rad along the latest loads."""
         loads = self.known.loads or self.loads
@@ -587,13 +632,19 @@ def candidates_beside(data: TrackingRows, unknowns: Sequence[Unknown]) -> tuple[
 
 
 def tracking_problem(data: TrackingRows) -> TrackingProblem:
-    """The problem of a recording, at the declared servos, or at ones that are near those that fit best."""
+    """The problem of a recording, at the declared servos, or at ones that are near those that fit best.
+
+    Unknown servos are mostly those of a real arm: friction holds its joints rigidly until it is known better.
+    """
     unknowns = unknowns_of(data)
     candidates = candidates_beside(data, unknowns)
     chosen = np.arange(data.commands.samples)
     valid = np.ones(len(chosen), bool)
     problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)
-    return started(problem) if unknowns else problem
+    if not unknowns:
+        return problem
+    rigid = np.full(problem.rows, RIGID_GRIP)
+    return started(replace(problem, servo=problem.servo._replace(grip=rigid)))
 
 
 _GRIPS = np.geomspace(0.03, 1e4, 13)
@@ -644,31 +695,38 @@ def with_likely_grip(
     none = np.zeros(len(problem.unknowns))
     beside = (terms or Terms(), np.zeros(0) if values is None else values)
     problem.readouts(none, *beside)  # the loads along the coupled arm, in which joints are rolled out
-    model = problem.model(none, *beside)
-    grip = np.asarray(problem.servo.grip)
+    grip = _likeliest_grip(problem, problem.model(none, *beside), np.arange(problem.rows))
+    return replace(problem, servo=problem.servo._replace(grip=grip))
+
+
+def _likeliest_grip(problem: TrackingProblem, model: TrackingModel, joints: NDArray[np.integer]) -> Array:
+    """The grip of some joints that makes their read-outs likeliest, one factor of that of MuJoCo for all."""
+    nominal = np.asarray(problem.data.servo.grip)[joints]
     factors = _GRIPS
     best = 1.0
     for _ in range(1 + _FINER):
-        likelihoods = _grip_likelihoods(problem, model, factors)
-        place = int(np.argmax(likelihoods))
+        likelihoods = _grip_likelihoods(problem, model, joints, factors)
+        place = int(np.nanargmax(likelihoods))
         best = float(factors[place])
         lower = float(factors[max(place - 1, 0)])
         upper = float(factors[min(place + 1, len(factors) - 1)])
         factors = np.geomspace(lower, upper, _GRID)
-    return replace(problem, servo=problem.servo._replace(grip=best * grip))
+    return best * nominal
 
 
-def _grip_likelihoods(problem: TrackingProblem, model: TrackingModel, factors: Array) -> Array:
-    """The log likelihood `(factor,)`, less a constant, where noise of each joint is of unknown size."""
-    grip = np.asarray(model.servo.grip)
+def _grip_likelihoods(
+    problem: TrackingProblem, model: TrackingModel, joints: NDArray[np.integer], factors: Array
+) -> Array:
+    """The log likelihood `(factor,)` of joints, less a constant, where noise of each is of unknown size."""
+    nominal = np.asarray(problem.data.servo.grip)
     extra = problem._exerted(model)
     states = [
-        problem._state(model.servo._replace(grip=factor * grip), extra, joint)
+        problem._state(model.servo._replace(grip=factor * nominal), extra, joint)
         for factor in factors
-        for joint in range(problem.rows)
+        for joint in joints.tolist()
     ]
-    rolled = problem.rolled(states).reshape(len(factors), problem.rows, -1)
-    errors = (rolled - problem.data.measured)[..., problem.chosen][..., problem.valid]
+    rolled = problem.rolled(states).reshape(len(factors), len(joints), -1)
+    errors = (rolled - problem.data.measured[joints])[..., problem.chosen][..., problem.valid]
     return -0.5 * errors.shape[-1] * np.sum(np.log(np.mean(errors**2, 2)), 1)
 
 
