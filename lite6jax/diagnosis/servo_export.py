@@ -21,7 +21,7 @@ from lite6jax.arms.mjcf import mjcf_tree, read_mjcf, require_mujoco, write_tree
 from lite6jax.arms.trees import format_numbers
 from lite6jax.diagnosis.export import with_bodies
 from lite6jax.domains.torque.predict import motion_of_joint
-from lite6jax.domains.tracking.predict import DiagnosedServos
+from lite6jax.domains.tracking.predict import DiagnosedServos, holds_rigidly
 from lite6jax.effects.dynamic import BaseTilt, Dynamics, JointTorque, TorqueEffect
 from lite6jax.effects.servo import UNLIMITED, Servo
 from lite6jax.errors import InputError, InputWarning
@@ -348,6 +348,12 @@ def numpy_rollout(model: DiagnosedServos) -> str:
     bodies = model.model.bodies
     numbers: dict[str, Any] = {name.upper(): values for name, values in model.model.servo._asdict().items()}
     numbers |= {"KINEMATICS": bodies.kinematics, "LINKS": bodies.links, "GRAVITY": bodies.gravity}
+    held = np.zeros(model.dof)
+    rest = np.zeros(model.dof)
+    if model.rest is not None:
+        held = holds_rigidly(model.model.servo).astype(float)
+        rest = held * model.rest
+    numbers |= {"HELD": held, "REST": rest}
     numbers |= {"STEP": model.step, "INTERPOLATED": model.interpolated, "TABLES": _tables(model)}
     block = _NUMBERS.search(page)
     assert block is not None

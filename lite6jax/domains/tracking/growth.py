@@ -46,6 +46,10 @@ _SIZES = (0.2, 1.0, 5.0, 25.0)
 """Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
 _REACHED = (0.9, 0.7, 0.45)
 """Of the largest speed or torque: limits from which a fit starts."""
+_STIFFNESSES = (3.0, 12.0, 50.0)
+"""Nm/rad, of joints of small and large hobby servos and of small arms: from these a fit with friction starts too."""
+_STIFFEST = 1e5
+"""Nm/rad, from which a stiffness is none: then the joint follows by its lag alone, whatever acts on it."""
 _SCREENED = 2
 """Steps of the fit of every name."""
 _LIKELIEST = 4
@@ -225,6 +229,20 @@ class _Lanes:
             judged.append(replace(model, error=error, parts=tuple(part.numbers for part in of_folds)))
         return judged
 
+    def stiffness(self, model: NamedJoint) -> float:
+        """Nm/rad, of the servo of a model."""
+        described = float(self.problem.servo.stiffness[model.joint])
+        for number, k in zip(model.numbers, self.unknowns[model.joint], strict=False):
+            if self.problem.unknowns[k].field == "stiffness":
+                return described * float(np.exp(number))
+        return described
+
+    def with_stiffness(self, model: NamedJoint, stiffness: float) -> NamedJoint:
+        """A model with another stiffness in Nm/rad, of the same lag and inertia over stiffness, not rolled out."""
+        numbers = model.numbers.copy()
+        numbers[: len(self.unknowns[model.joint])] += np.log(stiffness / self.stiffness(model))
+        return replace(model, numbers=numbers)
+
     # -------------------------------------------------------------- names
 
     def is_better(self, model: NamedJoint, simpler: NamedJoint) -> bool:
@@ -337,7 +355,9 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> N
     models = lanes.judged(models, folds, valid)
     growing = [model.joint for model in models if model.error > enough]
     for model in _with_usual(lanes, [models[joint] for joint in growing], folds):
-        if lanes.is_better(model, models[model.joint]):
+        simpler = models[model.joint]
+        is_alike = model.error < (1 + _USUALLY_WORTH) * simpler.error
+        if lanes.is_better(model, simpler) or (is_alike and lanes.stiffness(simpler) > _STIFFEST):
             models[model.joint] = model
     lanes, models = _in_likeliest_grip(lanes, models)
     models = lanes.judged(models, folds, valid)
@@ -371,28 +391,68 @@ def _together(lanes: _Lanes, models: Sequence[NamedJoint]) -> NamedServos:
 
 
 def _in_likeliest_grip(lanes: _Lanes, models: Sequence[NamedJoint]) -> tuple[_Lanes, list[NamedJoint]]:
-    """Models fitted beside the grip by which friction holds each joint, and that grip beside the models, in turn."""
+    """Models fitted beside the grip by which friction holds each joint, and that grip beside the models, in turn.
+
+    A grip is taken where it lowers the errors of its joint as a name must: real joints hardly creep.
+    """
+    valid = lanes.problem.valid
     fitted = list(models)
     for _ in range(_GRIPS_IN_TURN):
         servos = _together(lanes, fitted)
-        lanes = _Lanes(servos.problem.in_likeliest_grip(servos.nuisance, servos.terms, servos.values))
-        again = [replace(model, parts=()) for model in fitted]
-        fitted = lanes.fitted(lanes.at_numbers(again), [lanes.problem.valid] * len(again), _STEPS)
+        gripped = servos.problem.in_likeliest_grip(servos.nuisance, servos.terms, servos.values)
+        if gripped is servos.problem:
+            break
+        again = _Lanes(gripped)
+        trials = [replace(model, parts=()) for model in fitted]
+        trials = again.fitted(again.at_numbers(trials), [valid] * len(trials), _STEPS)
+        grip = np.array(lanes.problem.servo.grip)
+        for place, (model, trial) in enumerate(zip(fitted, trials, strict=True)):
+            before = lanes.squares(model.joint, model.readout[None], valid)[0]
+            after = again.squares(trial.joint, trial.readout[None], valid)[0]
+            if after < (1 - _WORTH) ** 2 * before:
+                grip[model.joint] = gripped.servo.grip[model.joint]
+                fitted[place] = trial
+        lanes = _Lanes(replace(lanes.problem, servo=lanes.problem.servo._replace(grip=grip)))
     return lanes, fitted
 
 
 def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
-    """Models each with all names that nearly every joint has."""
+    """Models each with all names that nearly every joint has.
+
+    A joint that bears no load may follow as well by any stiffness, and then by none that friction could act beside:
+    fits start from several.
+    """
+    valid = lanes.problem.valid
     begun = []
     for model in models:
         usual = [
             name for name in lanes.names_of(model.joint) if isinstance(name, _USUAL) and name not in model.terms.terms
         ]
         terms = Terms((*model.terms.terms, *usual))
-        numbers = np.concatenate([model.numbers, np.zeros(terms.size - model.terms.size)])
-        begun.append(replace(model, terms=terms, numbers=numbers, parts=()))
-    fitted = lanes.fitted(begun, [lanes.problem.valid] * len(begun), _STEPS)
-    return lanes.judged(fitted, folds, lanes.problem.valid)
+        values = np.zeros(terms.size - model.terms.size)
+        starts = [model, *(lanes.with_stiffness(model, stiffness) for stiffness in _STIFFNESSES)]
+        begun += [
+            replace(start, terms=terms, numbers=np.concatenate([start.numbers, values]), parts=()) for start in starts
+        ]
+    fitted = lanes.fitted(lanes.at_numbers(begun), [valid] * len(begun), _STEPS)
+    return lanes.judged(_of_usual_stiffness(lanes, fitted), folds, valid)
+
+
+def _of_usual_stiffness(lanes: _Lanes, models: Sequence[NamedJoint]) -> list[NamedJoint]:
+    """Of each joint the model with the least errors; of several with hardly larger ones that with the usual stiffness.
+
+    That is the median of the best models of all joints: where only ratios to the stiffness are known, servos of one arm
+    are alike.
+    """
+    best = {model.joint: model for model in _best_of_joints(models)}
+    usual = float(np.median([lanes.stiffness(model) for model in best.values()]))
+    chosen = []
+    for joint, likeliest in best.items():
+        alike = [
+            model for model in models if model.joint == joint and model.error < (1 + _USUALLY_WORTH) * likeliest.error
+        ]
+        chosen.append(min(alike, key=lambda model: abs(np.log(lanes.stiffness(model) / usual))))
+    return chosen
 
 
 def _with_one_more(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:

@@ -22,7 +22,7 @@ from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.servo import Servo
+from lite6jax.effects.servo import RIGID_GRIP, Servo
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
@@ -141,6 +141,48 @@ class FittedRange:
     weight: Array
 
 
+def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
+    """`(joint,)`, whether dry friction holds a joint at rest without letting it creep."""
+    return (np.asarray(servo.grip) >= RIGID_GRIP) & (np.asarray(servo.coulomb) > 0)
+
+
+def resting_positions(model: TrackingModel, command: Array, rest: Array) -> Array:
+    """Where joints rest under commands, `(joint, sample)` rad.
+
+    Dry friction that does not let its joint creep holds it at q where
+
+        q = u − L/kp + s·c/kp,  −1 ≤ s ≤ 1.
+
+    What s is depends on how the joint came there. Other joints are at their commands and move to where they balance.
+
+    Args:
+        model: with kp and c of each joint, and the load L that its bodies exert at rest.
+        command: `(joint, sample)` rad, u.
+        rest: `(joint,)`, s.
+    """
+    servo = model.servo
+    held = holds_rigidly(servo)
+    still = np.zeros_like(command)
+    load = model.bodies.torques(command, still, still)
+    shift = (np.asarray(rest) * servo.coulomb)[:, None] - load
+    return np.where(held[:, None], command + shift / np.asarray(servo.stiffness)[:, None], command)
+
+
+def rest_of(model: TrackingModel, command: Array, position: Array) -> Array:
+    """The mean `(joint,)` of s as in `resting_positions`, of joints that rest at positions; 0 of those that do not.
+
+    Args:
+        model: likewise.
+        command: `(joint, sample)` rad.
+        position: likewise.
+    """
+    servo = model.servo
+    balanced = resting_positions(model, command, np.zeros(len(command)))
+    friction = np.maximum(np.asarray(servo.coulomb), 1e-12)
+    share = (position - balanced) * (np.asarray(servo.stiffness) / friction)[:, None]
+    return np.where(np.asarray(servo.coulomb) > 0, np.clip(share, -1.0, 1.0).mean(1), 0.0)
+
+
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosedServos(JointModel):
@@ -159,6 +201,7 @@ class DiagnosedServos(JointModel):
         step: s, of integration at most.
         interpolated: whether commands go on a line to the next; else each holds.
         ranges: what was recorded.
+        rest: `(joint,)`, as of `resting_positions`; where not given, joints rest at their commands.
         reference_temperature: °C.
         uncertainty: none; predictions of joints have no standard deviations.
         reference: none.
@@ -176,6 +219,7 @@ class DiagnosedServos(JointModel):
     step: float
     interpolated: bool
     ranges: FittedRange
+    rest: Array | None = None
     reference_temperature: float = 20.0
     uncertainty: Uncertainty | None = None
     reference: ReferenceOrigin | None = None
@@ -289,7 +333,10 @@ class DiagnosedServos(JointModel):
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
         run = np.zeros(len(u), int)
-        shown = u * (1 + servo.scale) + servo.offset + servo.sine * np.sin(u) + servo.cosine * np.cos(u)
+        still = u.copy()
+        if self.rest is not None:
+            still[:before] = resting_positions(self.model, u[:1].T, self.rest)[:, 0]
+        shown = still * (1 + servo.scale) + servo.offset + servo.sine * np.sin(still) + servo.cosine * np.cos(still)
         commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
         readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():

@@ -13,7 +13,7 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import joints_of, read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
-from lite6jax.domains.tracking.predict import DiagnosedServos, range_of
+from lite6jax.domains.tracking.predict import DiagnosedServos, range_of, rest_of
 from lite6jax.domains.tracking.rollout import roll
 from lite6jax.domains.tracking.rows import TrackingRows, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
@@ -595,6 +595,9 @@ def diagnosed_servos(
     declared_servos = settings.servo if isinstance(settings.servo, ServoSettings) else None
     arm = data.arm
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    first = np.flatnonzero(data.commands.reset)
+    command = np.asarray(data.recording.commanded_position)[first].T
+    model = compose(TrackingModel(servo, data.bodies), terms, values)
     return DiagnosedServos(
         arm=arm,
         servo=Servo(*(np.asarray(part, float) for part in servo)),
@@ -608,6 +611,7 @@ def diagnosed_servos(
         step=data.commands.step,
         interpolated=declared_servos is not None and declared_servos.hold == "interpolated",
         ranges=range_of(data.bodies, readout, data.commands.period),
+        rest=rest_of(model, command, data.measured[:, first]),
         reference_temperature=settings.reference_temperature_degC,
     )
 
