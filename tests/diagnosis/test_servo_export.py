@@ -29,6 +29,7 @@ from lite6jax.effects.dynamic import (
     ViscousFriction,
 )
 from lite6jax.effects.servo import (
+    RIGID_GRIP,
     ClockDrift,
     CommandDelay,
     CommandFilter,
@@ -135,6 +136,18 @@ def test_the_page_of_numpy_rolls_out_what_we_do(effects, interpolated):
     page = {}
     exec(numpy_rollout(model), page)
     u = commands()
+    assert apart(model, page["rollout"](TIME, u), u) < 0.1 * WITHIN
+
+
+def test_the_page_begins_where_friction_holds_joints():
+    model = servos()
+    held = model.servo._replace(grip=np.array([RIGID_GRIP, model.servo.grip[1], RIGID_GRIP]))
+    model = replace(model, servo=held, rest=np.array([1.0, 1.0, -0.5]))
+    page = {}
+    exec(numpy_rollout(model), page)
+    u = commands()
+    ours = model.predict(TIME, u).position
+    assert np.abs(ours[0] - u[0])[[0, 2]].min() > 5e-4
     assert apart(model, page["rollout"](TIME, u), u) < 0.1 * WITHIN
 
 

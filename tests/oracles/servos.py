@@ -20,12 +20,14 @@ def follow(
     rate=math.inf,
     feedforward=0.0,
     sticky=None,
+    creep=0.0,
     fine=100,
 ):
     """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
 
     Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most, and feedforward times its
-    velocity is added to what the servo exerts. Friction is more by sticky(q) in Nm.
+    velocity is added to what the servo exerts. Friction is more by sticky(q) in Nm. It holds the joint at rest, or
+    grows with velocity as tanh(v / creep).
     """
     h = period / fine
     command = [float(u) for u in command]
@@ -45,7 +47,8 @@ def follow(
         pulled = kp * (limited - q) + feedforward * change / h - (kd + viscous) * v - weight * math.sin(q)
         stopped = v + h * pulled / inertia
         band = h * (coulomb + (sticky(q) if sticky else 0.0)) / inertia
-        v = math.copysign(max(abs(stopped) - band, 0.0), stopped)
+        slower = max(abs(stopped) - band, 0.0)
+        v = stopped - band * math.tanh(v / creep) if creep else math.copysign(slower, stopped)
         q += h * v
         y = min(max(y, q - play), q + play)
     return read

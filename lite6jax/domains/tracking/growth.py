@@ -422,6 +422,8 @@ def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mas
     A joint that bears no load may follow as well by any stiffness, and then by none that friction could act beside:
     fits start from several.
     """
+    if not models:
+        return []
     valid = lanes.problem.valid
     begun = []
     for model in models:

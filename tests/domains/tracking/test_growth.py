@@ -19,10 +19,10 @@ SAMPLES = 600
 def grown_of(log, enough=3e-4):
     data = tracking_rows(log, PENDULUM).coarse
     problem = relinearise(tracking_problem(data), EngineOptions(), steps=8)
-    nuisance, terms, values = grown(problem, interleaved_folds(problem.run), enough)
-    there = problem.relinearised(nuisance)
-    errors = there.residual(np.zeros(len(nuisance)), terms, values) * there.sigma
-    return there.servo, terms, values, float(np.sqrt(np.mean(errors**2)))
+    servos = grown(problem, interleaved_folds(problem.run), enough)
+    there = servos.problem.relinearised(servos.nuisance)
+    errors = there.residual(np.zeros(len(servos.nuisance)), servos.terms, servos.values) * there.sigma
+    return there.servo, servos.terms, servos.values, float(np.sqrt(np.mean(errors**2)))
 
 
 def test_friction_that_the_description_lacks_is_named_in_long_steps():
