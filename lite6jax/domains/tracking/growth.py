@@ -46,10 +46,12 @@ _SIZES = (0.2, 1.0, 5.0, 25.0)
 """Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
 _REACHED = (0.9, 0.7, 0.45)
 """Of the largest speed or torque: limits from which a fit starts."""
-_STIFFNESSES = (3.0, 12.0, 50.0)
-"""Nm/rad, of joints of small and large hobby servos and of small arms: from these a fit with friction starts too."""
-_STIFFEST = 1e5
+_STIFFNESSES = (3.0, 15.0, 80.0, 400.0)
+"""Nm/rad, from joints of small hobby servos to those of arms: from these a fit starts where a stiffness is none."""
+_STIFFEST = 1e4
 """Nm/rad, from which a stiffness is none: then the joint follows by its lag alone, whatever acts on it."""
+_BESIDE_LIMIT = (0.3, 3.0)
+"""Of the stiffness that fits best without a limit: from these a fit with a limit starts too."""
 _SCREENED = 2
 """Steps of the fit of every name."""
 _LIKELIEST = 4
@@ -237,11 +239,23 @@ class _Lanes:
                 return described * float(np.exp(number))
         return described
 
-    def with_stiffness(self, model: NamedJoint, stiffness: float) -> NamedJoint:
-        """A model with another stiffness in Nm/rad, of the same lag and inertia over stiffness, not rolled out."""
-        numbers = model.numbers.copy()
-        numbers[: len(self.unknowns[model.joint])] += np.log(stiffness / self.stiffness(model))
-        return replace(model, numbers=numbers)
+    def of_stiffnesses(self, model: NamedJoint, beside_limit: bool = False) -> list[NamedJoint]:
+        """A model and the same with other stiffnesses, where its own may say little; not rolled out.
+
+        Beside no load, or a limit that it lacks, a joint follows as well by any large stiffness: then nothing else that
+        acts on it would show. A limit makes a servo seem softer or stiffer than it is. Lag and inertia over stiffness
+        stay.
+        """
+        present = self.stiffness(model)
+        others = [factor * present for factor in _BESIDE_LIMIT] if beside_limit else []
+        if present > _STIFFEST:
+            others += _STIFFNESSES
+        models = [model]
+        for stiffness in others:
+            numbers = model.numbers.copy()
+            numbers[: len(self.unknowns[model.joint])] += np.log(stiffness / present)
+            models.append(replace(model, numbers=numbers))
+        return models
 
     # -------------------------------------------------------------- names
 
@@ -294,7 +308,8 @@ class _Lanes:
             kept = [term not in name.includes for term in model.terms.terms]
             terms, values = model.terms.part(model.numbers[count:], kept)
             more = Terms((*terms.terms, name))
-            starts = [np.concatenate([model.numbers[:count], values, start]) for start in self._starts(name)]
+            servos = [start.numbers[:count] for start in self.of_stiffnesses(model, isinstance(name, Limit))]
+            starts = [np.concatenate([servo, values, start]) for servo in servos for start in self._starts(name)]
             begun.append((more, starts))
         return begun
 
@@ -417,11 +432,7 @@ def _in_likeliest_grip(lanes: _Lanes, models: Sequence[NamedJoint]) -> tuple[_La
 
 
 def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
-    """Models each with all names that nearly every joint has.
-
-    A joint that bears no load may follow as well by any stiffness, and then by none that friction could act beside:
-    fits start from several.
-    """
+    """Models each with all names that nearly every joint has."""
     if not models:
         return []
     valid = lanes.problem.valid
@@ -432,9 +443,9 @@ def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mas
         ]
         terms = Terms((*model.terms.terms, *usual))
         values = np.zeros(terms.size - model.terms.size)
-        starts = [model, *(lanes.with_stiffness(model, stiffness) for stiffness in _STIFFNESSES)]
         begun += [
-            replace(start, terms=terms, numbers=np.concatenate([start.numbers, values]), parts=()) for start in starts
+            replace(start, terms=terms, numbers=np.concatenate([start.numbers, values]), parts=())
+            for start in lanes.of_stiffnesses(model)
         ]
     fitted = lanes.fitted(lanes.at_numbers(begun), [valid] * len(begun), _STEPS)
     return lanes.judged(_of_usual_stiffness(lanes, fitted), folds, valid)
@@ -460,13 +471,13 @@ def _of_usual_stiffness(lanes: _Lanes, models: Sequence[NamedJoint]) -> list[Nam
 def _with_one_more(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
     """Models each with the name that predicts best, where there is any."""
     valid = lanes.problem.valid
-    begun = [(model, terms, starts) for model in models for terms, starts in lanes.begun(model)]
-    readouts = lanes.rolled([(model.joint, terms, np.array(starts)) for model, terms, starts in begun])
-    trials = []
-    for (model, terms, starts), of_starts in zip(begun, readouts, strict=True):
-        best = int(np.argmin(lanes.squares(model.joint, of_starts, valid)))
-        trials.append(NamedJoint(model.joint, terms, starts[best], of_starts[best]))
-    screened = lanes.fitted(trials, [valid] * len(trials), _SCREENED)
+    trials = [
+        replace(model, terms=terms, numbers=start, parts=())
+        for model in models
+        for terms, starts in lanes.begun(model)
+        for start in starts
+    ]
+    screened = _best_of_names(lanes.fitted(lanes.at_numbers(trials), [valid] * len(trials), _SCREENED))
     likeliest = []
     for model in models:
         of_joint = sorted((one for one in screened if one.joint == model.joint), key=lambda one: one.error)
@@ -490,6 +501,16 @@ def _best_of_joints(models: Sequence[NamedJoint]) -> list[NamedJoint]:
     for model in models:
         if model.joint not in best or model.error < best[model.joint].error:
             best[model.joint] = model
+    return list(best.values())
+
+
+def _best_of_names(models: Sequence[NamedJoint]) -> list[NamedJoint]:
+    """Of each joint and set of names the model with the least error."""
+    best: dict[tuple[int, Terms], NamedJoint] = {}
+    for model in models:
+        key = model.joint, model.terms
+        if key not in best or model.error < best[key].error:
+            best[key] = model
     return list(best.values())
 
 

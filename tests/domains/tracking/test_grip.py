@@ -93,4 +93,5 @@ def test_friction_that_lets_its_joint_creep_has_a_grip_of_its_own():
     errors = [
         np.sqrt(np.mean((one.predict(time, command[:, None]).position[:, 0] - truth) ** 2)) for one in (model, stiff)
     ]
+    print(errors, model.servo.grip, nominal)
     assert errors[0] < 0.7 * errors[1]
