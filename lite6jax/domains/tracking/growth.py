@@ -297,7 +297,7 @@ class _Lanes:
         ]
 
     def begun(self, model: NamedJoint) -> list[tuple[Terms, list[Array]]]:
-        """Sets of terms with one more name each, and the numbers from which their fits may start."""
+        """Sets of terms with one more name each, and the numbers from the best of which a fit starts."""
         present = set(model.terms.terms) | {more for term in model.terms.terms for more in term.includes}
         labels = {term.label for term in model.terms.terms}
         count = len(self.unknowns[model.joint])
@@ -308,9 +308,13 @@ class _Lanes:
             kept = [term not in name.includes for term in model.terms.terms]
             terms, values = model.terms.part(model.numbers[count:], kept)
             more = Terms((*terms.terms, name))
-            servos = [start.numbers[:count] for start in self.of_stiffnesses(model, isinstance(name, Limit))]
-            starts = [np.concatenate([servo, values, start]) for servo in servos for start in self._starts(name)]
-            begun.append((more, starts))
+            is_limit = isinstance(name, Limit)
+            for servo in self.of_stiffnesses(model, is_limit):
+                starts = [np.concatenate([servo.numbers[:count], values, start]) for start in self._starts(name)]
+                if is_limit:  # what is best before the fit says little of what is best after it
+                    begun += [(more, [start]) for start in starts]
+                else:
+                    begun.append((more, starts))
         return begun
 
     def _starts(self, name: Effect) -> list[Array]:
@@ -471,13 +475,13 @@ def _of_usual_stiffness(lanes: _Lanes, models: Sequence[NamedJoint]) -> list[Nam
 def _with_one_more(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
     """Models each with the name that predicts best, where there is any."""
     valid = lanes.problem.valid
-    trials = [
-        replace(model, terms=terms, numbers=start, parts=())
-        for model in models
-        for terms, starts in lanes.begun(model)
-        for start in starts
-    ]
-    screened = _best_of_names(lanes.fitted(lanes.at_numbers(trials), [valid] * len(trials), _SCREENED))
+    begun = [(model, terms, starts) for model in models for terms, starts in lanes.begun(model)]
+    readouts = lanes.rolled([(model.joint, terms, np.array(starts)) for model, terms, starts in begun])
+    trials = []
+    for (model, terms, starts), of_starts in zip(begun, readouts, strict=True):
+        best = int(np.argmin(lanes.squares(model.joint, of_starts, valid)))
+        trials.append(NamedJoint(model.joint, terms, starts[best], of_starts[best]))
+    screened = _best_of_names(lanes.fitted(trials, [valid] * len(trials), _SCREENED))
     likeliest = []
     for model in models:
         of_joint = sorted((one for one in screened if one.joint == model.joint), key=lambda one: one.error)
