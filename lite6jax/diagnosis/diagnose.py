@@ -118,7 +118,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def recording(self) -> Recording:
-        """As it was screened."""
+        """As it was screened; its joint positions contain `model.joint_zero`, which those for `predict` do not."""
         return self.problem.recording
 
     @property
@@ -244,6 +244,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             values=physics.join(values),
             inertia=inertia,
             joint_limits=problem.arm.joint_limits,
+            joint_zero=self._joint_zero,
             arm=problem.arm.name,
             physics=physics,
             orientation=problem.rows == 6,
@@ -256,6 +257,15 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         )
         pose_uncertainty = uncertainty_of_poses(problem, fit, model, ~self.outliers, self.after, self.folds)
         return replace(model, uncertainty=pose_uncertainty)
+
+    @property
+    def _joint_zero(self) -> Array:
+        """`(joint,)` rad, what was added to recorded joint positions, in all rows, because their zeros are off."""
+        zero = np.zeros(self.problem.arm.dof)
+        for fault in self.faults:
+            if fault.code == "joint_turns" and "added_rad" in fault.numbers:
+                zero[fault.numbers["joint"] - 1] += fault.numbers["added_rad"]
+        return zero
 
     @cached_property
     def _modelled(self) -> tuple[tuple[Effect, ...], list[Array]]:

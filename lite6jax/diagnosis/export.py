@@ -81,14 +81,16 @@ def read_diagnosed_arm(
     assert isinstance(motors, DiagnosedMotors)
     arm, further = diagnosed_arm(motors)
     arm = replace(arm, kinematics=chain.kinematics, T_joint_flange=chain.T_joint_flange, dh=None)
+    arm = replace(arm, joint_limits=model.controller_limits(arm.joint_limits))
     return arm, (*left_out, *further)
 
 
 def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool = True) -> tuple[Arm, tuple[str, ...]]:
     """The arm of a diagnosed model of poses, with every displacement that does not depend on the motion in its chain.
 
-    It ends at the point that was measured. Where the base stands in the sensor's frame is no part of it. Arguments and
-    what is returned as of `read_diagnosed_arm`.
+    It ends at the point that was measured. Where the base stands in the sensor's frame is no part of it. Its joints
+    count as the controller of the recording does: a zero that is off is in the chain. Arguments and what is returned
+    are as of `read_diagnosed_arm`.
     """
     if nominal is None and model.arm in bundled_arms():
         nominal = load_bundled(model.arm)
@@ -107,6 +109,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
         else:
             total = total + deflection
     joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))
+    joint = joint + np.asarray(model.joint_zero)
     before = _displaced(base)
     for i, row in enumerate(rows):
         moved = [0, 0, joint[i], 0, 0, 0] if i in model.sliding else [0, 0, 0, 0, 0, joint[i]]
@@ -124,6 +127,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
             left_out.append("the point that was measured (what follows the last joint stays as it is)")
     limits = model.joint_limits if nominal is None else nominal.joint_limits
     arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=tip, sliding=model.sliding)
+    arm = replace(arm, joint_limits=model.controller_limits(arm.joint_limits))
     if alone and nominal is not None and nominal.dof == arm.dof:
         arm = replace(arm, mass=nominal.mass, center_of_mass=nominal.center_of_mass, inertia=nominal.inertia)
     return arm, tuple(left_out)

@@ -38,7 +38,7 @@ _RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_ra
 _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
 _BY_UNIT = {"m": LENGTH_LIMIT, "rad": ANGLE_LIMIT}
 _Length = Annotated[float, Meta(ge=-LENGTH_LIMIT, le=LENGTH_LIMIT)]
-_Angle = Annotated[float, Meta(ge=-ANGLE_LIMIT, le=ANGLE_LIMIT)]
+Angle = Annotated[float, Meta(ge=-ANGLE_LIMIT, le=ANGLE_LIMIT)]
 _Far = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
 Mass = Annotated[float, Meta(ge=-LARGEST_MASS, le=LARGEST_MASS)]
 _Moment = Annotated[float, Meta(ge=-_LARGEST_MOMENT, le=_LARGEST_MOMENT)]
@@ -46,7 +46,7 @@ _Acceleration = Annotated[float, Meta(ge=-LARGEST_GRAVITY, le=LARGEST_GRAVITY)]
 _Temperature = Annotated[float, Meta(ge=-273.15, le=HIGHEST_TEMPERATURE)]
 Point = tuple[_Length, _Length, _Length]
 Gravity = tuple[_Acceleration, _Acceleration, _Acceleration]
-Chain = list[tuple[_Length, _Length, _Length, _Angle, _Angle, _Angle]]
+Chain = list[tuple[_Length, _Length, _Length, Angle, Angle, Angle]]
 _Row = tuple[_Far, _Far, _Far, _Far]
 Transform = tuple[_Row, _Row, _Row, _Row]
 Limits = list[tuple[_Far, _Far]]

@@ -23,8 +23,8 @@ NO_BARS = (
     "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
     "diagnose` again"
 )
-_JOINT_COLUMNS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint", "joint_turns")
-"""Faults of the joint columns, which another file from the same source has too."""
+_JOINT_COLUMNS = ("swapped_joints", "joint_unit", "mirrored_joint", "coupled_joint")
+"""Faults of the joint columns, which another file from the same source has too. Zeros that are off are in the model."""
 _SHOWN = 0.05
 """deg or mm, that a joint is beyond its recorded range at least to be named."""
 _ROWS_NAMED = 8
@@ -41,7 +41,7 @@ def corrected_columns(document: Mapping[str, Any], written: bool = False) -> str
     columns = [
         entry["fault"]
         for entry in document.get("data_faults", ())
-        if entry["fault"] in _JOINT_COLUMNS and (entry["fault"] != "joint_turns" or "added_rad" in entry["numbers"])
+        if entry["fault"] in _JOINT_COLUMNS or _is_missing_zero(entry, document)
     ]
     if columns:
         names = ", ".join(dict.fromkeys(fault_name(code).lower() for code in columns))
@@ -52,6 +52,12 @@ def corrected_columns(document: Mapping[str, Any], written: bool = False) -> str
     if any(entry["fault"] == "sensor_scale" for entry in document.get("data_faults", ())):
         said.append("positions are in true metres, not in those of the sensor, whose scale the diagnosis corrected")
     return "; ".join(said)
+
+
+def _is_missing_zero(entry: Mapping[str, Any], document: Mapping[str, Any]) -> bool:
+    """Whether a fault is a zero that is off, and the model does not have it: earlier versions did not write it."""
+    of_all_rows = entry["fault"] == "joint_turns" and "added_rad" in entry["numbers"]
+    return of_all_rows and "joint_zero_rad" not in document["model"]
 
 
 def compensation_columns(compensation: Compensation) -> dict[str, NDArray]:
@@ -184,7 +190,7 @@ def outside_warning(compensation: Compensation, model: DiagnosedArm) -> str:
     if compensation.outside is None or model.uncertainty is None or not compensation.outside.any():
         return ""
     lower, upper = model.uncertainty.recorded.joints.T
-    q = compensation.joint_position[compensation.outside]
+    q = compensation.joint_position[compensation.outside] + np.asarray(model.joint_zero)
     scales, units = joint_units(model.sliding, model.dof)
     beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
     joints = [

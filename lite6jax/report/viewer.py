@@ -220,7 +220,8 @@ def pose_scene(document: Document, model: DiagnosedArm, recording: Recording) ->
     if recording.position is None:
         remarks.append("The recording has no measured poses: only the motion is shown.")
     capsules = chain_capsules(arm, tool_point=np.asarray(model.model.T_flange_tool)[:3, 3])
-    scene = _scene(document, arm, recording, capsules, ranking.headline(document), statements.findings_of(document))
+    shown = model.correct_zeros(recording)
+    scene = _scene(document, arm, shown, capsules, ranking.headline(document), statements.findings_of(document))
     remarks = (*remarks, *scene.remarks)
     moving = recording.motion == "trajectory"
     return replace(scene, remarks=remarks, moving=moving, orientation=orientation, poses=errors)

@@ -19,7 +19,7 @@ from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inverse import InverseSolution, Target
 from lite6jax.domains.pose.kinematics import unit_quaternions
-from lite6jax.domains.pose.predict import DiagnosedArm, predict_deviations, require_model
+from lite6jax.domains.pose.predict import DiagnosedArm, predict_deviations, require_model, zeros_text
 from lite6jax.effects.kinematic import BaseDrift
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -70,7 +70,7 @@ class Reason(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(PublicResult):
-    """Joint positions for targets, one row per target.
+    """Joint positions for targets, one row per target: as the arm's controller counts them, to be sent to it.
 
     Attributes:
         recording: the joint positions as a motion for `predict`, row by row; NaN where a row has no target.
@@ -80,7 +80,7 @@ class Compensation(PublicResult):
         reason: `(row,)`; None where there is nothing to report.
         correction: `(row, joint)` rad, from the joint positions given to these; None where none were given.
         omitted: labels of effects that concern the sensor and not where the arm is; they are left out.
-        notes: of the targets, as they were read.
+        notes: of the targets, as they were read, and of the zeros of joints that are off.
         position_std: `(row, 3)` m, of the pose that is reached, along the axes of the targets' frame, as those of
             `predicted`; None where the diagnosis does not say.
         orientation_std: `(row, 3)` rad, about the tool's axes; None also where no orientation was recorded.
@@ -101,7 +101,7 @@ class Compensation(PublicResult):
 
     @property
     def joint_position(self) -> Array:
-        """`(row, joint)` rad."""
+        """`(row, joint)` rad, as the controller counts."""
         return self.recording.joint_position
 
 
@@ -114,7 +114,11 @@ def compensate(
     approach: Sequence[int] | None = None,
     **circumstances: ArrayLike,
 ) -> Compensation:
-    """The joint positions at which the arm with its effects reaches the targets.
+    """The joint positions at which the arm with its effects reaches the targets, as its controller counts them.
+
+    They are to be sent to the controller whose joint positions were recorded, and `predict` takes them as they are:
+    where the diagnosis found that the zero of a joint is off, `model.joint_zero` is subtracted already. Joint positions
+    that are given are taken likewise.
 
     With joint positions given for a target, the search starts from them and ends on their branch. Without, it starts
     from many, and selects the solutions that move the joints least from row to row, of those inside what was recorded
@@ -126,7 +130,7 @@ def compensate(
         model: the arm, from a diagnosis.
         targets: poses of the measured tool point: `(row, 4, 4)`, or positions `(row, 3)` in m with any orientation, or
             the path of a table of them, as `lite6jax compensate` reads it.
-        start: `(row, joint)` rad, beside targets that are an array.
+        start: `(row, joint)` rad, beside targets that are an array; as the controller counts.
         frame: the frame of the targets: the sensor's, with its scale and drift; or the arm's base.
         approach: for each joint -1, 0 or 1, the direction from which it approaches every target; by default each row
             is approached from the one before, the first from zero.
@@ -141,8 +145,8 @@ def compensate(
         targets = read_pose_targets(targets, model)
     if approach is not None and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
         raise InputError(f"approach: give -1, 0 or 1 for each of the {model.dof} joints")
-    if model.joint_limits is None:
-        raise InputError("compensate: the model has no joint limits; run `lite6jax diagnose` again")
+    limits = _limits(model)
+    zero = np.asarray(model.joint_zero)
     if not isinstance(targets, Targets):
         targets = _targets_of(model, targets, start, circumstances)
     elif start is not None or circumstances:
@@ -157,8 +161,8 @@ def compensate(
         complete &= np.isfinite(recording.quaternion).all(1)
     if not complete.any():
         raise InputError(f"{recording.source}: every row has an empty field; fill one row at least")
-    search = _Search(model, recording.select(complete), np.asarray(model.joint_limits), approach)
-    first = None if targets.start is None else targets.start[complete]
+    search = _Search(model, recording.select(complete), limits, approach)
+    first = None if targets.start is None else targets.start[complete] + zero
     solved, reverses = search.settle(search.branches(first))
 
     def spread(values: NDArray) -> Array:
@@ -167,7 +171,7 @@ def compensate(
         full[complete] = values
         return full
 
-    q = spread(solved.joint_position.T)
+    q = spread(solved.joint_position.T) - zero
     hit = _reached(solved)
     correction = None if targets.start is None else q - targets.start
     reasons: list[Reason | None] = [Reason("empty_field")] * recording.samples
@@ -176,7 +180,7 @@ def compensate(
         if reverses[k]:
             reasons[row] = Reason("reverses")
         elif not hit[k]:
-            reasons[row] = _missed(solved, k, search.limits)
+            reasons[row] = _missed(solved, k, limits, zero)
         elif correction is not None and np.abs(correction[row]).max() > _FAR:
             joint = int(np.argmax(np.abs(correction[row])))
             reasons[row] = Reason("far_from_start", (joint + 1,), (float(correction[row, joint]),))
@@ -189,11 +193,28 @@ def compensate(
         reason=tuple(reasons),
         correction=correction,
         omitted=omitted,
-        notes=recording.notes,
+        notes=(*recording.notes, *_notes_of_zeros(model)),
         position_std=None if std is None else spread(std),
         orientation_std=None if turned_std is None else spread(turned_std),
         outside=None if outside is None else spread(outside) == 1.0,
     )
+
+
+def _limits(model: DiagnosedArm) -> Array:
+    """`(joint, 2)` rad as the arm's description counts: its own limits, and inside those that the controller checks."""
+    if model.joint_limits is None:
+        raise InputError("compensate: the model has no joint limits; run `lite6jax diagnose` again")
+    limits = np.asarray(model.joint_limits)
+    checked = model.controller_limits(limits) + np.asarray(model.joint_zero)[:, None]
+    return np.stack([np.maximum(limits[:, 0], checked[:, 0]), np.minimum(limits[:, 1], checked[:, 1])], 1)
+
+
+def _notes_of_zeros(model: DiagnosedArm) -> tuple[str, ...]:
+    """That joint positions are not those of the arm's description; empty where they are."""
+    if not np.any(model.joint_zero):
+        return ()
+    zeros = zeros_text(-np.asarray(model.joint_zero))
+    return (f"the zeros of joints are off; joint positions are written as the controller counts them, with {zeros}",)
 
 
 def _targets_of(
@@ -230,13 +251,13 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     return model.keeping([not left_out for left_out in without]), omitted
 
 
-def _missed(solved: InverseSolution, k: int, limits: Array) -> Reason:
-    """Why the k-th target is not reached."""
+def _missed(solved: InverseSolution, k: int, limits: Array, zero: Array) -> Reason:
+    """Why the k-th target is not reached; a limit is said as the controller counts, which is less by `zero`."""
     joints = np.flatnonzero(solved.pressed[:, k])
     if joints.size:
         at = solved.joint_position[joints, k]
         upper = np.abs(limits[joints, 1] - at) < np.abs(limits[joints, 0] - at)
-        angles = np.where(upper, limits[joints, 1], limits[joints, 0])
+        angles = np.where(upper, limits[joints, 1], limits[joints, 0]) - zero[joints]
         return Reason("at_limit", tuple(map(int, joints + 1)), tuple(map(float, angles)))
     return Reason("near_singular" if solved.cost[k] < _SINGULAR**2 else "out_of_reach")
 
@@ -318,7 +339,7 @@ def _reached(solved: InverseSolution) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """A model, targets without empty fields, joint limits.
+    """A model, targets without empty fields, joint limits. Joint positions are as the arm's description counts them.
 
     Attributes:
         model: the arm.
@@ -334,8 +355,8 @@ class _Search:
 
     def motion(self, q: Array) -> Motion:
         """The motion through joint positions `(row, joint)`: what is not recorded of it follows from them."""
-        at = self.targets.made_anew(joint_position=q, position=None, quaternion=None)
-        motion = self.model.motion_of(at)
+        recorded = q - np.asarray(self.model.joint_zero)
+        motion = self.model.motion_of(self.targets.made_anew(joint_position=recorded, position=None, quaternion=None))
         if self.approach is None:
             return motion
         direction = np.broadcast_to(np.array(self.approach, float)[:, None], q.T.shape)

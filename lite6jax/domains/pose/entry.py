@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.domains.entries import (
+    Angle,
     Document,
     Gravity,
     Mass,
@@ -49,6 +50,7 @@ class PoseModelEntry(ModelEntry, kw_only=True):
     inertia: InertiaEntry | None
     motion: Literal["static", "trajectory"]
     accelerated: bool = False
+    joint_zero_rad: list[Angle] | None = None
 
     def __post_init__(self) -> None:
         """Checks what one number alone does not show; of torques an `Arm` does that."""
@@ -59,6 +61,8 @@ class PoseModelEntry(ModelEntry, kw_only=True):
             raise ValueError("prismatic_joints are not joints of its chain in order")
         if limits is not None and not (len(limits) == joints and all(lower < upper for lower, upper in limits)):
             raise ValueError("joint_limits are not the lower and the upper one of each joint")
+        if self.joint_zero_rad is not None and len(self.joint_zero_rad) != joints:
+            raise ValueError("joint_zero_rad is not a number of each joint")
         for name, rows in (("T_sensor_base", self.T_sensor_base), ("T_flange_tool", self.T_flange_tool)):
             T = np.array(rows, float)
             if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
@@ -104,6 +108,7 @@ class PoseDocument(Document[PoseModelEntry], kw_only=True):
             values=join(numbers),
             inertia=inertia,
             joint_limits=None if model.joint_limits is None else np.asarray(model.joint_limits, float),
+            joint_zero=np.zeros(joints) if model.joint_zero_rad is None else np.asarray(model.joint_zero_rad, float),
             orientation=model.orientation,
             reference_temperature=model.reference_temperature_degC,
             motion=model.motion,
@@ -118,6 +123,7 @@ class PoseDocument(Document[PoseModelEntry], kw_only=True):
 def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     limits = model.joint_limits
+    zero = np.asarray(model.joint_zero)
     masses = model.inertia
     parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
     return {
@@ -126,6 +132,7 @@ def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, 
         "T_sensor_base": np.asarray(model.model.T_sensor_base).tolist(),
         "T_flange_tool": np.asarray(model.model.T_flange_tool).tolist(),
         "joint_limits": None if limits is None else np.asarray(limits).tolist(),
+        **({"joint_zero_rad": zero.tolist()} if zero.any() else {}),
         "orientation": model.orientation,
         "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
         "motion": model.motion,

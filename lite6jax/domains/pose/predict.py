@@ -1,6 +1,10 @@
 """The model of a diagnosed arm: evaluated as a JAX function, and predicted over a motion with standard deviations.
 
 Those are of the true pose from the predicted one. The sensor's noise is no part of them.
+
+A model is given joint positions as the arm's controller counts them, which is as they are recorded. Where the diagnosis
+found that the zero of a joint is off, the model adds what is missing (`DiagnosedArm.joint_zero`) as it evaluates them.
+Nothing else adds it.
 """
 
 from collections.abc import Iterator
@@ -38,7 +42,7 @@ from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, read_motion, require_radians
-from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.recordings.motion import motion_of_recording, with_joints
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor
@@ -53,6 +57,8 @@ TURNED = ("rx_std_rad", "ry_std_rad", "rz_std_rad")
 _ROWS_AT_ONCE = 4096
 _QUANTITIES = np.repeat([0, 1], 3)
 """Of the rows of a pose: its position, and its orientation."""
+_CONVENTION = np.pi / 4
+"""rad: a zero that is off by more is another convention, by quarter turns, and not one that was lost."""
 
 _ARGUMENTS = {
     "direction of motion": "direction",
@@ -64,7 +70,7 @@ _ARGUMENTS = {
 """The argument of `DiagnosedArm.pose` that provides a quantity which effects depend on."""
 
 
-_LEAVES = ("model", "values", "inertia", "joint_limits")
+_LEAVES = ("model", "values", "inertia", "joint_limits", "joint_zero")
 _STATIC = (
     *("arm", "physics", "orientation", "reference_temperature", "motion", "accelerated", "heldout_rms", "reference"),
     *("uncertainty", "sliding"),
@@ -81,7 +87,10 @@ class DiagnosedArm:
         model: the rigid part.
         values: `(physics.size,)`, the numbers of the effects.
         inertia: masses, or None where none are known.
-        joint_limits: `(joint, 2)` rad, m of prismatic joints, or None where the diagnosis has none.
+        joint_limits: `(joint, 2)` rad, m of prismatic joints, or None where the diagnosis has none; as the arm's
+            description counts its joints.
+        joint_zero: `(joint,)` rad, by how much the description counts each joint further than the controller does: the
+            diagnosis added it to recorded positions. Every member adds it to the positions that it is given.
         arm: the nominal arm's name.
         physics: the effects.
         orientation: whether the sensor measured orientations.
@@ -98,6 +107,7 @@ class DiagnosedArm:
     values: Any  # JAX puts other objects than arrays into leaves while it transforms
     inertia: Inertia | None
     joint_limits: Any
+    joint_zero: Any
     arm: str
     physics: Physics
     orientation: bool = True
@@ -114,11 +124,18 @@ class DiagnosedArm:
         return f"model of a {self.arm} with {effects}"
 
     def read_motion(self, path: str | Path) -> Recording:
-        """A motion to predict; as `recordings.read_motion`."""
-        return read_motion(path, self)
+        """A motion to predict, as `recordings.read_motion`; a note says what `predicted` adds to joint positions."""
+        motion = read_motion(path, self)
+        if not np.any(self.joint_zero):
+            return motion
+        zeros = zeros_text(self.joint_zero)
+        note = f"the zeros of joints are off as in the diagnosed recording; joint positions are corrected by {zeros}"
+        return replace(motion, notes=(*motion.notes, note))
 
     def predicted(self, motion: Recording, time_remedy: str = "add time_s") -> "Prediction":
         """The poses that the sensor shows in a motion, with their standard deviations.
+
+        Joint positions are those of the controller, as recorded, and not those that a diagnosis has corrected.
 
         Raises:
             InputError: another number of joints, or the motion lacks what an effect needs, by name.
@@ -135,6 +152,16 @@ class DiagnosedArm:
     def dof(self) -> int:
         """The number of joints."""
         return self.model.geometry.size // 6
+
+    def controller_limits(self, limits: Array) -> Array:
+        """The limits `(joint, 2)` rad that the controller checks by its own count, of those of the arm's description.
+
+        They are the same numbers, also where it has lost a zero. Where it counts by another convention, off by quarter
+        turns, they are as far off.
+        """
+        zero = np.asarray(self.joint_zero)
+        convention = np.where(np.abs(zero) > _CONVENTION, zero, 0.0)
+        return limits - convention[:, None]
 
     def pose(
         self,
@@ -154,7 +181,7 @@ class DiagnosedArm:
             jax.grad(lambda model: jnp.sum(model.pose(q) ** 2))(model)
 
         Args:
-            joint_position: `(..., joint)` rad, and m of prismatic joints.
+            joint_position: `(..., joint)` rad, and m of prismatic joints, as the controller counts.
             payload: `(...)` kg at the flange.
             temperature_rise: `(...)` K above the temperature at which the geometry holds.
             direction: `(..., joint)` -1, 0 or 1, from which side each joint was approached.
@@ -190,7 +217,7 @@ class DiagnosedArm:
 
         rise = row("temperature_rise", temperature_rise, batch_shape)
         motion = Motion(
-            joint_position=q.reshape(samples, self.dof).T,
+            joint_position=(q + self.joint_zero).reshape(samples, self.dof).T,
             joint_velocity=row("joint_velocity", joint_velocity, q.shape),
             direction=row("direction", direction, q.shape),
             time=row("time", time, batch_shape),
@@ -235,11 +262,22 @@ class DiagnosedArm:
         return replace(self, physics=physics, values=values, uncertainty=uncertainty)
 
     def motion_of(self, recording: Recording) -> Motion:
-        """The motion of a recording, with accelerations where loads include them."""
+        """The motion of a recording, with accelerations where loads include them; `joint_zero` is added."""
+        motion = motion_of_recording(self.correct_zeros(recording))
+        return accelerated(motion) if self.accelerated else motion
+
+    def correct_zeros(self, recording: Recording) -> Recording:
+        """The recording with joint positions as the arm's description counts them.
+
+        Raises:
+            InputError: other joints.
+        """
         if recording.sliding != self.sliding:
             raise InputError(f"{recording.source}: {other_joints(recording.sliding, self.sliding, self.arm)}")
-        motion = motion_of_recording(recording)
-        return accelerated(motion) if self.accelerated else motion
+        zero = np.asarray(self.joint_zero)
+        if not zero.any() or recording.dof != self.dof:
+            return recording
+        return with_joints(recording, np.eye(self.dof), zero)
 
 
 @final
@@ -284,6 +322,12 @@ class Prediction(PublicResult):
         if self.orientation:
             columns |= zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(self.poses[:, :3, :3])).T, strict=True)
         return columns | deviation_columns(self)
+
+
+def zeros_text(zero: Array) -> str:
+    """Corrections `(joint,)` rad of the joints whose zeros are off, in words."""
+    degrees = np.rad2deg(np.asarray(zero))
+    return " and ".join(f"{degrees[i]:+.3f} deg at joint {i + 1}" for i in np.flatnonzero(degrees))
 
 
 def require_model(model: object) -> None:

@@ -29,7 +29,7 @@ from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.model import ArmModel
-from lite6jax.recordings import Recording, RecordingSettings, read_motion, require_one_station, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
 from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor
@@ -141,7 +141,7 @@ def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tu
     """
     require_model(model)
     if isinstance(recording, str | Path):
-        recording = read_motion(recording, model)
+        recording = model.read_motion(recording)
     if not isinstance(recording, Recording):
         raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     require_one_station(recording)
