@@ -29,7 +29,9 @@ from lite6jax.effects import catalogue, drivers, user_effects
 from lite6jax.effects.effect import Effect
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
-from lite6jax.recordings import RecordingSettings, columns, settings
+from lite6jax.recordings import RecordingSettings, settings
+from lite6jax.recordings.columns import column as columns
+from lite6jax.recordings.columns.documented import TEXTS
 from lite6jax.report import remedies
 from lite6jax.report.inspection import KEYS
 
@@ -235,7 +237,7 @@ def _shown_in() -> dict[str, list[str]]:
 def column_table() -> str:
     """Every column of a recording, with the units that are read."""
     of_joints_first = sorted(columns.QUANTITIES.items(), key=lambda item: not item[1].per_joint)
-    accepted = {name: one.units for name, one in of_joints_first} | {name: {"": 1.0} for name in columns.TEXTS}
+    accepted = {name: one.units for name, one in of_joints_first} | {name: {"": 1.0} for name in TEXTS}
     _check("columns", COLUMNS, accepted)
     lines = []
     for meaning, group in itertools.groupby(accepted, COLUMNS.__getitem__):

@@ -35,7 +35,7 @@ from lite6jax.recordings import (
     require_samples,
     sidecar_path,
 )
-from lite6jax.storage import exists
+from lite6jax.storage import check_readable, exists
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
@@ -76,6 +76,7 @@ def load_recording(
 def _describe_other_file(path: str | Path) -> str:
     """What a file is that is no recording, and what is to be given."""
     if Path(path).suffix.lower() in suffixes.CALIBRATIONS and exists(path):
+        check_readable(path)
         with suppress(InputError), warnings.catch_warnings(action="ignore"):
             read_factory(path)
             return "is a calibration; give a recording (.csv, .parquet, .mcap, .bag)"
