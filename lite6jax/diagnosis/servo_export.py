@@ -348,12 +348,12 @@ def numpy_rollout(model: DiagnosedServos) -> str:
     bodies = model.model.bodies
     numbers: dict[str, Any] = {name.upper(): values for name, values in model.model.servo._asdict().items()}
     numbers |= {"KINEMATICS": bodies.kinematics, "LINKS": bodies.links, "GRAVITY": bodies.gravity}
-    held = np.zeros(model.dof)
-    rest = np.zeros(model.dof)
-    if model.rest is not None:
-        held = holds_rigidly(model.model.servo).astype(float)
-        rest = held * model.rest
-    numbers |= {"HELD": held, "REST": rest}
+    holds = np.zeros(model.dof)
+    share = np.zeros(model.dof)
+    if model.friction_share is not None:
+        holds = holds_rigidly(model.model.servo).astype(float)
+        share = holds * model.friction_share
+    numbers |= {"HOLDS": holds, "FRICTION_SHARE": share}
     numbers |= {"STEP": model.step, "INTERPOLATED": model.interpolated, "TABLES": _tables(model)}
     block = _NUMBERS.search(page)
     assert block is not None

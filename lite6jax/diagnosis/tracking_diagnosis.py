@@ -47,7 +47,7 @@ from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, chance_of, nearest_of, search
 from lite6jax.search.select import Selector
-from lite6jax.search.state import SelectedTerm, State, refitted
+from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
 Array = NDArray[np.floating]
 
@@ -373,14 +373,17 @@ def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Sele
     for _ in range(_GRIPS_IN_TURN):
         problem = selection.problem
         assert isinstance(problem, TrackingProblem)
-        f = selection.state.fit
+        state = selection.state
+        f = state.fit
+        if not problem.data.coupled:
+            break
         gripped = problem.in_likeliest_grip(f.nuisance, f.terms, f.values, of_terms_alone=True)
-        if gripped is problem or not problem.data.coupled:
+        if gripped is problem:
             break
-        again = fit(gripped, f.terms, options.rough, f.values, f.nuisance, f.training, f.noise)
-        if again.gain_over(f) < MARGIN:
+        again = fitted_again(gripped, gripped, state, f.training, options.rough)
+        if again.fit.gain_over(f) < MARGIN:
             break
-        selection = replace(selection, problem=gripped, state=replace(selection.state, fit=again))
+        selection = replace(selection, problem=gripped, reference=gripped, state=again)
     return selection
 
 

@@ -142,7 +142,7 @@ def test_the_page_of_numpy_rolls_out_what_we_do(effects, interpolated):
 def test_the_page_begins_where_friction_holds_joints():
     model = servos()
     held = model.servo._replace(grip=np.array([RIGID_GRIP, model.servo.grip[1], RIGID_GRIP]))
-    model = replace(model, servo=held, rest=np.array([1.0, 1.0, -0.5]))
+    model = replace(model, servo=held, friction_share=np.array([1.0, 1.0, -0.5]))
     page = {}
     exec(numpy_rollout(model), page)
     u = commands()

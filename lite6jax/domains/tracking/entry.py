@@ -28,8 +28,8 @@ class TrackingModelEntry(JointModelEntry, kw_only=True):
     interpolated: bool
     velocity_range_rad_per_s: Ranges
     weight_range_Nm: Ranges  # noqa: N815 (the key)
-    rest: list[Annotated[float, Meta(ge=-1.0, le=1.0)]] = msgspec.field(default_factory=list)
-    """Where friction held each joint as runs began."""
+    friction_share: list[Annotated[float, Meta(ge=-1.0, le=1.0)]] = msgspec.field(default_factory=list)
+    """Where friction held each joint as runs began, s of `resting_positions`."""
 
     def __post_init__(self) -> None:
         """Checks that every servo has all numbers of each joint."""
@@ -37,8 +37,8 @@ class TrackingModelEntry(JointModelEntry, kw_only=True):
         if set(self.servo) != set(Servo._fields) or any(len(numbers) != joints for numbers in self.servo.values()):
             raise ValueError("servo does not have a number of each kind for each joint")
         lists = (self.links, self.velocity_range_rad_per_s, self.weight_range_Nm)
-        if self.rest:
-            lists = (*lists, self.rest)
+        if self.friction_share:
+            lists = (*lists, self.friction_share)
         if any(len(part) != joints for part in lists):
             raise ValueError(f"it has {joints} joints, but other numbers of links or ranges")
 
@@ -67,7 +67,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
             step=model.step_s,
             interpolated=model.interpolated,
             ranges=FittedRange(velocity, weight),
-            rest=np.asarray(model.rest, float) if model.rest else None,
+            friction_share=np.asarray(model.friction_share, float) if model.friction_share else None,
             reference_temperature=model.reference_temperature_degC,
         )
 
@@ -84,6 +84,6 @@ def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[st
         "interpolated": model.interpolated,
         "velocity_range_rad_per_s": model.ranges.velocity.tolist(),
         "weight_range_Nm": model.ranges.weight.tolist(),
-        "rest": [] if model.rest is None else model.rest.tolist(),
+        "friction_share": [] if model.friction_share is None else model.friction_share.tolist(),
         **shared_fields(model, parts, covariances),
     }

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lite6jax.effects.dynamic import CoulombFriction, RotorInertia
 from lite6jax.effects.effect import Effect, OfJoint
-from lite6jax.effects.servo import Limit
+from lite6jax.effects.servo import Limit, RateLimit
 from lite6jax.estimation.noise import autocorrelation_time
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Term, Terms
@@ -233,18 +233,18 @@ class _Lanes:
 
     def stiffness(self, model: NamedJoint) -> float:
         """Nm/rad, of the servo of a model."""
-        described = float(self.problem.servo.stiffness[model.joint])
+        linearised_at = float(self.problem.servo.stiffness[model.joint])
         for number, k in zip(model.numbers, self.unknowns[model.joint], strict=False):
             if self.problem.unknowns[k].field == "stiffness":
-                return described * float(np.exp(number))
-        return described
+                return linearised_at * float(np.exp(number))
+        return linearised_at
 
     def of_stiffnesses(self, model: NamedJoint, beside_limit: bool = False) -> list[NamedJoint]:
         """A model and the same with other stiffnesses, where its own may say little; not rolled out.
 
         Beside no load, or a limit that it lacks, a joint follows as well by any large stiffness: then nothing else that
-        acts on it would show. A limit makes a servo seem softer or stiffer than it is. Lag and inertia over stiffness
-        stay.
+        acts on it would show. A limit makes a servo seem softer or stiffer than it is. All unknown numbers over the
+        stiffness stay.
         """
         present = self.stiffness(model)
         others = [factor * present for factor in _BESIDE_LIMIT] if beside_limit else []
@@ -310,20 +310,26 @@ class _Lanes:
             more = Terms((*terms.terms, name))
             is_limit = isinstance(name, Limit)
             for servo in self.of_stiffnesses(model, is_limit):
-                starts = [np.concatenate([servo.numbers[:count], values, start]) for start in self._starts(name)]
+                stiffness = self.stiffness(servo)
+                starts = [
+                    np.concatenate([servo.numbers[:count], values, start]) for start in self._starts(name, stiffness)
+                ]
                 if is_limit:  # what is best before the fit says little of what is best after it
                     begun += [(more, [start]) for start in starts]
                 else:
                     begun.append((more, starts))
         return begun
 
-    def _starts(self, name: Effect) -> list[Array]:
-        """Numbers of a name from which its fit may start."""
+    def _starts(self, name: Effect, stiffness: float) -> list[Array]:
+        """Numbers of a name from which its fit may start, beside a servo of a stiffness in Nm/rad."""
         zero = np.zeros(name.size)
         if isinstance(name, Limit):
             largest = self.problem.largest(name)
-            inverse = [self.problem.step_of(name, 0, 0.0), *(1 / (share * largest) for share in _REACHED)]
-            return [np.r_[first, zero[1:]] for first in inverse]
+            limits = {1 / self.problem.step_of(name, 0, 0.0), *(share * largest for share in _REACHED)}
+            over = 1.0
+            if not isinstance(name, RateLimit):  # torques are those of the stiffness of the problem
+                over = stiffness / float(self.problem.servo.stiffness[name.joint - 1])
+            return [np.r_[1 / (over * limit), zero[1:]] for limit in sorted(limits)]
         if name.linear:
             return [zero]
         lower, upper = self.problem.limits(name)[0]
@@ -378,8 +384,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> N
         is_alike = model.error < (1 + _USUALLY_WORTH) * simpler.error
         if lanes.is_better(model, simpler) or (is_alike and lanes.stiffness(simpler) > _STIFFEST):
             models[model.joint] = model
-    lanes, models = _in_likeliest_grip(lanes, models)
-    models = lanes.judged(models, folds, valid)
+    lanes, models = _in_likeliest_grip(lanes, models, folds)
     growing = [model.joint for model in models if model.error > enough]
     while growing:
         better = _with_one_more(lanes, [models[joint] for joint in growing], folds)
@@ -390,7 +395,7 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> N
                 if model.error > enough and len(model.terms.terms) < _MOST:
                     growing.append(model.joint)
     models = _without_idle(lanes, models, folds)
-    lanes, models = _in_likeliest_grip(lanes, models)
+    lanes, models = _in_likeliest_grip(lanes, models, folds)
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
     models = lanes.fitted([_within(lanes, model) for model in models], [valid] * len(models), 2 * _STEPS)
     return _together(lanes, models)
@@ -409,30 +414,35 @@ def _together(lanes: _Lanes, models: Sequence[NamedJoint]) -> NamedServos:
     return NamedServos(lanes.problem, nuisance, Terms(tuple(terms)), np.concatenate(values))
 
 
-def _in_likeliest_grip(lanes: _Lanes, models: Sequence[NamedJoint]) -> tuple[_Lanes, list[NamedJoint]]:
+def _in_likeliest_grip(
+    lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]
+) -> tuple[_Lanes, list[NamedJoint]]:
     """Models fitted beside the grip by which friction holds each joint, and that grip beside the models, in turn.
 
-    A grip is taken where it lowers the errors of its joint as a name must: real joints hardly creep.
+    A grip is taken where it lowers the errors of its joint in held-out rows by `_WORTH`: real joints hardly creep.
     """
     valid = lanes.problem.valid
-    fitted = list(models)
+    everywhere = [valid] * len(models)
+    chosen = list(models)
     for _ in range(_GRIPS_IN_TURN):
-        servos = _together(lanes, fitted)
+        servos = _together(lanes, chosen)
         gripped = servos.problem.in_likeliest_grip(servos.nuisance, servos.terms, servos.values)
         if gripped is servos.problem:
             break
-        again = _Lanes(gripped)
-        trials = [replace(model, parts=()) for model in fitted]
-        trials = again.fitted(again.at_numbers(trials), [valid] * len(trials), _STEPS)
+        others = _Lanes(gripped)
+        whole = [replace(model, parts=()) for model in chosen]
+        before = lanes.judged(lanes.fitted(whole, everywhere, _STEPS), folds, valid)
+        trials = others.judged(others.fitted(others.at_numbers(whole), everywhere, _STEPS), folds, valid)
         grip = np.array(lanes.problem.servo.grip)
-        for place, (model, trial) in enumerate(zip(fitted, trials, strict=True)):
-            before = lanes.squares(model.joint, model.readout[None], valid)[0]
-            after = again.squares(trial.joint, trial.readout[None], valid)[0]
-            if after < (1 - _WORTH) ** 2 * before:
-                grip[model.joint] = gripped.servo.grip[model.joint]
-                fitted[place] = trial
+        chosen = before
+        worth = [k for k, trial in enumerate(trials) if trial.error < (1 - _WORTH) * before[k].error]
+        if not worth:
+            break
+        for k in worth:
+            chosen[k] = trials[k]
+            grip[trials[k].joint] = gripped.servo.grip[trials[k].joint]
         lanes = _Lanes(replace(lanes.problem, servo=lanes.problem.servo._replace(grip=grip)))
-    return lanes, fitted
+    return lanes, chosen
 
 
 def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mask]) -> list[NamedJoint]:
@@ -466,7 +476,7 @@ def _of_usual_stiffness(lanes: _Lanes, models: Sequence[NamedJoint]) -> list[Nam
     chosen = []
     for joint, likeliest in best.items():
         alike = [
-            model for model in models if model.joint == joint and model.error < (1 + _USUALLY_WORTH) * likeliest.error
+            model for model in models if model.joint == joint and model.error <= (1 + _USUALLY_WORTH) * likeliest.error
         ]
         chosen.append(min(alike, key=lambda model: abs(np.log(lanes.stiffness(model) / usual))))
     return chosen

@@ -44,8 +44,8 @@ OFFSET = np.array([0.0])  # rad, of the read-out
 SCALE = np.array([0.0])  # of the read-out
 SINE = np.array([0.0])  # rad, of the read-out
 COSINE = np.array([0.0])  # rad, of the read-out
-HELD = np.array([0.0])  # 1 where friction holds a joint at rest, and 0 where it rests at its command
-REST = np.array([0.0])  # where friction holds it, from -1 to 1
+HOLDS = np.array([0.0])  # 1 where friction holds a joint at rest, and 0 where it rests at its command
+FRICTION_SHARE = np.array([0.0])  # of c by which it holds it there, from -1 to 1
 TABLES = []  # of further torques: joint from 0, of "position" or "velocity", the values, Nm that resist there
 # -- end of numbers
 
@@ -56,7 +56,7 @@ RETURN = 2 / (0.95 * 0.002)  # 1/s, by which friction brings a joint at rest to 
 
 
 def rollout(time, command):
-    """Read-outs (sample, joint) rad of joints that follow commands (sample, joint) rad, from rest at the first."""
+    """Read-outs (sample, joint) rad of joints that follow commands (sample, joint) rad, from rest under the first."""
     time = np.asarray(time, float)
     command = np.asarray(command, float)
     period = np.median(np.diff(time))
@@ -135,8 +135,8 @@ def roll(target, rate, load, mass, extra, h):
     bends = np.any(STRIBECK) or np.any(LOAD_FRICTION)
     stick = COULOMB
     still = np.zeros_like(target[:1])
-    resting = REST * COULOMB - torques(target[:1], still, still, GRAVITY)[0]
-    q = target[0] + HELD * resting / np.maximum(STIFFNESS, 1e-9)
+    resting = FRICTION_SHARE * COULOMB - torques(target[:1], still, still, GRAVITY)[0]
+    q = target[0] + HOLDS * resting / np.maximum(STIFFNESS, 1e-9)
     v = a = error = np.zeros_like(q)
     # before the first time an integral part has balanced what acts on a joint at rest
     summed = np.where(INTEGRAL > 0, (SPRING * q + outer[1][0]) / np.where(INTEGRAL > 0, INTEGRAL, 1.0), 0.0)

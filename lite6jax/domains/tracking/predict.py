@@ -17,12 +17,12 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
+from lite6jax.domains.tracking.rollout import LONGEST_STEP, RETURN, Commands, hold_commands
 from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.servo import RIGID_GRIP, Servo
+from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
@@ -34,6 +34,10 @@ from lite6jax.results import PublicResult
 Array = NDArray[np.floating]
 Runs = NDArray[np.integer]
 
+_CREEPS_AT_LEAST = 100.0
+"""s, the time constant of creeping from which friction holds a joint; MuJoCo's joints creep within some seconds."""
+_INVERTED = 3
+"""Iterations from a read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _SETTLING = 2.0
 """s for which the first command is held before a predicted run begins."""
 _LEAST_RANGE = 1e-3
@@ -142,45 +146,57 @@ class FittedRange:
 
 
 def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
-    """`(joint,)`, whether dry friction holds a joint at rest without letting it creep."""
-    return (np.asarray(servo.grip) >= RIGID_GRIP) & (np.asarray(servo.coulomb) > 0)
+    """`(joint,)`, whether dry friction holds a joint at rest for longer than motions take; no integral part lets it.
+
+    A joint that creeps comes to where servo and load balance with the time constant G·B/kp.
+    """
+    creeps_within = np.asarray(servo.grip) * RETURN / np.asarray(servo.stiffness)
+    return (np.asarray(servo.coulomb) > 0) & (creeps_within > _CREEPS_AT_LEAST) & (np.asarray(servo.integral) == 0)
 
 
-def resting_positions(model: TrackingModel, command: Array, rest: Array) -> Array:
-    """Where joints rest under commands, `(joint, sample)` rad.
+def resting_positions(model: TrackingModel, command: Array, friction_share: Array) -> Array:
+    """Where joints rest under commands before a motion, `(joint, sample)` rad.
 
     Dry friction that does not let its joint creep holds it at q where
 
         q = u − L/kp + s·c/kp,  −1 ≤ s ≤ 1.
 
-    What s is depends on how the joint came there. Other joints are at their commands and move to where they balance.
+    What s is depends on how the joint came there. Other joints begin at their commands.
 
     Args:
-        model: with kp and c of each joint, and the load L that its bodies exert at rest.
+        model: with kp and c of each joint, and the load L that its bodies exert at rest under the commands.
         command: `(joint, sample)` rad, u.
-        rest: `(joint,)`, s.
+        friction_share: `(joint,)`, s.
     """
     servo = model.servo
-    held = holds_rigidly(servo)
-    still = np.zeros_like(command)
-    load = model.bodies.torques(command, still, still)
-    shift = (np.asarray(rest) * servo.coulomb)[:, None] - load
-    return np.where(held[:, None], command + shift / np.asarray(servo.stiffness)[:, None], command)
+    zero = np.zeros_like(command)
+    load = model.bodies.torques(command, zero, zero)
+    shift = (np.asarray(friction_share) * servo.coulomb)[:, None] - load
+    held = holds_rigidly(servo)[:, None]
+    return np.where(held, command + shift / np.asarray(servo.stiffness)[:, None], command)
 
 
-def rest_of(model: TrackingModel, command: Array, position: Array) -> Array:
-    """The mean `(joint,)` of s as in `resting_positions`, of joints that rest at positions; 0 of those that do not.
+def friction_share_of(model: TrackingModel, command: Array, readout: Array, at_rest: Mask) -> Array:
+    """The mean `(joint,)` of s as of `resting_positions`; 0 of joints that do not rest so.
 
     Args:
         model: likewise.
         command: `(joint, sample)` rad.
-        position: likewise.
+        readout: likewise, what encoders show.
+        at_rest: `(joint, sample)`, which of them are of a joint at rest.
     """
     servo = model.servo
+    offset, scale, sine, cosine = (
+        np.asarray(field)[:, None] for field in (servo.offset, servo.scale, servo.sine, servo.cosine)
+    )
+    position = readout
+    for _ in range(_INVERTED):
+        position = (readout - offset - sine * np.sin(position) - cosine * np.cos(position)) / (1 + scale)
     balanced = resting_positions(model, command, np.zeros(len(command)))
     friction = np.maximum(np.asarray(servo.coulomb), 1e-12)
-    share = (position - balanced) * (np.asarray(servo.stiffness) / friction)[:, None]
-    return np.where(np.asarray(servo.coulomb) > 0, np.clip(share, -1.0, 1.0).mean(1), 0.0)
+    shares = np.clip((position - balanced) * (np.asarray(servo.stiffness) / friction)[:, None], -1.0, 1.0)
+    mean = np.sum(np.where(at_rest, shares, 0.0), 1) / np.maximum(at_rest.sum(1), 1)
+    return np.where(holds_rigidly(servo), mean, 0.0)
 
 
 @final
@@ -201,7 +217,7 @@ class DiagnosedServos(JointModel):
         step: s, of integration at most.
         interpolated: whether commands go on a line to the next; else each holds.
         ranges: what was recorded.
-        rest: `(joint,)`, as of `resting_positions`; where not given, joints rest at their commands.
+        friction_share: `(joint,)`, s of `resting_positions`; where not given, joints rest at their commands.
         reference_temperature: °C.
         uncertainty: none; predictions of joints have no standard deviations.
         reference: none.
@@ -219,7 +235,7 @@ class DiagnosedServos(JointModel):
     step: float
     interpolated: bool
     ranges: FittedRange
-    rest: Array | None = None
+    friction_share: Array | None = None
     reference_temperature: float = 20.0
     uncertainty: Uncertainty | None = None
     reference: ReferenceOrigin | None = None
@@ -253,7 +269,9 @@ class DiagnosedServos(JointModel):
         return compose(TrackingModel(self.servo, self.bodies), self.terms, self.values)
 
     def predict(self, time: ArrayLike, command: ArrayLike, run: ArrayLike | None = None) -> TrackedMotion:
-        """Where the joints are in a motion, rolled out from rest at its first command.
+        """Where the joints are in a motion, rolled out from rest under its first command.
+
+        Joints that friction holds rigidly rest beside it, as far as in the recording; the others at it.
 
         Args:
             time: `(sample,)` s.
@@ -333,10 +351,10 @@ class DiagnosedServos(JointModel):
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
         run = np.zeros(len(u), int)
-        still = u.copy()
-        if self.rest is not None:
-            still[:before] = resting_positions(self.model, u[:1].T, self.rest)[:, 0]
-        shown = still * (1 + servo.scale) + servo.offset + servo.sine * np.sin(still) + servo.cosine * np.cos(still)
+        begun = u
+        if self.friction_share is not None:
+            begun = np.vstack([resting_positions(self.model, u[:1].T, self.friction_share)[:, 0], u[1:]])
+        shown = begun * (1 + servo.scale) + servo.offset + servo.sine * np.sin(begun) + servo.cosine * np.cos(begun)
         commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
         readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():

@@ -13,9 +13,9 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import joints_of, read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
-from lite6jax.domains.tracking.predict import DiagnosedServos, range_of, rest_of
+from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of, range_of
 from lite6jax.domains.tracking.rollout import roll
-from lite6jax.domains.tracking.rows import TrackingRows, usual_payload
+from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import (
@@ -413,7 +413,8 @@ class TrackingProblem:
             of_terms_alone: whether only joints count whose friction terms add to.
         """
         model = self.model(nuisance, terms, values)
-        joints = self._with_friction(model, of_terms_alone)
+        described = self.servo_at(nuisance) if of_terms_alone else None
+        joints = self._with_friction(model, described)
         if not len(joints):
             return self
         self.readouts(nuisance, terms, values)  # the loads, in which joints are rolled out
@@ -423,14 +424,12 @@ class TrackingProblem:
             grip[here] = _likeliest_grip(self, model, here)
         return replace(self, servo=self.servo._replace(grip=grip))
 
-    def _with_friction(self, model: TrackingModel, of_terms_alone: bool) -> NDArray[np.integer]:
-        """The joints, from 0, on which dry friction acts in a model."""
+    def _with_friction(self, model: TrackingModel, described: Servo | None) -> NDArray[np.integer]:
+        """The joints, from 0, on which dry friction acts in a model that `described` servos, or none, do not have."""
         acts = np.zeros(self.rows, bool)
-        described = self.servo._asdict()
-        modelled = model.servo._asdict()
         for name in ("coulomb", "stribeck", "load_friction"):
-            before = np.asarray(described[name]) if of_terms_alone else np.zeros(self.rows)
-            acts |= np.asarray(modelled[name]) != before
+            before = np.zeros(self.rows) if described is None else np.asarray(described._asdict()[name])
+            acts |= np.asarray(model.servo._asdict()[name]) != before
         exerted = self._exerted(model)
         if exerted is not None:
             acts |= np.any(exerted[:, 1] != 0, axis=1)
@@ -597,7 +596,15 @@ def diagnosed_servos(
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
     first = np.flatnonzero(data.commands.reset)
     command = np.asarray(data.recording.commanded_position)[first].T
-    model = compose(TrackingModel(servo, data.bodies), terms, values)
+    bodies = data.bodies
+    if bodies.added is not None:
+        bodies = replace(bodies, added=bodies.added[first])
+    share = friction_share_of(
+        compose(TrackingModel(servo, bodies), terms, values),
+        command,
+        data.commands.start[first].T,
+        begins_at_rest(data.recording, data.noise),
+    )
     return DiagnosedServos(
         arm=arm,
         servo=Servo(*(np.asarray(part, float) for part in servo)),
@@ -611,7 +618,7 @@ def diagnosed_servos(
         step=data.commands.step,
         interpolated=declared_servos is not None and declared_servos.hold == "interpolated",
         ranges=range_of(data.bodies, readout, data.commands.period),
-        rest=rest_of(model, command, data.measured[:, first]),
+        friction_share=share,
         reference_temperature=settings.reference_temperature_degC,
     )
 
@@ -652,7 +659,7 @@ def tracking_problem(data: TrackingRows) -> TrackingProblem:
 
 
 _GRIPS = np.geomspace(0.03, 1e4, 13)
-"""Of the grip from which the search for that of a recording starts, from MuJoCo's defaults to nearly rigid."""
+"""Factors of MuJoCo's nominal grip that are tried first, from its defaults to nearly rigid."""
 _FOLLOWS = 1.7
 """Times the noise, from which a joint does not follow as described, whatever the grip."""
 _FINER = 2
@@ -710,7 +717,9 @@ def _likeliest_grip(problem: TrackingProblem, model: TrackingModel, joints: NDAr
     best = 1.0
     for _ in range(1 + _FINER):
         likelihoods = _grip_likelihoods(problem, model, joints, factors)
-        place = int(np.nanargmax(likelihoods))
+        if not np.isfinite(likelihoods).any():
+            return np.asarray(model.servo.grip)[joints]
+        place = int(np.argmax(likelihoods))
         best = float(factors[place])
         lower = float(factors[max(place - 1, 0)])
         upper = float(factors[min(place + 1, len(factors) - 1)])
@@ -731,7 +740,8 @@ def _grip_likelihoods(
     ]
     rolled = problem.rolled(states).reshape(len(factors), len(joints), -1)
     errors = (rolled - problem.data.measured[joints])[..., problem.chosen][..., problem.valid]
-    return -0.5 * errors.shape[-1] * np.sum(np.log(np.mean(errors**2, 2)), 1)
+    total = -0.5 * errors.shape[-1] * np.sum(np.log(np.mean(errors**2, 2)), 1)
+    return np.where(np.isfinite(total), total, -np.inf)
 
 
 _STIFFNESSES = np.geomspace(0.3, 1500.0, 12)

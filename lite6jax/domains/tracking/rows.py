@@ -265,17 +265,29 @@ def quantum(values: Array) -> float:
     return step if np.mean(short) > 0.5 and np.mean(whole) > _MOSTLY else 0.0
 
 
-def _start(even: Recording, noise: Array) -> Array:
-    """`(sample, joint)` rad, from which runs begin: of an arm that rests there, the mean over `_STILL`."""
+def _beginnings(even: Recording) -> list[Array]:
+    """Read-outs `(sample, joint)` rad of the first `_STILL` of each run."""
     assert even.time is not None
-    start = even.joint_position.copy()
     period = float(np.median(np.diff(even.time)))
     long = max(int(_STILL / period), 1)
+    beginnings = []
     for first in np.flatnonzero(np.r_[True, np.diff(even.run) != 0]):
         part = even.joint_position[first : first + long]
-        part = part[even.run[first : first + long] == even.run[first]]
-        rests = np.ptp(part, 0) < 2 * _MOVED * noise
-        start[first] = np.where(rests, part.mean(0), start[first])
+        beginnings.append(part[even.run[first : first + long] == even.run[first]])
+    return beginnings
+
+
+def begins_at_rest(even: Recording, noise: Array) -> NDArray[np.bool_]:
+    """`(joint, run)`, whether joints rest where runs of an even recording begin, in noise `(joint,)` rad."""
+    return np.stack([np.ptp(part, 0) < 2 * _MOVED * noise for part in _beginnings(even)], 1)
+
+
+def _start(even: Recording, noise: Array) -> Array:
+    """`(sample, joint)` rad, from which runs begin: of an arm that rests there, the mean over `_STILL`."""
+    start = even.joint_position.copy()
+    first = np.flatnonzero(np.r_[True, np.diff(even.run) != 0])
+    means = np.stack([part.mean(0) for part in _beginnings(even)])
+    start[first] = np.where(begins_at_rest(even, noise).T, means, start[first])
     return start
 
 

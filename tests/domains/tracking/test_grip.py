@@ -8,12 +8,13 @@ import pytest
 from lite6jax.diagnosis.tracking_diagnosis import diagnose_tracking, interleaved_folds
 from lite6jax.domains.tracking.growth import grown
 from lite6jax.domains.tracking.model import TrackingModel
-from lite6jax.domains.tracking.predict import rest_of, resting_positions
+from lite6jax.domains.tracking.predict import friction_share_of, resting_positions
 from lite6jax.domains.tracking.problem import diagnosed_servos, tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.servo import RIGID_GRIP
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.terms import Terms
 from tests.domains.tracking.test_servo_fit import LEVER, MASS, PENDULUM, PERIOD, SERVO, TRUE, commands_of, record
 from tests.oracles.servos import follow
 
@@ -33,26 +34,42 @@ def held_by(grip, friction=FRICTION):
     return TrackingModel(servo, problem.data.bodies)
 
 
-@pytest.mark.parametrize("rest", [-1.0, 0.0, 0.3])
-def test_a_joint_rests_where_servo_weight_and_friction_balance(rest):
+def share_in(model, command, readout, at_rest=True):
+    return friction_share_of(model, command, readout, np.full(command.shape, at_rest))
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 0.3])
+def test_a_joint_rests_where_servo_weight_and_friction_balance(share):
     model = held_by(RIGID_GRIP)
     command = np.array([[0.4, -0.7]])
-    position = resting_positions(model, command, np.array([rest]))
+    position = resting_positions(model, command, np.array([share]))
     left = KP * (command - position) - 9.81 * MASS * LEVER * np.sin(command)
-    assert left == pytest.approx(np.full((1, 2), -rest * FRICTION), abs=1e-9)
-    assert rest_of(model, command, position) == pytest.approx([rest], abs=1e-9)
+    assert left == pytest.approx(np.full((1, 2), -share * FRICTION), abs=1e-9)
+    assert share_in(model, command, position) == pytest.approx([share], abs=1e-9)
+    shown = replace(model, servo=model.servo._replace(offset=np.array([0.01]), scale=np.array([-0.02])))
+    assert share_in(shown, command, 0.98 * position + 0.01) == pytest.approx([share], abs=1e-6)
+    assert share_in(model, command, position, at_rest=False) == pytest.approx([0.0])
 
 
-@pytest.mark.parametrize("model", [held_by(0.5), held_by(RIGID_GRIP, friction=0.0)])
-def test_a_joint_that_moves_to_its_balance_begins_at_its_command(model):
+@pytest.mark.parametrize(("grip", "friction"), [(0.5, FRICTION), (RIGID_GRIP, 0.0)])
+def test_a_joint_that_moves_to_its_balance_begins_at_its_command(grip, friction):
+    model = held_by(grip, friction)
     command = np.array([[0.4]])
     assert np.array_equal(resting_positions(model, command, np.array([1.0])), command)
+    assert share_in(model, command, command + 0.1) == pytest.approx([0.0])
 
 
 def test_where_a_joint_rests_is_within_its_friction():
-    model = held_by(RIGID_GRIP)
-    far = np.array([[0.4, 0.4]])
-    assert rest_of(model, np.array([[0.0, 0.0]]), far) == pytest.approx([1.0])
+    assert share_in(held_by(RIGID_GRIP), np.zeros((1, 2)), np.full((1, 2), 0.4)) == pytest.approx([1.0])
+
+
+def test_logs_with_several_payloads_have_a_model():
+    log = record(commands_of(200), SERVO)
+    log = replace(log, payload=np.repeat([0.0, 0.5], 100), run=np.repeat([0, 1], 100))
+    problem = tracking_problem(tracking_rows(log, PENDULUM))
+    readout = problem.readouts(np.zeros(0), Terms(), np.zeros(0))
+    model = diagnosed_servos(problem, problem.servo, Terms(), np.zeros(0), readout)
+    assert np.isfinite(model.friction_share).all()
 
 
 def unknown_servos(creep=0.0):
@@ -62,7 +79,12 @@ def unknown_servos(creep=0.0):
     return grown(problem, interleaved_folds(problem.run), 1e-3)
 
 
-def test_unknown_servos_hold_still_until_a_log_shows_that_they_creep():
+def test_unknown_servos_of_a_log_that_shows_creeping_creep():
+    servos = unknown_servos(creep=0.03)
+    assert servos.problem.servo.grip[0] < 10 * servos.problem.data.servo.grip[0]
+
+
+def test_unknown_servos_hold_still():
     servos = unknown_servos()
     there = servos.problem.relinearised(servos.nuisance)
     assert there.servo.grip == pytest.approx([RIGID_GRIP])
