@@ -251,7 +251,7 @@ class Ranking(Protocol):
         ...
 
     def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
-        """Whether the nearest is not joined with more, the least cost having been another with one change less."""
+        """Whether to stop: `nearest` costs `cost`, and with one change less the least cost was `before`."""
         ...
 
 
@@ -276,7 +276,7 @@ def search(ranking: Ranking, costs: Mapping[Hypothesis, float]) -> dict[Hypothes
 
 
 def fault_cost(recording: Recording, prior: Prior = PRIOR) -> float:
-    """nats by which a fault must be likelier than the recording as it is declared, and than what it is told from."""
+    """nats that a data fault costs a priori, by the probabilities of explanations."""
     return prior.given(recording.settings.prior or {}).cost("data_fault")
 
 

@@ -28,8 +28,8 @@ from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.rows import (
     FOLLOWS,
     LATEST,
+    LEAST_GEAR,
     MOVING,
-    TRANSMITS,
     UNRELATED,
     even_rows,
     lagged_correlation,
@@ -335,11 +335,11 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> SuspectedFault | N
         return None
     ratio = float(np.median(ratios))
     same = np.abs(np.array(ratios) / ratio - 1).max() < _SAME_RATIO
-    if not same or 1 / TRANSMITS < ratio < TRANSMITS:
+    if not same or 1 / LEAST_GEAR < ratio < LEAST_GEAR:
         return None
     degrees = float(np.rad2deg(1.0))
     for factor in (degrees, 1 / degrees):
-        if 1 / TRANSMITS < ratio / factor < TRANSMITS:
+        if 1 / LEAST_GEAR < ratio / factor < LEAST_GEAR:
             return SuspectedFault("degrees", (joint,), factor)
     gear = max(ratio, 1 / ratio)
     if round(gear) not in _GEARS or abs(gear / round(gear) - 1) > _NEAR_GEAR:

@@ -43,14 +43,14 @@ _MOVED = 5.0
 SAME = 1e-6
 """rad, by which commands and read-outs differ at most where they are one."""
 MOVING = 1e-2
-"""rad, the standard deviation of commands and read-outs from which they are compared."""
+"""rad, standard deviation or range of commands and read-outs, from which a joint moves and they are compared."""
 LATEST = 0.5
 """s, by which a read-out follows its command at most."""
 FOLLOWS = 0.9
 """Correlation from which a read-out follows a command."""
 UNRELATED = 0.5
 """Correlation below which it does not."""
-TRANSMITS = 1.7
+LEAST_GEAR = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
 _UNITS = (0.5, np.pi / 180)
 """Gains of gears and units that are less than one."""
@@ -337,10 +337,10 @@ def _check_commands(even: Recording) -> None:
                 "the columns"
             )
         gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
-        least = 1 / TRANSMITS
+        least = 1 / LEAST_GEAR
         if not isinstance(even.settings.servo, ServoSettings) and min(abs(gain / unit - 1) for unit in _UNITS) > _NEAR:
             least = 0.0  # a servo of which nothing is known may be so soft
-        if follows > FOLLOWS and not least < gain < TRANSMITS:
+        if follows > FOLLOWS and not least < gain < LEAST_GEAR:
             raise InputError(
                 f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
                 "unit, after the same gear"
