@@ -316,7 +316,7 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
         return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
     more |= {"chain": "as_published", "numbers_more": numbers}
     recording = published.screened.recording
-    return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), recording=recording))
+    return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), data=recording))
 
 
 def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
