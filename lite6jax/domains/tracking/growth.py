@@ -50,8 +50,8 @@ _STIFFNESSES = (3.0, 15.0, 80.0, 400.0)
 """Nm/rad, from joints of small hobby servos to those of arms: from these a fit starts where a stiffness is none."""
 _STIFFEST = 1e4
 """Nm/rad, from which a stiffness is none: then the joint follows by its lag alone, whatever acts on it."""
-_BESIDE_LIMIT = (0.3, 3.0)
-"""Of the stiffness that fits best without a limit: from these a fit with a limit starts too."""
+_BESIDE_RATE_LIMIT = (0.3, 3.0)
+"""Of the stiffness that fits best without a limit of the rate: from these a fit with one starts too."""
 _SCREENED = 2
 """Steps of the fit of every name."""
 _LIKELIEST = 4
@@ -239,15 +239,15 @@ class _Lanes:
                 return linearised_at * float(np.exp(number))
         return linearised_at
 
-    def of_stiffnesses(self, model: NamedJoint, beside_limit: bool = False) -> list[NamedJoint]:
+    def of_stiffnesses(self, model: NamedJoint, beside_rate_limit: bool = False) -> list[NamedJoint]:
         """A model and the same with other stiffnesses, where its own may say little; not rolled out.
 
         Beside no load, or a limit that it lacks, a joint follows as well by any large stiffness: then nothing else that
-        acts on it would show. A limit makes a servo seem softer or stiffer than it is. All unknown numbers over the
-        stiffness stay.
+        acts on it would show. A limit of the rate makes a servo seem softer or stiffer than it is. All unknown numbers
+        over the stiffness stay.
         """
         present = self.stiffness(model)
-        others = [factor * present for factor in _BESIDE_LIMIT] if beside_limit else []
+        others = [factor * present for factor in _BESIDE_RATE_LIMIT] if beside_rate_limit else []
         if present > _STIFFEST:
             others += _STIFFNESSES
         models = [model]
@@ -309,7 +309,7 @@ class _Lanes:
             terms, values = model.terms.part(model.numbers[count:], kept)
             more = Terms((*terms.terms, name))
             is_limit = isinstance(name, Limit)
-            for servo in self.of_stiffnesses(model, is_limit):
+            for servo in self.of_stiffnesses(model, isinstance(name, RateLimit)):
                 stiffness = self.stiffness(servo)
                 starts = [
                     np.concatenate([servo.numbers[:count], values, start]) for start in self._starts(name, stiffness)
