@@ -14,7 +14,7 @@ from lite6jax.domains.torque.predict import joints_of, read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of, range_of
-from lite6jax.domains.tracking.rollout import roll
+from lite6jax.domains.tracking.rollout import MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
@@ -446,7 +446,7 @@ class TrackingProblem:
             nothing = np.zeros((2, commands.samples))
             extra = np.stack([nothing if state.extra is None else state.extra for state in states])
         parts = []
-        most = max(int(_AT_ONCE / (commands.samples * commands.steps)), 12)
+        most = min(max(int(_AT_ONCE / (commands.samples * commands.steps)), 12), MOST_LANES)
         for first in range(0, len(states), most):
             some = slice(first, first + most)
             more = None if extra is None else extra[some]

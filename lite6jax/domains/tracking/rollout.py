@@ -48,6 +48,8 @@ _INVERTED = 3
 """Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _LANES = (6, 24, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
+MOST_LANES = _LANES[-1]
+"""From which more at once save no time: multiples of it are compiled for each by itself, which takes seconds."""
 
 
 @final
