@@ -17,7 +17,7 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.rollout import LONGEST_STEP, RETURN, Commands, hold_commands
+from lite6jax.domains.tracking.rollout import INVERTED, LONGEST_STEP, RETURN, Commands, hold_commands
 from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
@@ -36,8 +36,6 @@ Runs = NDArray[np.integer]
 
 _CREEPS_AT_LEAST = 100.0
 """s, the time constant of creeping from which friction holds a joint; MuJoCo's joints creep within some seconds."""
-_INVERTED = 3
-"""Iterations from a read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _SETTLING = 2.0
 """s for which the first command is held before a predicted run begins."""
 _LEAST_RANGE = 1e-3
@@ -190,7 +188,7 @@ def friction_share_of(model: TrackingModel, command: Array, readout: Array, at_r
         np.asarray(field)[:, None] for field in (servo.offset, servo.scale, servo.sine, servo.cosine)
     )
     position = readout
-    for _ in range(_INVERTED):
+    for _ in range(INVERTED):
         position = (readout - offset - sine * np.sin(position) - cosine * np.cos(position)) / (1 + scale)
     balanced = resting_positions(model, command, np.zeros(len(command)))
     friction = np.maximum(np.asarray(servo.coulomb), 1e-12)

@@ -44,7 +44,7 @@ _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9
 """s, of a low pass, below which it passes all."""
-_INVERTED = 3
+INVERTED = 3
 """Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _LANES = (6, 24, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
@@ -491,7 +491,7 @@ def _roll(
     mean = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
     after = jnp.concatenate([extra[1:], extra[-1:]])
     true_start = start
-    for _ in range(_INVERTED):
+    for _ in range(INVERTED):
         wave = p.sine * jnp.sin(true_start) + p.cosine * jnp.cos(true_start)
         true_start = (start - p.offset - wave) / (1 + p.scale)
     of_next = jnp.concatenate([load[1:, :1], load[-1:, -1:]])
