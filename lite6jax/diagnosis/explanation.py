@@ -322,8 +322,8 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
 def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     """With a calibration whose numbers all have random errors, where that is more likely than some physics.
 
-    An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere. Where the two are
-    not distinguished, less physics is claimed.
+    An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere. Of the two the
+    likelier is claimed, each at its prior; where they are not distinguished, the other is its alternative.
     """
     settings = explanation.screened.recording.settings
     exact = case.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
@@ -333,14 +333,14 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     fit = explanation.selection.state.fit
     models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(explanation.problem.groups)]
     odds, sigma = max(_odds_of_uncertainty(explanation, case, model) for model in models)
-    if odds <= 0:
+    if odds <= -CLOSE:
         return explanation
     rival = case.search(explanation.screened, replace(explanation.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - explanation.evidence - case.options.prior.cost("calibration_off")
     numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
-    if gap + _allowance(len(rival.labels), len(explanation.labels)) <= 0:
+    if gap <= 0:
         likely = gap > -CLOSE
         numbers |= {"reason": "physics" if likely else "unlikely", "log_likelihood_gap": -gap}
         ruled_out = DataFault("calibration_off", (), numbers)
@@ -351,16 +351,11 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 
 
-def _allowance(terms: int, before: int) -> float:
-    """Log evidence by which an explanation with fewer terms may fall short and is still preferred."""
-    return CLOSE if terms < before else 0.0
-
-
 def _odds_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel) -> tuple[float, float]:
     """Log odds of an uncertain calibration over the physics found, and its standard deviation (m and rad).
 
-    To first order, in one noise model, with as many of the effects beside it as make the largest odds, with the
-    `_allowance` for fewer; the standard deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation,
+    To first order, in one noise model, with as many of the effects beside it as make the largest odds; the standard
+    deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation,
     Neural Computation 4, 1992).
     """
     problem = explanation.problem
@@ -411,7 +406,7 @@ def _odds_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
     while kept:
         fewer = (tuple(index for index in kept if index != k) for k in kept)
         (off, sigma), kept = max((weighed(subset)[1:], subset) for subset in fewer)
-        likeliest = max(likeliest, (off - exact + _allowance(len(kept), len(terms)), sigma))
+        likeliest = max(likeliest, (off - exact, sigma))
     return likeliest
 
 
