@@ -30,7 +30,7 @@ from benchmarks.campaigns.command import differences
 from benchmarks.campaigns.report import markdown, sections, tables
 from benchmarks.campaigns.rounds import KINDS
 from benchmarks.concealed import plans
-from benchmarks.concealed.campaign import POSES, READINGS
+from benchmarks.concealed.campaign import NOISY, POSES, READINGS
 from benchmarks.measure import DONE
 from benchmarks.torque_trials import plans as torque_plans
 from benchmarks.torque_trials import trials as torque_trials
@@ -205,6 +205,42 @@ def test_results_of_another_sensor_are_not_continued(tmp_path):
             quietly(refused[name], 4, [index], out)
     with pytest.raises(ValueError, match="another campaign than torque; give another file"):
         quietly(replace(TORQUES, answer=refusing), 4, [index], out)
+
+
+def test_results_of_another_noise_are_not_continued(tmp_path):
+    out = tmp_path / "a.parquet"
+    wandering = replace(NOISY["wandering"], answer=refusing)
+    (row,) = quietly(wandering, 4, [0], out)
+    assert (row["kind"], row["noise"]) == ("clean", "wandering")
+    assert quietly(wandering, 4, [0], out) == [row]
+    for other in (POSES, NOISY["heavy_tails"]):
+        with pytest.raises(ValueError, match=r"another noise \(wandering\); give that, or another file"):
+            quietly(replace(other, answer=refusing), 4, [0], out)
+
+
+def test_a_noise_is_chosen_by_its_name_and_hides_nothing(tmp_path, capsys):
+    given = ["concealed", "--noise", "heavy_tails", "--seed", "4"]
+    assert harness.main([*given, "--trials", "2", "--export", str(tmp_path)]) == DONE
+    truths = [json.loads((case / "truth.json").read_text()) for case in sorted(tmp_path.iterdir())]
+    assert [truth["index"] for truth in truths] == [0, 1]
+    assert sorted(truth.get("over_declared", 1.0) for truth in truths) == [*plans.TAILS]
+    assert not any(truth["hidden"] for truth in truths)
+    for more, said in (
+        (["--sensor", "contact"], "--noise: is of sensors that measure poses; leave --sensor out"),
+        (["--kind", "single"], "--kind: with this --noise only clean"),
+    ):
+        with pytest.raises(SystemExit):
+            harness.main([*given, *more])
+        assert said in capsys.readouterr().err
+
+
+def test_the_goal_of_hard_noise_counts_the_answers_with_a_finding(rows):
+    clean = [row for _, row in rows["concealed"] if row["kind"] == "clean"]
+    alarm = clean[0] | {"detected": True}
+    (goal,) = NOISY["wandering"].goals([*clean, alarm, clean[0] | {"error": "none"}])
+    assert goal.reached.endswith(f"of {len(clean) + 1}")
+    assert goal.met is False
+    assert NOISY["wandering"].goals(clean)[0].met
 
 
 def test_trials_are_exported_with_their_truth(tmp_path, capsys):

@@ -1,10 +1,13 @@
 """The generator of the pose trials: right by two other codes, with a threshold that holds; families outside it."""
 
+import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from benchmarks.campaigns import detection
 from benchmarks.campaigns.campaign import write_files
@@ -191,6 +194,82 @@ def test_the_rows_repeated_in_a_file_are_those_that_are_sealed():
     again = [k for k, line in enumerate(lines) if k and line == lines[k - 1]]
     assert trial.truth["fault_rows"] == [k - before for before, k in enumerate(again)]
     assert len(again) == 8
+
+
+# ------------------------------------------------------------------ noise that is hard to tell from physics
+
+
+def read_at_rest(noise, index, rows, **said):
+    """The plan of a trial with this noise, what is read of joints at zero, and positions over the declared noise."""
+    plan = replace(plans.draw_noise_plan(noise, 5, index, np.random.default_rng(index)), **said)
+    rng = np.random.default_rng(3)
+    setup = a_setup(rng)
+    motion = replace(a_motion(rng, setup, rows=rows), q=np.zeros((rows, 6)))
+    seen = np.broadcast_to(np.eye(3), (rows, 3, 3)), np.zeros((rows, 3))
+    (_, position), read = trials.measure(plan, rng, setup, motion, seen)
+    return plan, read.q, position / plans.SENSORS[plan.sensor][0]
+
+
+def followed(states):
+    """The correlation of each column with itself a row later."""
+    return [np.corrcoef(column[1:], column[:-1])[0, 1] for column in states.T]
+
+
+@pytest.mark.parametrize("memory", [2.0, 33.3])
+def test_read_outs_wander_as_far_and_as_slowly_as_drawn(memory):
+    plan, q, position = read_at_rest("wandering", 0, 40_000, noise_memory=memory)
+    np.testing.assert_allclose(q.std(0), plan.encoder_std, rtol=0.1)
+    np.testing.assert_allclose(followed(q), 1 - 1 / memory, atol=0.02)
+    np.testing.assert_allclose(np.corrcoef(q.T), np.eye(6), atol=0.15)
+    np.testing.assert_allclose(followed(position), 0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("memory", [2.0, 33.3])
+def test_noise_remembers_as_many_rows_as_drawn(memory):
+    _, q, position = read_at_rest("autocorrelated", 0, 40_000, noise_memory=memory)
+    np.testing.assert_array_equal(q, 0.0)
+    np.testing.assert_allclose(position.std(0), 1.0, rtol=0.1)
+    np.testing.assert_allclose(followed(position), 1 - 1 / memory, atol=0.02)
+
+
+def test_noise_is_as_large_in_the_first_row_as_later():
+    started = trials.autoregression(np.random.default_rng(0).normal(size=(2, 20_000)), 0.99)
+    np.testing.assert_allclose(started.std(1), 1.0, rtol=0.03)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_heavy_tails_have_the_deviation_or_the_scale_that_is_declared(index):
+    plan, _, position = read_at_rest("heavy_tails", index, 40_000)
+    scale = plan.over_declared / 3**0.5
+    for chance in (0.5, 0.01):
+        assert np.mean(abs(position) > scale * student.isf(chance / 2, 3)) == pytest.approx(chance, rel=0.1)
+
+
+def test_hard_noise_is_drawn_between_its_ends_and_hides_nothing():
+    drawn = [
+        plans.draw_noise_plan(noise, 5, index, np.random.default_rng([5, stream, index]))
+        for noise, stream in plans.HARD_NOISES.items()
+        for index in range(100)
+    ]
+    assert not any(plan.effects or plan.fault or plan.kind != "clean" for plan in drawn)
+    memories = np.array([plan.noise_memory for plan in drawn if plan.noise != "heavy_tails"])
+    assert 2.0 <= memories.min() < 4.0
+    assert 250.0 < memories.max() <= 500.0
+    assert np.exp(np.log(memories).mean()) == pytest.approx(31.6, rel=0.3)
+    stds = np.array([plan.encoder_std for plan in drawn if plan.noise == "wandering"])
+    assert 7.5e-5 <= stds.min() < stds.max() <= 3e-4
+    assert np.exp(np.log(stds).mean()) == pytest.approx(1.5e-4, rel=0.2)
+    over = [plan.over_declared for plan in drawn if plan.noise == "heavy_tails"]
+    assert [over.count(each) for each in plans.TAILS] == [50, 50]
+
+
+def test_what_was_drawn_before_there_was_hard_noise_is_drawn_still():
+    told = [plans.draw_plan(7, index, np.random.default_rng([7, 0, index, 0])).told() for index in range(50)]
+    for sensor in plans.READERS:
+        for index in range(2):
+            told.append(plans.draw_reading_plan(sensor, 7, index, np.random.default_rng([7, 12, index, 0])).told())
+    digest = hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    assert digest == "429a70c603acaa51f802e31efc106a7dc29610d0005037c2a2b6073ca68ce738"
 
 
 # ------------------------------------------------------------------ physics outside the catalogue

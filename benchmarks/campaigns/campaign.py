@@ -94,10 +94,13 @@ class Campaign:
     set_goals: Callable[[Sequence[Row], float], list[Goal]]
     unseen: Callable[[Sequence[Row]], Section]  # a table on the errors of the unseen motion
     measuring: Sequence[str] = ()  # the sensors that its rows may name; empty where they name none
+    hearing: Sequence[str] = ()  # the noises that its rows may name; empty where they may name any
     # diagnoses the files of a folder and writes what comes of it there
     answer: Callable[[Path], None] = diagnose_and_predict
     # campaigns of other sensors, among which `--sensor` chooses
     sensors: Mapping[str, "Campaign"] = field(default_factory=dict)
+    # campaigns of other noise, among which `--noise` chooses
+    noises: Mapping[str, "Campaign"] = field(default_factory=dict)
 
     def goals(self, rows: Sequence[Row]) -> list[Goal]:
         """The goals on rows, and whether they are met."""
@@ -131,8 +134,8 @@ class Campaign:
             scheduler: the address of the scheduler of a Dask cluster, in place of processes.
 
         Raises:
-            ValueError: the file has trials of another campaign, seed or sensor, or of families that are sealed where
-                these are not.
+            ValueError: the file has trials of another campaign, seed, sensor or noise, or of families that are sealed
+                where these are not.
         """
         # poses and torques differ in what a hidden effect moves
         there, ours = (
@@ -146,6 +149,9 @@ class Campaign:
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if others := sorted({str(row.get("sensor")) for row in rows.values()} - set(self.measuring or ("None",))):
             raise ValueError(f"{out}: has trials of another sensor ({', '.join(others)}); give that, or another file")
+        unheard = sorted({row["noise"] for row in rows.values()} - set(self.hearing))
+        if self.hearing and unheard:
+            raise ValueError(f"{out}: has trials of another noise ({', '.join(unheard)}); give that, or another file")
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             kept = "open" if sealed_families else "sealed"
             raise ValueError(f"{out}: has trials of {kept} families; give another file")

@@ -26,14 +26,18 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
         description="Recordings of simulated arms whose hidden physics is drawn by a generator that shares no code "
         "with the library, sealed before the diagnosis begins and opened after it; and what the diagnosis is worth.",
     )
-    count, add = campaign.count, parser.add_argument
-    add("--trials", type=at_least(1), default=count, metavar="N", help=f"how many, {count} if not given")
+    add = parser.add_argument
+    counts = f"how many; if not given {campaign.count}, and fewer of a sensor or a noise that is chosen"
+    add("--trials", type=at_least(1), metavar="N", help=counts)
     add("--seed", type=at_least(0), default=0, metavar="S", help="of the campaign; 0 if not given")
     kinds = "only trials of this kind; give it again for one more"
     add("--kind", choices=list(campaign.rounds.shares), action="append", help=kinds)
     if campaign.sensors:
         sensors = "only recordings of this sensor, which measures no poses: clean ones and single effects"
         add("--sensor", choices=list(campaign.sensors), help=sensors)
+    if campaign.noises:
+        noises = "only healthy arms with this noise, which is hard to tell from physics"
+        add("--noise", choices=list(campaign.noises), help=noises)
     sealed = "draw what is outside the catalogue from the families that are put aside, and from no other: to be looked "
     add("--sealed", action="store_true", help=f"{sealed}at once, when the development is over")
     add("--trial", type=at_least(0), metavar="I", help="only trial I of the seed, and all that happened in it")
@@ -46,9 +50,16 @@ def main(campaign: Campaign, arguments: Sequence[str] | None = None) -> int:
     cluster = "of a Dask cluster that works in place of processes, as tcp://HOST:8786"
     add("--scheduler", metavar="ADDRESS", help=cluster)
     options = parser.parse_args(arguments)
-    campaign = campaign.sensors.get(getattr(options, "sensor", None) or "", campaign)
+    sensor = getattr(options, "sensor", None)
+    noise = getattr(options, "noise", None)
+    if sensor and noise:
+        parser.error("--noise: is of sensors that measure poses; leave --sensor out")
+    campaign = campaign.sensors.get(sensor or "", campaign)
+    campaign = campaign.noises.get(noise or "", campaign)
     if not set(options.kind or ()) <= set(campaign.rounds.shares):
-        parser.error(f"--kind: with this sensor there are {' and '.join(campaign.rounds.shares)}")
+        chosen = "--sensor" if sensor else "--noise"
+        parser.error(f"--kind: with this {chosen} only {' and '.join(campaign.rounds.shares)}")
+    options.trials = options.trials or campaign.count
     if options.trial is not None and (options.kind or options.out or options.figure or options.compare):
         parser.error("--trial: runs one and keeps nothing; leave --kind, --out, --figure and --compare out")
     if options.out and options.out.suffix != ".parquet":

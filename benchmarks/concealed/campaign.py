@@ -10,8 +10,18 @@ import numpy as np
 from benchmarks.campaigns import command, judgement
 from benchmarks.campaigns.campaign import FLAG, NUMBER, TEXT, Campaign, Section, schema_of
 from benchmarks.campaigns.judgement import WITHIN, Goal, Ratio, Row, Share, goal, ratio, share
-from benchmarks.concealed.plans import NAMES_AT_STAKE, NOISES, READ_ROUNDS, READERS, ROUNDS, ROWS, SENSORS
-from benchmarks.concealed.trials import draw, draw_reading
+from benchmarks.concealed.plans import (
+    HARD_NOISES,
+    NAMES_AT_STAKE,
+    NOISE_ROUNDS,
+    NOISES,
+    READ_ROUNDS,
+    READERS,
+    ROUNDS,
+    ROWS,
+    SENSORS,
+)
+from benchmarks.concealed.trials import draw, draw_noise, draw_reading
 
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
@@ -132,6 +142,12 @@ def reading_goals(rows: Sequence[Row], known: float) -> list[Goal]:
     ]
 
 
+def noise_goals(rows: Sequence[Row], known: float) -> list[Goal]:
+    """Those of healthy arms whose noise is hard; nothing is hidden of which `known` says how large it is."""
+    answered = [row for row in rows if not row["error"]]
+    return [goal("clean recordings with a finding, at most 1 %", _alarms(answered), most=0.01)]
+
+
 def _alarms(clean: Iterable[Row]) -> Share:
     return share(row["detected"] for row in clean)
 
@@ -175,13 +191,18 @@ def unseen(rows: Sequence[Row]) -> Section:
     return "Unseen motion, error over the oracle's", ("trials", "ratio, 95 % interval"), cells
 
 
-POSES = Campaign("concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS))
+POSES = Campaign(
+    "concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS), hearing=NOISES
+)
 """Of sensors that measure poses."""
 _READING = replace(POSES, count=200, known=2.0, rounds=READ_ROUNDS, set_goals=reading_goals)
 READINGS = {name: replace(_READING, draw=partial(draw_reading, name), measuring=(name,)) for name in READERS}
 """Of the others, by name."""
+_NOISY = replace(POSES, count=67, rounds=NOISE_ROUNDS, set_goals=noise_goals)
+NOISY = {name: replace(_NOISY, draw=partial(draw_noise, name), hearing=(name,)) for name in HARD_NOISES}
+"""Of healthy arms whose noise is hard, by its name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The exit code: 0, 1 where a goal is missed, 2 for arguments that cannot be used, 130 where interrupted."""
-    return command.main(replace(POSES, sensors=READINGS), arguments)
+    return command.main(replace(POSES, sensors=READINGS, noises=NOISY), arguments)

@@ -1,7 +1,7 @@
 """What a trial is to be: kind, arm, sensor, noise and sizes, in fixed shares, so that any number is a fair sample."""
 
 from collections.abc import Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,18 @@ READ_SIZES = (2.0, 2.0, 2.0, 3.0, 5.0, 10.0)
 READ = tuple(name for name in SINGLE if name not in ("joint_lag", "time_offset", "measurement_scale", "tool_offset"))
 """Effects of an arm at rest that a sensor with places and a tool of its own may show."""
 
+HARD_NOISES = {"wandering": 14, "heavy_tails": 15, "autocorrelated": 16}
+"""Noise of healthy arms that is hard to tell from physics, and the stream of random numbers of each."""
+NOISE_ROUNDS = Rounds({"clean": 1}, 13)
+MEMORIES = (2.0, 500.0)
+"""Rows between which the memory of noise is uniform in the logarithm: from two to more than a recording has."""
+ENCODER_STDS = (7.5e-5, 3e-4)
+"""rad, between which the standard deviation of read-outs that wander is uniform in the logarithm."""
+FREEDOM = 3
+"""Degrees of freedom of heavy tails: the fewest whole number of which they have a standard deviation."""
+TAILS = (1.0, FREEDOM**0.5)
+"""Standard deviations of heavy tails over the declared one: the same, and that of Student's t with it as its scale."""
+
 BY_CONTROLLER = (
     *("joint_offset", "joint_scale", "joint_coupling", "frame_offset", "tool_offset", "joint_lag", "time_offset"),
 )
@@ -77,7 +89,7 @@ class Plan:
     moving: bool  # whether poses are taken along a trajectory
     geometry: str  # known, uncertain or unknown
     mounted: bool  # whether sensor frame and tool are unknown
-    noise: str  # one of `NOISES`
+    noise: str  # one of `NOISES` or a key of `HARD_NOISES`
     fault: str  # one of `FAULTS`, or none
     effects: tuple[str, ...]  # names
     sizes: tuple[float, ...]  # of the effects, in thresholds
@@ -85,6 +97,9 @@ class Plan:
     edge: str = ""  # one of `EDGES`, or none
     masses_off: bool = False  # whether the links weigh other than declared
     sealed: bool = False  # whether what is outside the catalogue is of a sealed family
+    noise_memory: float = 0.0  # rows that autocorrelated noise remembers: its coefficient is 1 − 1/memory
+    encoder_std: float = 0.0  # rad, standard deviation of every read-out that wanders
+    over_declared: float = 1.0  # the standard deviation of heavy tails over the declared one
 
     def told(self) -> dict[str, Any]:
         """For the truth. What an earlier version did not draw is left out where it is absent: truths stay the same."""
@@ -152,6 +167,30 @@ def draw_reading_plan(sensor: str, seed: int, index: int, rng: np.random.Generat
     geometry = str(rng.choice(["known", "uncertain"] if settled else ["known", "uncertain", "unknown"]))
     where = ("plain", arm, sensor, False, geometry, True, NOISES[0], "")
     return Plan(seed, index, kind, *where, effects, sizes, READERS[sensor])
+
+
+def draw_noise_plan(noise: str, seed: int, index: int, rng: np.random.Generator) -> Plan:
+    """What a trial of a healthy arm is to be whose noise is hard, a key of `HARD_NOISES`."""
+    sensors = [name for name in SENSORS if name != "controller"]
+    sensor = str(rng.choice(sensors, p=[0.5, 0.28, 0.22]))
+    arm = str(rng.choice(ARMS, p=[0.7, 0.15, 0.15]))
+    geometry = str(rng.choice(["known", "uncertain", "unknown"], p=[0.4, 0.3, 0.3]))
+    engine = str(rng.choice(["mujoco", "plain"], p=[0.25, 0.75]))
+    moving = bool(rng.random() < 0.45)
+    mounted = bool(rng.random() < 0.5)
+    where = (engine, arm, sensor, moving, geometry, mounted, noise, "")
+    plan = Plan(seed, index, NOISE_ROUNDS.kind_of(seed, index), *where, (), ())
+    if noise == "heavy_tails":
+        return replace(plan, over_declared=turn(seed, 17, index, TAILS))
+    plan = replace(plan, noise_memory=_drawn_between(MEMORIES, rng))
+    if noise == "wandering":
+        plan = replace(plan, encoder_std=_drawn_between(ENCODER_STDS, rng))
+    return plan
+
+
+def _drawn_between(ends: tuple[float, float], rng: np.random.Generator) -> float:
+    """A number that is uniform in the logarithm."""
+    return float(np.exp(rng.uniform(*np.log(ends))))
 
 
 def _rows(seed: int, kind: Kind, edge: str, ordinal: int) -> int:

@@ -46,6 +46,15 @@ def draw_reading(sensor: str, seed: int, index: int, sealed: bool = False) -> Tr
     return first_made(lambda rng: _make_reading(draw_plan(rng), rng), seed, 12, index)
 
 
+def draw_noise(noise: str, seed: int, index: int, sealed: bool = False) -> Trial:
+    """As `draw`, of a healthy arm whose noise is hard, a key of `HARD_NOISES`; these hide nothing."""
+
+    def make(rng: np.random.Generator) -> Trial | None:
+        return _make(plans.draw_noise_plan(noise, seed, index, rng), rng)
+
+    return first_made(make, seed, plans.HARD_NOISES[noise], index)
+
+
 def _make_reading(plan: Plan, rng: np.random.Generator) -> Trial | None:
     """The trial of a plan; None where the arm does not come to the places, or what it would hide cannot be seen."""
     nominal, actual, declared = _arms(plan, rng)
@@ -120,7 +129,8 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
 
     measured, read = measure(plan, rng, setup, motion, seen)
     # the oracle knows of faults, and of a file that is another arm's; of noise it does not
-    known = replace(view, motion=replace(motion, q=read.q)) if plan.noise == "in the joints" else view
+    noisy_joints = plan.noise in ("in the joints", "wandering")
+    known = replace(view, motion=replace(motion, q=read.q)) if noisy_joints else view
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
     rotation, position = poses(*oracle(known, believed, hidden, measured, read.used), unseen)
     turn = chains.vector_from_rotation(np.swapaxes(unseen_truth[0], 1, 2) @ rotation)
@@ -245,15 +255,26 @@ _LOST_TARGETS = (0.0, -1e-3, -1.0)
 """m, what all coordinates hold where a sensor saw nothing."""
 
 
+def autoregression(draws: Array, coefficient: float) -> Array:
+    """Stationary noise of first order and standard deviation 1, of independent draws `(row, number)` of the same."""
+    states = draws.copy()
+    for k in range(1, len(draws)):
+        states[k] = coefficient * states[k - 1] + np.sqrt(1 - coefficient**2) * draws[k]
+    return states
+
+
 def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, seen: Poses) -> tuple[Poses, Measured]:
     """Poses and what a table has of them, with the noise and the fault of a plan."""
     rows, dof = motion.q.shape
     noise = plans.SENSORS[plan.sensor]
     draws = rng.normal(size=(rows, 6))
     if plan.noise == "correlated":
-        rho = float(rng.choice([0.3, 0.6, 0.9]))
-        for k in range(1, rows):
-            draws[k] = rho * draws[k - 1] + np.sqrt(1 - rho**2) * draws[k]
+        draws = autoregression(draws, float(rng.choice([0.3, 0.6, 0.9])))
+    elif plan.noise == "autocorrelated":
+        draws = autoregression(draws, 1 - 1 / plan.noise_memory)
+    elif plan.noise == "heavy_tails":
+        student = rng.standard_t(plans.FREEDOM, draws.shape)
+        draws = plan.over_declared / plans.TAILS[-1] * student
     elif plan.noise == "half or twice":
         draws *= rng.choice([0.5, 2.0])
     elif plan.noise == "growing with reach":
@@ -262,6 +283,9 @@ def measure(plan: Plan, rng: np.random.Generator, setup: Setup, motion: Motion, 
     q = motion.q.copy()
     if plan.noise == "in the joints":
         q += rng.normal(0, 5e-5, q.shape)
+    elif plan.noise == "wandering":
+        wander = autoregression(rng.normal(size=q.shape), 1 - 1 / plan.noise_memory)
+        q += plan.encoder_std * wander
     position = seen[1] + noise[0] * draws[:, :3]
     rotation = seen[0] @ chains.rotation_from_vector((noise[1] or 0.0) * draws[:, 3:])
     used = np.ones(rows, bool)
