@@ -2,8 +2,8 @@
 
 All from the generator's own rollouts. An effect is as large as the standard deviations by which it moves read-outs,
 in what the unknown numbers of servos cannot do as well. At the threshold their square is `detection.least_power`, so
-that a test that knows name, site and noise finds half of such effects. Many effects are not linear in their numbers:
-sizes are looked for among rollouts.
+that a test that knows name, site and noise finds half of such effects, and some joint moves by `LEAST_MOVED`. Many
+effects are not linear in their numbers: sizes are looked for among rollouts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,6 +20,7 @@ from benchmarks.tracking_trials.physics import Commands, Setup, roll
 from benchmarks.tracking_trials.plans import Plan
 
 STEP = 5e-4  # s, of rollouts of which only differences count
+LEAST_MOVED = 1e-5  # rad RMS at a joint: simulators of the same arm differ by as much
 _RUNGS = 16  # sizes that are tried
 _SHARE = 0.02  # of a number, by which it is changed for a derivative
 _LEAST_SEEN = 0.05  # of what an effect does, that the servos' numbers cannot do
@@ -41,6 +42,18 @@ class View:
     def whitened(self, variants: Sequence[tuple[Hidden, ...]]) -> Array:
         """`(variant, number)`: read-outs in standard deviations."""
         return roll(self.setup, variants, self.commands, STEP).readout.reshape(len(variants), -1) / self.noise
+
+    def thresholds(self, clear: Array, changes: Array, numbers: int) -> Array:
+        """`(variant,)` times the threshold of an effect of so many numbers.
+
+        Args:
+            clear: `(variant,)` standard deviations, by which it changes what servos cannot change as well.
+            changes: `(variant, number)` standard deviations, by which it changes read-outs.
+            numbers: of the effect, in which read-outs are linear.
+        """
+        by_joint = changes.reshape(len(changes), -1, self.setup.arm.chain.dof)
+        moved = self.noise * np.sqrt(np.mean(by_joint**2, axis=1)).max(axis=1)
+        return np.minimum(clear / np.sqrt(detection.least_power(numbers)), moved / LEAST_MOVED)
 
     def servos(self, hidden: tuple[Hidden, ...]) -> list[tuple[Hidden, ...]]:
         """Variants in which one unknown number of a servo is larger by a share."""
@@ -100,10 +113,11 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         moved = np.where(usable, np.linalg.norm(np.where(usable[:, None], rungs, 0.0), axis=1), np.inf)
         clear = np.linalg.norm(left(np.where(usable[:, None], rungs, 0.0).T), axis=0)
         clear = np.where(usable, clear, np.inf)
+        changes = np.where(usable[:, None], rungs, 0.0)
+        thresholds = np.where(usable, view.thresholds(clear, changes, _linear(name)), np.inf)
         sizes = np.geomspace(*_sizes(name), _RUNGS)
-        target = times * float(np.sqrt(detection.least_power(_linear(name))))
-        least = name in AT_LEAST and clear[0] >= target
-        size = float(sizes[0]) if least else _size_at(sizes, clear, target)
+        least = name in AT_LEAST and thresholds[0] >= times
+        size = float(sizes[0]) if least else _size_at(sizes, thresholds, times)
         if size is None:
             return None
         near = int(np.argmin(np.abs(np.log(sizes / size))))
@@ -122,16 +136,16 @@ def _linear(name: str) -> int:
     return NAMED[name].linear if name in NAMED else 1
 
 
-def _size_at(sizes: Array, clear: Array, target: float) -> float | None:
-    """The size that does so much, between two rungs of which the lower does less; None where no two are."""
-    above = np.flatnonzero(clear >= target)
-    if not len(above) or above[0] == 0 or not np.isfinite(clear[above[0]]):
+def _size_at(sizes: Array, thresholds: Array, times: float) -> float | None:
+    """The size of so many thresholds, between two rungs of which the lower has less; None where no two are."""
+    above = np.flatnonzero(thresholds >= times)
+    if not len(above) or above[0] == 0 or not np.isfinite(thresholds[above[0]]):
         return None
     k = int(above[0])
-    if clear[k - 1] <= 0:
-        share = target / clear[k]
+    if thresholds[k - 1] <= 0:
+        share = times / thresholds[k]
         return float(sizes[k - 1] + share * (sizes[k] - sizes[k - 1]))
-    share = np.log(target / clear[k - 1]) / np.log(clear[k] / clear[k - 1])
+    share = np.log(times / thresholds[k - 1]) / np.log(thresholds[k] / thresholds[k - 1])
     return float(np.exp(np.log(sizes[k - 1]) + share * np.log(sizes[k] / sizes[k - 1])))
 
 
@@ -216,7 +230,7 @@ def describe(view: View, hidden: tuple[Hidden, ...], rivals: bool) -> list[dict[
             "parameters": dict(effect.values),
             "fixed": dict(effect.fixed),
             "bound": bounds[k] if effect.name in NAMED else {},
-            "size": clear / float(np.sqrt(detection.least_power(_linear(effect.name)))),
+            "size": float(view.thresholds(np.array([clear]), added[k][None], _linear(effect.name))[0]),
             "seen": clear / moved if moved else 0.0,
             "moved_rad": moved * view.noise / float(np.sqrt(len(full))),
             "rival": None,
