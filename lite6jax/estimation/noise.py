@@ -31,7 +31,7 @@ _MOST_FOR_NOISE = 2000
 """Samples from which the noise model is estimated; it is then known to 3 %."""
 
 _COEFFICIENTS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
-_FORGOTTEN = 10.0
+_FORGOTTEN = 3.0
 """Times in the samples, at least, that noise takes to forget: what stays longer is an offset or a drift."""
 _SCALINGS = 3
 """Estimates of the variance, each with the numbers that the last one determines."""

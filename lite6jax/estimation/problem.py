@@ -250,6 +250,20 @@ class WanderingProblem(Problem, Protocol):
         ...
 
 
+class CurvedProblem(Problem, Protocol):
+    """A problem whose residuals are curved: fits end in the nearest minimum, and begin where residuals are least."""
+
+    def likeliest_start(self, term: Term, model: Terms, values: Array) -> Array:
+        """The numbers from which the fit of a further term begins, `(term.size,)`: of a few those with least residuals.
+
+        Args:
+            term: which.
+            model: beside which.
+            values: `(model.size,)`.
+        """
+        ...
+
+
 def linearised_at(problem: P, nuisance: Array) -> P:
     """The problem whose columns are those at a nuisance `(number,)` from its point of linearisation.
 

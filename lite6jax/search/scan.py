@@ -23,6 +23,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
+from string import digits
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -43,7 +44,7 @@ from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, log_or
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.terms import Term, is_process
 from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
 from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
 
@@ -173,6 +174,11 @@ class _Equations(NamedTuple):
     freedom: float
 
 
+def is_wander(term: Term) -> bool:
+    """Whether a term is what a read-out does by itself, which nothing recorded drives."""
+    return is_process(term) and kernel_of(term.kernel).undriven
+
+
 @final
 class Scan:
     """What is tried in one problem; the features of its quantities are computed once.
@@ -230,6 +236,12 @@ class Scan:
         cost += sum(self._cost_of_quantity(site, k) for k in which)
         cost += np.log(_KERNELS_OF[kind])
         return self._costs.setdefault((site, which, kind), float(cost))
+
+    def cost_of_wander_beside(self, site: str, others: Sequence[Term]) -> float | None:
+        """Of a read-out that wanders, where one of its kind does; None beside terms of which none is such a one."""
+        kind = site.rstrip(digits)
+        alike = [other for other in others if is_wander(other) and other.site.rstrip(digits) == kind]
+        return float(self.prior.cost("alike") + np.log(_MEMORIES)) if alike else None
 
     def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
         """Of a wave beside other terms; None of a term that is no wave of a fixed order.

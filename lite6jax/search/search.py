@@ -14,8 +14,8 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
-from lite6jax.search.scan import ModelScan
-from lite6jax.search.select import Selector, is_known, is_wander
+from lite6jax.search.scan import ModelScan, is_wander
+from lite6jax.search.select import Selector, is_known
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
 Array = NDArray[np.floating]
@@ -37,11 +37,13 @@ class Start(NamedTuple):
         tested: each term, with what it was worth.
         values: `(term.size,)` of each.
         refused: names whose numbers were not possible.
+        nuisance: `(number,)` beside them, from the problem's point of linearisation; that without them where not given.
     """
 
     tested: tuple[SelectedTerm, ...] = ()
     values: tuple[Array, ...] = ()
     refused: frozenset[Term] = frozenset()
+    nuisance: Array | None = None
 
 
 NO_TERMS = Start()
@@ -194,7 +196,8 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
     state = State(baseline, baseline)
     if tested:
         terms = Terms(tuple(selected.term for selected in tested))
-        fitted = fit(problem, terms, options, join(known), baseline.nuisance_about(problem), training)
+        nuisance = baseline.nuisance_about(problem) if start.nuisance is None else start.nuisance
+        fitted = fit(problem, terms, options, join(known), nuisance, training)
         gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
         cost = np.log(3 * max(len(problem.candidates), 1))
         for k, term in enumerate(preset.terms):
@@ -250,7 +253,11 @@ def chance_of(selector: Selector, state: State, k: int) -> float:
     tested = state.tested[k]
     if tested.term.nonparametric:
         return min(float(np.exp(-tested.net)), 1.0)
-    score = selector.beside(state, k).score([tested.term])[0]
+    test = selector.beside(state, k)
+    if selector.problem.curved:
+        score = test.score_columns([selector.columns_at_estimate(test, state, k)])[0]
+    else:
+        score = test.score([tested.term])[0]
     return score.familywise(float(np.exp(tested.cost)))
 
 

@@ -20,6 +20,7 @@ could not be told apart from these. A term is rejected if independent noise at t
 from collections import Counter
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,12 @@ from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, Mask, Problem, acts_on, contribution, wave_of
+from lite6jax.estimation.problem import Component, CurvedProblem, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.estimation.whitening import Whitened
-from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan
+from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, is_wander
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -75,25 +76,35 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Terms are then tried in its place.
-        Terms of an earlier search are taken over with its decisions between names, noise and processes.
+        many processes are significant that each describe a part of it. Terms are then tried in its place, whose two numbers
+        cost `CLOSE`.
+        Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
+        still worth its cost.
         """
         autocorrelated = replace(state, fit=self.in_likeliest_noise(state.fit))
-        if any(selected.term not in self._preset for selected in state.tested):
-            state = self._settled(self._estimated(autocorrelated))
-            asked = {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
-            return self.above_noise(self._grown(state, exchanging, asked))
-        grown = self._grown(autocorrelated, exchanging, set())
+        begun = self._continued_from(autocorrelated)
+        if self._has_terms(begun):
+            asked = {self._key_of(selected.term) for selected in begun.tested if selected.term.nonparametric}
+            return self.above_noise(self._grown(begun, exchanging, asked))
+        grown = self._grown(begun, exchanging, set())
         if not autocorrelated.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            instead = self._grown(state, exchanging, set())
+            instead = self._grown(self._continued_from(state), exchanging, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
-            clearly = instead.fit.noise.white and not grown.fit.noise.white
-            if instead.evidence > grown.evidence + (CLOSE if clearly else 0.0):
+            cost_of_noise = CLOSE if instead.fit.noise.white and not grown.fit.noise.white else 0.0
+            if instead.evidence > grown.evidence - cost_of_noise:
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
+
+    def _continued_from(self, state: State) -> State:
+        """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
+        return self._settled(self._estimated(state)) if self._has_terms(state) else state
+
+    def _has_terms(self, state: State) -> bool:
+        """Whether a state has terms beside those of the domain."""
+        return any(selected.term not in self._preset for selected in state.tested)
 
     def supported(self, state: State) -> State:
         """The terms of a state, or likelier ones in their place, that are worth their cost in the likeliest noise."""
@@ -206,28 +217,47 @@ class Selector:
             if added.evidence > state.evidence + len(worth) * MARGIN:
                 return added
         for candidate in worth:
-            added = max(
-                (self._added(state, [rival]) for rival in self._comparable(state, candidate)),
-                key=lambda trial: trial.evidence,
-            )
+            added = self._added(state, [candidate])
+            for rival in self._named_rivals(state, candidate):
+                if added.evidence < state.evidence + self._most_gained(rival, candidate, state):
+                    added = max(added, self._added(state, [rival]), key=lambda trial: trial.evidence)
             if added.evidence > state.evidence + MARGIN:
                 state = added
             else:
                 failures[candidate.site] += _FAILURES if candidate.process else 1
         return state
 
-    def _comparable(self, state: State, candidate: Ranked) -> list[Ranked]:
-        """A candidate and, where it is large, the likeliest other names of its site."""
+    def _named_rivals(self, state: State, candidate: Ranked) -> list[Ranked]:
+        """Beside a candidate that is large the likeliest names of its site and of each that moves the same rows."""
         if candidate.net < _LARGE:
-            return [candidate]
+            return []
         test = self.test(state)
-        named = self._not_refused(ModelScan(self.scan, test).named(), test, state)
-        rivals = [
-            name
-            for name in sorted(named, key=lambda name: -name.net)
-            if name.site == candidate.site and name.key != candidate.key and name.net > MARGIN
-        ]
-        return [candidate, *rivals[:_RIVALS]]
+        acted_on = self._acted_on(candidate, state)
+        rivals = list[Ranked]()
+        of_sites = Counter[str]()
+        for name in sorted(ModelScan(self.scan, test).named(), key=lambda name: -name.net):
+            most = _RIVALS if name.site == candidate.site else 1
+            if name.net < MARGIN or name.key == candidate.key or of_sites[name.site] == most:
+                continue
+            if self._not_refused([name], test, state) and (acted_on & self._acted_on(name, state)).any():
+                of_sites[name.site] += 1
+                rivals.append(name)
+        return rivals
+
+    def _most_gained(self, rival: Ranked, candidate: Ranked, state: State) -> float:
+        """The log-likelihood that a rival gains at most: of fewer rows than a candidate moves, all but their noise."""
+        acted_on = self._acted_on(rival, state)
+        if np.all(acted_on >= self._acted_on(candidate, state)):
+            return float(np.inf)
+        f = state.fit
+        of_sample = np.log(np.maximum(f.scale[self.problem.groups], 1.0)) + 0.5
+        return float(np.sum(of_sample[acted_on])) * int(f.training.sum())
+
+    def _acted_on(self, candidate: Ranked, state: State) -> Mask:
+        """`(row,)`, which a candidate changes."""
+        if candidate.process:
+            return np.any(candidate.process[0].column, 1)
+        return self._rows(candidate.make(), state)
 
     def _with_usual(self, state: State) -> State:
         """The state with the names that nearly every problem has, before anything else is asked for.
@@ -270,7 +300,7 @@ class Selector:
                 continue
             if not self._has_room(candidate, model) or not self._is_possible(test, candidate):
                 continue
-            rows = np.any(candidate.process[0].column, 1) if candidate.process else self._rows(candidate.make(), state)
+            rows = self._acted_on(candidate, state)
             if not (rows & taken).any():
                 taken |= rows
                 if all(candidate.gain >= gain for acted_on, gain in noises if (acted_on & rows).any()):
@@ -310,7 +340,13 @@ class Selector:
         return of_site[0] if alone else None
 
     def _continued(self, candidate: Ranked, model: Sequence[Term]) -> Ranked:
-        """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that."""
+        """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that.
+
+        A read-out that wanders costs less where one of its kind does.
+        """
+        if candidate.process and kernel_of(candidate.process[2]).undriven:
+            cost = self.scan.cost_of_wander_beside(candidate.site, model)
+            return candidate if cost is None else replace(candidate, cost=min(candidate.cost, cost))
         if not candidate.process:
             cost = self.scan.cost_of_wave(candidate.make(), model)
             return candidate if cost is None else replace(candidate, cost=min(candidate.cost, cost))
@@ -341,14 +377,24 @@ class Selector:
         new = [SelectedTerm(candidate.make(), candidate.gain, candidate.cost, candidate.volume) for candidate in ranked]
         included = {term for selected in new for term in selected.term.includes}
         kept = [selected for selected in state.tested if selected.term not in included]
-        return self._refitted(state, [*kept, *new])
+        starts = dict[Term, Array]()
+        if self.problem.curved:
+            names = [selected.term for selected in new if not selected.term.nonparametric]
+            problem = cast(CurvedProblem, self.problem)
+            f = state.fit
+            starts = {name: problem.likeliest_start(name, f.terms, f.values) for name in names}
+        return refitted(self.problem, state, [*kept, *new], self.options, self._whitened, starts)
 
     def _refitted(self, state: State, tested: Sequence[SelectedTerm]) -> State:
         return refitted(self.problem, state, tested, self.options, self._whitened)
 
+    def _without(self, state: State, left_out: set[int]) -> State:
+        """Without some terms, refitted."""
+        return self._refitted(state, [selected for k, selected in enumerate(state.tested) if k not in left_out])
+
     def _left_out(self, state: State, k: int) -> State:
         """Without the k-th term, refitted."""
-        return self._refitted(state, [*state.tested[:k], *state.tested[k + 1 :]])
+        return self._without(state, {k})
 
     # -------------------------------------------------------------- each term beside the others
 
@@ -439,10 +485,9 @@ class Selector:
                 taken |= rows
             if not least:
                 return state
-            if self.problem.curved:
-                least = {int(order[0])}
-            rest = [selected for k, selected in enumerate(tested) if k not in least]
-            without = self._refitted(state, rest)
+            without = self._without(state, least)
+            if self.problem.curved and len(least) > 1 and without.evidence < state.evidence - MARGIN:
+                without = self._without(state, {int(order[0])})
             if self.problem.curved and without.evidence < state.evidence - MARGIN:
                 return state
             state = without
@@ -471,7 +516,7 @@ class Selector:
         test = self.beside(state, k)
         weighed = ModelScan(self.scan, test)
         if self.problem.curved and not is_process(term):
-            worth = weighed.by_columns(term, self._columns_at_estimate(test, state, k))
+            worth = weighed.by_columns(term, self.columns_at_estimate(test, state, k))
         else:
             worth = self._as_it_is(weighed, term)
         return replace(tested, gain=0.0) if worth is None else replace(tested, gain=worth.gain, volume=worth.volume)
@@ -483,7 +528,7 @@ class Selector:
         return weighed.as_is(term)
 
     @staticmethod
-    def _columns_at_estimate(test: ScoreTest, state: State, k: int) -> Array:
+    def columns_at_estimate(test: ScoreTest, state: State, k: int) -> Array:
         """The columns of the k-th term at its numbers, that of the largest part with all that the term contributes."""
         fit = state.fit
         model = fit.terms, fit.values
@@ -842,11 +887,6 @@ def is_known(problem: Problem, term: Term) -> bool:
 def _phrases(term: Term) -> tuple[str, ...]:
     """Of its quantities, as `Ranked.cause` of a process."""
     return tuple(driver.phrase for driver in term.drivers)
-
-
-def is_wander(term: Term) -> bool:
-    """Whether a term is what a read-out does by itself, which nothing recorded drives."""
-    return is_process(term) and kernel_of(term.kernel).undriven
 
 
 def _either(quantity_indices: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -1,16 +1,19 @@
 """The state of a search: the terms of the model, what each is worth, and their fit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.whitening import Whitened
+
+Array = NDArray[np.floating]
 
 
 @final
@@ -96,6 +99,7 @@ def refitted(
     tested: Sequence[SelectedTerm],
     options: EngineOptions,
     whitened: Whitened | None = None,
+    starts: Mapping[Term, Array] | None = None,
 ) -> State:
     """The state with other terms, fitted from the numbers that it has of them, in its noise.
 
@@ -105,6 +109,7 @@ def refitted(
         tested: the terms.
         options: thresholds.
         whitened: as of `fit`.
+        starts: the numbers of new terms to start from; zero where not given.
     """
     f = state.fit
     terms = Terms(tuple(test.term for test in tested))
@@ -112,7 +117,8 @@ def refitted(
         nuisance = state.baseline.nuisance_about(problem)
         bare = fit(problem, terms, options, None, nuisance, f.training, f.noise, whitened=whitened)
         return replace(state, fit=bare, tested=())
-    values_by_term = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    present = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    values_by_term = {**(starts or {}), **present}
     start = join([values_by_term.get(term, np.zeros(term.size)) for term in terms.terms])
     again = fit(problem, terms, options, start, f.nuisance, f.training, f.noise, whitened=whitened)
     return replace(state, fit=again, tested=tuple(tested))
