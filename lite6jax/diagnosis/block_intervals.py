@@ -24,13 +24,13 @@ five in 88 %."""
 def block_stds(selection: Selection) -> list[Array]:
     """Standard deviations from blocks of each term of a selection: of its numbers, and of an order that was chosen.
 
-    Arrays are empty for nonparametric terms, for problems whose residuals are curved, where first-order changes mean
-    little, and where the recording is too short for `_FEWEST` blocks.
+    Arrays are empty for nonparametric terms, where first-order changes mean little, as residuals are curved in unknown
+    nuisance, and where the recording is too short for `_FEWEST` blocks.
     """
     state = selection.state
     problem = selection.problem
     nothing: list[Array] = [np.zeros(0) for _ in state.tested]
-    if problem.curved or all(test.term.nonparametric for test in state.tested):
+    if (problem.curved and problem.precision.size) or all(test.term.nonparametric for test in state.tested):
         return nothing
     training = state.fit.training
     longest = longest_time(problem, state.fit)

@@ -45,7 +45,7 @@ from lite6jax.estimation.thresholds import CLOSE, MARGIN
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import Selection, chance_of, nearest_of, search
+from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search
 from lite6jax.search.select import Selector
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
@@ -266,7 +266,7 @@ def _with_servos(problem: TrackingProblem, options: EngineOptions) -> Selection:
     """The numbers of unknown servos, and the names of joints that predict rows which they were not fitted to."""
     data = problem.data
     problem = relinearise(replace(problem, data=data.coarse, known=RolloutCache()), options, problem.valid, _STARTS)
-    servos = grown(problem, interleaved_folds(problem.run), COARSE)
+    servos = grown(problem, interleaved_folds(problem.run), COARSE, data)
     return _fitted(servos.problem.relinearised(servos.nuisance), servos.terms, servos.values, options.rough)
 
 
@@ -303,8 +303,8 @@ def _is_as_described(selection: Selection) -> bool:
     return bool(np.any(moves & (size < np.maximum(_FOLLOWS * problem.noise, _IN_LONG_STEPS * behind))))
 
 
-def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions) -> tuple[TrackingProblem, Selection]:
-    """The problem of unknown servos in short steps, with the grip that suits it, and the names of its search's start.
+def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions) -> tuple[TrackingProblem, Start]:
+    """The problem of unknown servos in short steps, with the grip that suits it, and what its search starts from.
 
     Beside the unknown servo that comes nearest to a joint with a limit, processes of any kind explain more than the
     limit does: names come first. They are those that were found in long steps, where these describe all joints in short
@@ -322,13 +322,15 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     if np.all(judged.scale < _FOLLOWS):
         exact = _with_discrepancy(exact)
         again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
-        return exact, replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
+        # a servo that fits best without these names may be far from the one beside them
+        refitted_names = replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
+        return exact, refitted_names.start._replace(nuisance=again.nuisance)
     named = search(described, options, names_alone=True)
     f = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)
     gripped = with_likely_grip(there.relinearised(f.nuisance), f.terms, f.values)
-    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named
+    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named.start
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
@@ -458,8 +460,8 @@ def diagnose_tracking(
                 entered("linearising")
                 selection = _with_servos(problem, engine)
                 if _is_as_described(selection):
-                    problem, named = _exactly(problem, selection, engine)
-                    selection = search(problem, engine, start=named.start)
+                    problem, start = _exactly(problem, selection, engine)
+                    selection = search(problem, engine, start=start)
                 else:
                     engine = replace(engine.rough, most_exact=0)  # no digit counts beside its errors
             else:

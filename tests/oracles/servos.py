@@ -19,6 +19,7 @@ def follow(
     play=0.0,
     rate=math.inf,
     feedforward=0.0,
+    limit=math.inf,
     sticky=None,
     creep=0.0,
     fine=100,
@@ -26,8 +27,8 @@ def follow(
     """Read-outs `(sample,)` rad of a joint that follows `command` `(sample,)` from rest in its equilibrium.
 
     Its weight exerts weight·sin q, in Nm. What it follows moves at `rate` rad/s at most, and feedforward times its
-    velocity is added to what the servo exerts. Friction is more by sticky(q) in Nm. It holds the joint at rest, or
-    grows with velocity as tanh(v / creep).
+    velocity is added to what the servo exerts, which beside its damping is at most `limit` in Nm. Friction is more by
+    sticky(q) in Nm. It holds the joint at rest, or grows with velocity as tanh(v / creep).
     """
     h = period / fine
     command = [float(u) for u in command]
@@ -44,7 +45,8 @@ def follow(
         late = max(math.floor((k * h - delay) / period + 1e-9), 0)
         change = min(max(command[late] - limited, -rate * h), rate * h)
         limited += change
-        pulled = kp * (limited - q) + feedforward * change / h - (kd + viscous) * v - weight * math.sin(q)
+        drive = min(max(kp * (limited - q) + feedforward * change / h, -limit), limit)
+        pulled = drive - (kd + viscous) * v - weight * math.sin(q)
         stopped = v + h * pulled / inertia
         band = h * (coulomb + (sticky(q) if sticky else 0.0)) / inertia
         slower = max(abs(stopped) - band, 0.0)

@@ -131,10 +131,12 @@ class JointLoads:
     Attributes:
         load: `(joint, step)` Nm, L.
         mass: `(joint, step)` kg·m², M.
+        weight: `(joint, sample)` Nm, what L is at rest where runs begin; of other samples zero.
     """
 
     load: Array
     mass: Array
+    weight: Array
 
 
 def interpolate(values: Array, commands: Commands) -> Array:
@@ -149,7 +151,18 @@ def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Ar
     """The loads along a motion `(joint, sample)`, between its samples on a line."""
     diagonal = bodies.masses(q)
     load = bodies.torques(q, dq, ddq) - diagonal * ddq
-    return JointLoads(interpolate(load, commands), interpolate(diagonal, commands))
+    return JointLoads(interpolate(load, commands), interpolate(diagonal, commands), _weights(bodies, commands))
+
+
+def _weights(bodies: Bodies, commands: Commands) -> Array:
+    """As `JointLoads.weight`."""
+    begins = np.flatnonzero(commands.reset)
+    there = bodies if bodies.added is None else replace(bodies, added=bodies.added[begins])
+    start = commands.start[begins].T
+    still = np.zeros_like(start)
+    weights = np.zeros((commands.joints, commands.samples))
+    weights[:, begins] = there.torques(start, still, still)
+    return weights
 
 
 def _own_masses(bodies: Bodies, q: Array, servo: Servo) -> Array:
@@ -221,7 +234,8 @@ def roll_coupled(
     joints = np.arange(bodies.joints)
     given = loads
     change = np.full(bodies.joints, np.inf)
-    rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, fine=True)
+    weight = _weights(bodies, commands)
+    rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, weight=weight, fine=True)
     if not bodies.links.any():
         return rolled, loads
     # of these bodies: rollouts with the inertia of an arm without its payload may go apart
@@ -232,8 +246,8 @@ def roll_coupled(
         before = rolled.readout
         along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
         load = mixture.next(load, along)
-        loads = JointLoads(load, mass)
-        rolled = roll(servo, commands, joints, load, mass, extra=extra, fine=True)
+        loads = JointLoads(load, mass, weight)
+        rolled = roll(servo, commands, joints, load, mass, extra=extra, weight=weight, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
             change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))
         if np.all(change < settled) or not np.all(change < _APART):

@@ -13,20 +13,19 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.tracking.problem import RolloutCache, TrackingProblem
+from lite6jax.domains.tracking.rows import TrackingRows
 from lite6jax.effects.dynamic import CoulombFriction, RotorInertia
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import Limit, RateLimit
 from lite6jax.estimation.noise import autocorrelation_time
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Term, Terms
-
-if TYPE_CHECKING:
-    from lite6jax.domains.tracking.problem import TrackingProblem
 
 Array = NDArray[np.floating]
 
@@ -42,10 +41,6 @@ _NEAR = 0.01
 _USUAL = (CoulombFriction, RotorInertia)
 """Names that describe a servo of which nothing is known, as its stiffness and damping do: a simulator's file seldom
 has these numbers of a real arm."""
-_SIZES = (0.2, 1.0, 5.0, 25.0)
-"""Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
-_REACHED = (0.9, 0.7, 0.45)
-"""Of the largest speed or torque: limits from which a fit starts."""
 _STIFFNESSES = (3.0, 15.0, 80.0, 400.0)
 """Nm/rad, from joints of small hobby servos to those of arms: from these a fit starts where a stiffness is none."""
 _STIFFEST = 1e4
@@ -97,7 +92,7 @@ class NamedJoint:
 class _Lanes:
     """Fits of many models of joints, in step."""
 
-    def __init__(self, problem: "TrackingProblem") -> None:
+    def __init__(self, problem: TrackingProblem) -> None:
         self.problem = problem
         self.unknowns = [
             [k for k, unknown in enumerate(problem.unknowns) if unknown.joint == joint] for joint in range(problem.rows)
@@ -310,32 +305,13 @@ class _Lanes:
             more = Terms((*terms.terms, name))
             is_limit = isinstance(name, Limit)
             for servo in self.of_stiffnesses(model, isinstance(name, RateLimit)):
-                stiffness = self.stiffness(servo)
-                starts = [
-                    np.concatenate([servo.numbers[:count], values, start]) for start in self._starts(name, stiffness)
-                ]
+                of_name = self.problem.starts(name, self.stiffness(servo))
+                starts = [np.concatenate([servo.numbers[:count], values, start]) for start in of_name]
                 if is_limit:  # what is best before the fit says little of what is best after it
                     begun += [(more, [start]) for start in starts]
                 else:
                     begun.append((more, starts))
         return begun
-
-    def _starts(self, name: Effect, stiffness: float) -> list[Array]:
-        """Numbers of a name from which its fit may start, beside a servo of a stiffness in Nm/rad."""
-        zero = np.zeros(name.size)
-        if isinstance(name, Limit):
-            largest = self.problem.largest(name)
-            limits = {1 / self.problem.step_of(name, 0, 0.0), *(share * largest for share in _REACHED)}
-            over = 1.0
-            if not isinstance(name, RateLimit):  # torques are those of the stiffness of the problem
-                over = stiffness / float(self.problem.servo.stiffness[name.joint - 1])
-            return [np.r_[1 / (over * limit), zero[1:]] for limit in sorted(limits)]
-        if name.linear:
-            return [zero]
-        lower, upper = self.problem.limits(name)[0]
-        typical = name.coordinates[0].typical
-        sizes = [sign * size * typical for size in _SIZES for sign in (1, -1)]
-        return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
 
 
 def _chosen(terms: Terms) -> list[Term]:
@@ -355,19 +331,20 @@ class NamedServos:
         values: `(terms.size,)`, their numbers.
     """
 
-    problem: "TrackingProblem"
+    problem: TrackingProblem
     nuisance: Array
     terms: Terms
     values: Array
 
 
-def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> NamedServos:
+def grown(problem: TrackingProblem, folds: Sequence[Mask], enough: float, finer: TrackingRows) -> NamedServos:
     """Unknown servos with names of all joints.
 
     Args:
         problem: of unknown servos, linearised near what fits best without names.
         folds: `(sample,)` each, the rows that are held out.
         enough: rad RMS, errors below which a joint has no further names.
+        finer: the rows in shorter steps of integration.
     """
     lanes = _Lanes(problem)
     valid = problem.valid
@@ -385,20 +362,36 @@ def grown(problem: "TrackingProblem", folds: Sequence[Mask], enough: float) -> N
         if lanes.is_better(model, simpler) or (is_alike and lanes.stiffness(simpler) > _STIFFEST):
             models[model.joint] = model
     lanes, models = _in_likeliest_grip(lanes, models, folds)
-    growing = [model.joint for model in models if model.error > enough]
+    growing = _beyond_steps(lanes, finer, [model for model in models if model.error > enough])
     while growing:
         better = _with_one_more(lanes, [models[joint] for joint in growing], folds)
-        growing = []
+        large = []
         for model in better:
             if lanes.is_better(model, models[model.joint]):
                 models[model.joint] = model
                 if model.error > enough and len(model.terms.terms) < _MOST:
-                    growing.append(model.joint)
+                    large.append(model)
+        growing = _beyond_steps(lanes, finer, large)
     models = _without_idle(lanes, models, folds)
     lanes, models = _in_likeliest_grip(lanes, models, folds)
     models = lanes.fitted(models, [valid] * len(models), 2 * _STEPS)
     models = lanes.fitted([_within(lanes, model) for model in models], [valid] * len(models), 2 * _STEPS)
     return _together(lanes, models)
+
+
+def _beyond_steps(lanes: _Lanes, finer: TrackingRows, models: Sequence[NamedJoint]) -> list[int]:
+    """The joints, from 0, of models whose errors are larger than what shorter steps of integration change.
+
+    A name more would describe what the steps miss of those that are there, such as the instants at which a limit acts.
+    """
+    others = _Lanes(replace(lanes.problem, data=finer, known=RolloutCache()))
+    valid = lanes.problem.valid
+    joints = []
+    for model, same in zip(models, others.at_numbers(models), strict=True):
+        apart = np.sqrt(np.mean((same.readout - model.readout)[valid] ** 2))
+        if model.error > apart:
+            joints.append(model.joint)
+    return joints
 
 
 def _together(lanes: _Lanes, models: Sequence[NamedJoint]) -> NamedServos:

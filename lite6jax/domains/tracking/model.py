@@ -164,6 +164,7 @@ def roll_out(
     """
     if not coupled:
         joints = np.arange(commands.joints)
-        return roll(model.servo, commands, joints, loads.load, loads.mass, extra=extra).readout, loads
+        rolled = roll(model.servo, commands, joints, loads.load, loads.mass, extra=extra, weight=loads.weight)
+        return rolled.readout, loads
     rolled, along = roll_coupled(model.servo, commands, model.bodies, loads, extra, settled)
     return rolled.readout, along

@@ -33,6 +33,7 @@ from lite6jax.effects.dynamic import (
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import (
     RIGID_GRIP,
+    Limit,
     RateLimit,
     Servo,
     ServoDamping,
@@ -54,6 +55,10 @@ _SHARE = 0.02
 """Of a number, by which it is changed for a derivative."""
 _REACHED = 0.7
 """Of the largest speed or torque: the limit at which a first column is taken."""
+_LIMITS = (0.9, 0.7, 0.45, 0.2)
+"""Of the largest speed or torque: limits from which a fit starts."""
+_SIZES = (0.2, 1.0, 5.0, 25.0)
+"""Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
 _PRIOR = 1.5
 """Standard deviation of the prior of the logarithm of a servo's unknown number; columns differ by 0.02 of it."""
 NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
@@ -203,8 +208,8 @@ class TrackingProblem:
 
     @property
     def curved(self) -> bool:
-        """Numbers of unknown servos change what all effects do."""
-        return bool(self.unknowns)
+        """Rollouts are linear in no number of a servo, and a limit or friction acts at once or not at all."""
+        return True
 
     @property
     def noise(self) -> Array:
@@ -308,8 +313,13 @@ class TrackingProblem:
                 columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
         return columns
 
-    def _of_effect(self, effect: Effect, at: Array, others: Terms, numbers: Array) -> list[list[_Difference]]:
-        """The columns of an effect at some numbers of its own, beside others, one list for each number."""
+    def _of_effect(
+        self, effect: Effect, at: Array, others: Terms, numbers: Array, step: float | None = None
+    ) -> list[list[_Difference]]:
+        """The columns of an effect at some numbers of its own, beside others, one list for each number.
+
+        Differences are those of `step`, or of `step_of` where it is not given.
+        """
         terms, values = others.part(numbers, [term != effect for term in others.terms])
         none = np.zeros(len(self.unknowns))
         model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
@@ -323,19 +333,19 @@ class TrackingProblem:
             acted_on = joints_of(effect)
         numbers_by_joint = []
         for k in range(effect.size):
-            step = self.step_of(effect, k, float(at[k]))
+            over = self.step_of(effect, k, float(at[k])) if step is None else step
             servo = model.servo
             total = extra
             if units is not None:
                 more = np.zeros((self.rows, 2, self.data.commands.samples))
-                more[acted_on] = step * units[k]
+                more[acted_on] = over * units[k]
                 total = more if extra is None else extra + more
             else:
-                changed = at + step * np.eye(effect.size)[k]
+                changed = at + over * np.eye(effect.size)[k]
                 servo = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed])).servo
-            name = effect, k, at.tobytes()
+            name = effect, k, at.tobytes(), step
             after = {joint: self._state(servo, total, joint) for joint in joints}
-            numbers_by_joint.append([_Difference(name, before[joint], after[joint], step) for joint in joints])
+            numbers_by_joint.append([_Difference(name, before[joint], after[joint], over) for joint in joints])
         return numbers_by_joint
 
     def _exerted(self, model: TrackingModel) -> Array | None:
@@ -383,6 +393,51 @@ class TrackingProblem:
             return max(float(np.quantile(np.abs(np.diff(command)), 0.99)) / self.data.commands.period, 1e-3)
         torque = self.servo.stiffness[j] * np.abs(command - self.data.measured[j])
         return max(float(np.quantile(torque, 0.99)), 1e-3)
+
+    def starts(self, effect: Effect, stiffness: float | None = None) -> list[Array]:
+        """Numbers `(effect.size,)` from which a fit may start: zero of those in which rollouts are linear.
+
+        Args:
+            effect: which.
+            stiffness: Nm/rad, of the servo beside which; that of the point of linearisation where not given.
+        """
+        zero = np.zeros(effect.size)
+        if isinstance(effect, Limit):
+            largest = self.largest(effect)
+            limits = {1 / self.step_of(effect, 0, 0.0), *(share * largest for share in _LIMITS)}
+            over = 1.0
+            if stiffness is not None and not isinstance(effect, RateLimit):  # torques are those of this stiffness
+                over = stiffness / float(self.servo.stiffness[effect.joint - 1])
+            return [np.r_[1 / (over * limit), zero[1:]] for limit in sorted(limits)]
+        if effect.linear:
+            return [zero]
+        lower, upper = self.limits(effect)[0]
+        typical = effect.coordinates[0].typical
+        sizes = [sign * size * typical for size in _SIZES for sign in (1, -1)]
+        return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
+
+    def likeliest_start(self, term: Term, model: Terms, values: Array) -> Array:
+        """Zero, or those of `starts` with which joints, along the latest loads, are nearer to their read-outs."""
+        assert isinstance(term, Effect)
+        zero = np.zeros(term.size)
+        others, numbers = model.part(values, [present not in term.includes for present in model.terms])
+        starts = [start for start in self.starts(term) if start.any()]
+        trials = [self._of_effect(term, zero, others, numbers, float(start[0]))[0] for start in starts]
+        columns = self._computed([difference for trial in trials for difference in trial])
+        nearest = zero
+        gained = 0.0
+        present = self.residual(np.zeros(len(self.unknowns)), model, values)[:, self.valid]
+        for start, trial in zip(starts, trials, strict=True):
+            moved = present.copy()
+            for difference in trial:
+                joint = difference.before.joint
+                change = difference.over * columns[difference.key][self.chosen][self.valid]
+                moved[joint] += change / self.noise[joint]
+            gain = float(np.sum(present**2) - np.sum(moved**2))
+            if gain > gained:
+                nearest = start
+                gained = gain
+        return nearest
 
     def _computed(self, wanted: Sequence[_Difference]) -> dict[Any, Array]:
         """Columns `(every sample,)` rad by their keys."""
@@ -450,7 +505,8 @@ class TrackingProblem:
         for first in range(0, len(states), most):
             some = slice(first, first + most)
             more = None if extra is None else extra[some]
-            parts.append(roll(servo.take(some), commands, joints[some], loads.load, loads.mass, extra=more).readout)
+            lanes = servo.take(some), commands, joints[some], loads.load, loads.mass
+            parts.append(roll(*lanes, extra=more, weight=loads.weight).readout)
         return np.concatenate(parts)
 
     def factored(self, term: Term) -> None:

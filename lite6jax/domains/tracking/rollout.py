@@ -40,6 +40,8 @@ GRIP = 0.96 / (1 - 0.96)
 
 A diagnosis looks for the grip of its recording, beginning with this one: `problem.with_likely_grip`.
 """
+RESTED = 2.0
+"""s, for which a joint has rested at least when a run begins."""
 _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9
@@ -162,6 +164,7 @@ def roll(
     mass: Array,
     columns: NDArray[np.integer] | None = None,
     extra: Array | None = None,
+    weight: Array | None = None,
     fine: bool = False,
 ) -> Rolled:
     """Rolls lanes out.
@@ -174,6 +177,7 @@ def roll(
         mass: likewise, kg·m², M.
         columns: `(lane,)`, which load and mass each lane has; those of its joint where not given.
         extra: `(lane, 2, sample)` Nm, on lines from sample to sample: x, and what c is more; zero where not given.
+        weight: `(column, sample)` Nm, what L is at rest where runs begin; that along the motion where not given.
         fine: whether to give positions and their derivatives at every step as well.
     """
     lanes = len(joints)
@@ -186,6 +190,7 @@ def roll(
     def by_sample(values: Array) -> Array:
         return np.ascontiguousarray(np.asarray(values).T.reshape(samples, commands.steps, -1))
 
+    at_rest = by_sample(load)[:, 0] if weight is None else np.ascontiguousarray(np.asarray(weight).T)
     more = np.zeros((samples, 2, 1))
     if extra is not None:
         more = np.ascontiguousarray(np.transpose(np.asarray(extra)[index], (2, 1, 0)))
@@ -199,6 +204,7 @@ def roll(
         commands.velocity[:, joints[index]],
         by_sample(load),
         by_sample(mass),
+        at_rest,
         more,
         joints[index],
         columns[index],
@@ -351,6 +357,7 @@ def _roll(
     start_velocity: Any,
     load: Any,
     mass: Any,
+    weight: Any,
     extra: Any,
     joints: Any,
     columns: Any,
@@ -456,7 +463,7 @@ def _roll(
         return _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, L), shown
 
     def sample(state: Any, inputs: Any) -> Any:
-        u, arriving, first_load, following_load, M, x, following, here, q, v, first_command = inputs
+        u, arriving, first_load, following_load, M, x, following, here, carried, q, v, first_command = inputs
         zero = jnp.zeros(row.shape)
         share = (jnp.arange(steps) / steps)[:, None]
         between = tuple(
@@ -466,10 +473,11 @@ def _roll(
         def begin_run(_: Any) -> Any:
             error = first_command - q
             error = error - jnp.clip(error, -p.dead_band, p.dead_band)
-            # an integral part drives a joint that rests until friction alone holds it back
-            balance = first_load + p.spring * q + p.spring_torque + between[0][0] - p.stiffness * error
+            # an integral part has balanced the load, and drives a joint that rests until friction alone holds it back
+            balance = carried + p.spring * q + p.spring_torque + between[0][0] - p.stiffness * error
             coulomb = jnp.maximum(p.coulomb + between[1][0], 0.0)
-            balance = balance + jnp.sign(error) * (coulomb + p.stribeck + p.load_friction * jnp.abs(first_load))
+            most = coulomb + p.stribeck + p.load_friction * jnp.abs(carried)
+            balance = balance + jnp.clip(p.integral * error * RESTED, -most, most)
             summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
             at_rest = first_command, first_command, first_command, summed, error
             fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load)
@@ -497,7 +505,7 @@ def _roll(
     of_next = jnp.concatenate([load[1:, :1], load[-1:, -1:]])
     of_next = jnp.where(jnp.append(reset[1:], True)[:, None, None], load[:, -1:], of_next)
     loads = jnp.concatenate([load[:, 1:], of_next], 1)[..., columns], mass[..., columns]
-    begun = true_start, start_velocity, initial[:, 0]
+    begun = weight[:, columns], true_start, start_velocity, initial[:, 0]
     inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun)
     zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))

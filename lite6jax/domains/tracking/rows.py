@@ -31,7 +31,8 @@ INEXACT = 1e-5
 """rad RMS at a joint, by which rollouts differ all along a motion, most where friction lets go: steps of integration a
 fourth as long move them by 8 µrad. What moves every joint by less is no effect that is known to be there."""
 COARSE = 3e-4
-"""rad of noise, from which integration steps are `_LONG` and loads stay those along the measured motion."""
+"""rad of noise, from which integration steps beside unknown servos are `_LONG`, and loads stay those along the measured
+motion."""
 _LONG = 0.005
 """s, of an integration step of recordings with that noise."""
 _ROUGH = 0.01
@@ -395,6 +396,6 @@ def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     if np.any(even.payload != payload):
         bodies = replace(bodies, added=even.payload - payload)
     servo, known = declared_servo(settings, arm, bodies)
-    fine = bool(np.max(noise) < COARSE)
-    commands = _held(even, noise, LONGEST_STEP if fine else _LONG)
-    return TrackingRows(even, arm, bodies, commands, even.joint_position.T.copy(), noise, servo, known, fine)
+    is_exact = known or bool(np.max(noise) < COARSE)
+    commands = _held(even, noise, LONGEST_STEP if is_exact else _LONG)
+    return TrackingRows(even, arm, bodies, commands, even.joint_position.T.copy(), noise, servo, known, is_exact)

@@ -76,7 +76,7 @@ def unknown_servos(creep=0.0):
     """Servos of which nothing is known, as `grown` finds them in a log of steps and holds."""
     log = record(np.r_[commands_of(400), steps_of(400)], "unknown", coulomb=1.5, creep=creep)
     problem = relinearise(tracking_problem(tracking_rows(log, PENDULUM).coarse), EngineOptions(), steps=8)
-    return grown(problem, interleaved_folds(problem.run), 1e-3)
+    return grown(problem, interleaved_folds(problem.run), 1e-3, problem.data)
 
 
 def test_unknown_servos_of_a_log_that_shows_creeping_creep():

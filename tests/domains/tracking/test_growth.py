@@ -19,7 +19,7 @@ SAMPLES = 600
 def grown_of(log, enough=3e-4):
     data = tracking_rows(log, PENDULUM).coarse
     problem = relinearise(tracking_problem(data), EngineOptions(), steps=8)
-    servos = grown(problem, interleaved_folds(problem.run), enough)
+    servos = grown(problem, interleaved_folds(problem.run), enough, problem.data)
     there = servos.problem.relinearised(servos.nuisance)
     errors = there.residual(np.zeros(len(servos.nuisance)), servos.terms, servos.values) * there.sigma
     return there.servo, servos.terms, servos.values, float(np.sqrt(np.mean(errors**2)))

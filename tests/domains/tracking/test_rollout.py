@@ -115,6 +115,34 @@ def test_an_integral_part_has_settled_before_a_run():
     assert np.all(np.diff(helped) > -1e-9)
 
 
+def test_a_small_integral_part_hardly_moves_a_joint():
+    """One that rests where its servo carries it, of which a read-out says so to 10 µrad."""
+    u = 0.4 + 0.2 * np.sin(2 * np.pi * 0.5 * np.maximum(TIME - 0.5, 0.0))
+    start = 0.4 - 3.0 / 300.0 + 1e-5
+    friction = {"start": start, "load": 3.0}
+    without = roll_alone(plain(1, coulomb=1.0), u, **friction)
+    integral = roll_alone(plain(1, coulomb=1.0, integral=0.01), u, **friction)
+    assert np.abs(integral - without).max() < 5e-5
+    larger = roll_alone(plain(1, coulomb=1.0, integral=10.0), u, **friction)
+    assert np.abs(larger - without).max() > 1e-3
+
+
+def test_an_integral_part_balances_what_a_joint_carries_at_rest():
+    """Loads with which a run begins may be those of other joints that move."""
+    u = np.full(len(TIME), 0.4)
+    held = hold_commands(u[:, None], np.zeros(len(u), int), PERIOD, u[:, None])
+    nothing = np.zeros((1, held.samples * held.steps))
+    weight = np.full((1, held.samples), 3.0)
+    jerk = nothing + 3.0
+    jerk[:, : held.steps] = 5.0
+    one = plain(1, integral=30.0), held, np.array([0])
+    quiet = roll(*one, nothing + 3.0, nothing + 0.2).readout[0]
+    jerked = roll(*one, jerk, nothing + 0.2, weight=weight).readout[0]
+    assert np.abs(quiet - 0.4).max() < 1e-9
+    assert 1e-5 < np.abs(jerked - 0.4).max() < 1e-3
+    assert abs(jerked[-1] - 0.4) < 1e-5
+
+
 @pytest.mark.parametrize("numbers", [{"offset": 0.02}, {"scale": -0.05}, {"sine": 0.01, "cosine": -0.02}])
 def test_runs_begin_where_the_encoder_shows_the_joint(numbers):
     u = np.full(len(TIME), 0.4)
@@ -227,7 +255,8 @@ def test_joints_that_move_each_other_as_much_as_themselves_settle():
 def test_lanes_do_not_depend_on_each_other():
     u = commands_of(3)
     held = hold_commands(u, np.repeat([0, 1], 200), PERIOD, u)
-    loads = JointLoads(np.zeros((3, held.samples * held.steps)), np.full((3, held.samples * held.steps), 0.2))
+    nothing = np.zeros((3, held.samples * held.steps))
+    loads = JointLoads(nothing, nothing + 0.2, np.zeros((3, held.samples)))
     servo = plain(3, coulomb=[0.1, 0.2, 0.3])
     both = roll(servo, held, np.arange(3), loads.load, loads.mass).readout
     alone = roll(servo.take([2]), held, np.array([2]), loads.load, loads.mass).readout

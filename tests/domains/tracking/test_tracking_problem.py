@@ -10,7 +10,7 @@ from lite6jax.domains.tracking.model import units_along
 from lite6jax.domains.tracking.problem import along_rollout, tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.dynamic import CoulombFriction
-from lite6jax.effects.servo import RateLimit
+from lite6jax.effects.servo import RateLimit, TorqueLimit
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import contribution, linearised_at
@@ -228,3 +228,28 @@ def test_friction_over_the_position_holds_a_joint_at_rest():
     at = problem.data.dynamics.motion._replace(direction=np.ones((1, len(u))))
     forward = process.torque(after.values, problem.data.dynamics._replace(motion=at))
     assert np.tensordot(after.values, along, 1).sum(1) == pytest.approx(forward, abs=1e-9)
+
+
+@pytest.mark.parametrize(("sigma", "servo", "coupled"), [(1e-3, SERVO, True), (1e-3, "unknown", False)])
+def test_declared_servos_are_rolled_out_exactly_whatever_the_noise(sigma, servo, coupled):
+    rows = tracking_rows(record(commands_of(SAMPLES), servo, sigma=sigma), PENDULUM)
+    assert rows.coupled is coupled
+    assert (rows.commands.step < 2e-3) is coupled
+
+
+def test_a_fit_of_a_limit_begins_near_it():
+    log = record(commands_of(SAMPLES), SERVO, sigma=1e-4, limit=12.0)
+    problem = tracking_problem(tracking_rows(log, PENDULUM))
+    start = problem.likeliest_start(TorqueLimit(1), Terms(), np.zeros(0))
+    assert 1 / start[0] == pytest.approx(12.0, rel=0.5)
+    # where there is no limit, none of them is nearer than none
+    free = tracking_problem(tracking_rows(record(commands_of(SAMPLES), SERVO), PENDULUM))
+    assert not free.likeliest_start(TorqueLimit(1), Terms(), np.zeros(0)).any()
+
+
+def test_a_limit_that_is_reached_but_seldom_is_no_function_of_the_speed():
+    """The names of a joint are fitted before a process, which follows what columns at one limit show, is taken."""
+    document = diagnose(record(commands_of(SAMPLES), SERVO, sigma=1e-4, limit=12.0), PENDULUM).to_dict()
+    assert [(finding["effect"], finding["site"]) for finding in document["findings"]] == [("torque_limit", "joint1")]
+    limit = document["findings"][0]["parameters"]["torque_Nm"]
+    assert limit["value"] == pytest.approx(12.0, rel=0.01)
