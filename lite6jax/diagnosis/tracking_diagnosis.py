@@ -41,13 +41,13 @@ from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
-from lite6jax.estimation.thresholds import CLOSE, MARGIN
+from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, LISTED, MARGIN
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search
 from lite6jax.search.select import Selector
-from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
+from lite6jax.search.state import Alternative, SelectedTerm, State, fitted_again, refitted
 
 Array = NDArray[np.floating]
 
@@ -345,26 +345,41 @@ def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
     return replace(problem, data=replace(problem.data, noise=noise))
 
 
-def _with_gaps_of_rollouts(selection: Selection, options: EngineOptions) -> Selection:
-    """The selection with named alternatives as far behind as their own rollouts are.
+def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection with the likeliest names by their own rollouts, and named alternatives as far behind as theirs are.
 
     The search knows alternatives by their columns, to first order. Rollouts of friction, play and limits are not
-    linear: they may differ where their columns agree. The least gap is what a fit of the alternative loses of the
-    log-likelihood.
+    linear: they may differ where their columns agree, and agree where these differ.
     """
+    selector = Selector(selection.problem, options.rough)
     state = selection.state
-    nearest = []
-    for k, tested in enumerate(state.tested):
-        others = [*state.tested[:k], *state.tested[k + 1 :]]
-        alternatives = []
-        for alternative in tested.alternatives:
-            if not alternative.term.nonparametric and alternative.gap < CLOSE:
-                instead = SelectedTerm(alternative.term)
-                trial = refitted(selection.problem, state, [*others, instead], options.rough)
-                alternative = replace(alternative, gap=max(alternative.gap, state.fit.gain_over(trial.fit)))
-            alternatives.append(alternative)
-        nearest.append(replace(tested, alternatives=tuple(sorted(alternatives, key=lambda one: one.gap))))
-    return replace(selection, state=replace(state, tested=tuple(nearest)))
+    tested = list(state.tested)
+    exchanged = 0
+    k = 0
+    while k < len(tested):
+        if tested[k].term.nonparametric:
+            k += 1
+            continue
+        here = selector.weighed(replace(state, tested=tuple(tested)))
+        instead = selector.names_instead(here, k)
+        likeliest = max(instead, key=lambda trial: trial.evidence, default=here)
+        if likeliest.evidence > here.evidence + BETTER and exchanged < EXCHANGES:
+            exchanged += 1
+            state = likeliest
+            tested = list(state.tested)
+            k = 0
+            continue
+        # columns of processes say as little: the likeliest stands for all
+        others = [other for other in tested[k].alternatives if other.term.nonparametric][:1]
+        for trial in instead:
+            (name,) = (one.term for one in trial.tested if one.term not in here.fit.terms.terms)
+            gap = here.evidence - trial.evidence
+            if gap < CLOSE:
+                others.append(Alternative(name, max(gap, 0.0)))
+        nearest = tuple(sorted(others, key=lambda other: other.gap)[:LISTED])
+        tested[k] = replace(tested[k], alternatives=nearest)
+        k += 1
+    return replace(selection, state=replace(state, tested=tuple(tested)))
 
 
 def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Selection:
@@ -470,7 +485,7 @@ def diagnose_tracking(
             selection = _with_grip_of_friction(selection, engine)
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
-            selection = _with_gaps_of_rollouts(_without_negligible(selection, engine), engine)
+            selection = _compared_by_rollouts(_without_negligible(selection, engine), engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_of_refit, (selection, engine), anywhere=False)

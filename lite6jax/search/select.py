@@ -53,6 +53,8 @@ _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
 """Names that are fitted beside the likeliest one."""
+_LIKELY = 0.25
+"""Share of the log odds of the likeliest name by its columns, from which others may be likelier by their fits."""
 _PRODUCTS = 1 << 25
 """Of products of candidates that are kept from one model to the next: 256 MB."""
 
@@ -76,8 +78,8 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Terms are then tried in its place, whose two numbers
-        cost `CLOSE`.
+        many processes are significant that each describe a part of it. Terms are then tried in its place: its two
+        numbers cost `CLOSE`.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -262,8 +264,11 @@ class Selector:
     def _with_usual(self, state: State) -> State:
         """The state with the names that nearly every problem has, before anything else is asked for.
 
-        Numbers of them are chosen when all are there: that of one alone would describe what another one does.
+        Numbers of them are chosen when all are there: that of one alone would describe what another one does. Where
+        residuals are curved such a name may stand for any other of its rows, and is fitted beside these.
         """
+        if self.problem.curved:
+            return state
         before = state
         while worth := self._worth(ModelScan(self.scan, test := self.test(state)).usual(), test, state, set()):
             state = self._within_bounds(self._with(state, *worth))
@@ -760,6 +765,27 @@ class Selector:
             ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
+
+    def names_instead(self, state: State, k: int) -> list[State]:
+        """States with another name in the place of the k-th, one that moves the same rows, each fitted.
+
+        These are names that by their columns are worth `_LIKELY` of the likeliest.
+        """
+        term = state.tested[k].term
+        test = self.beside(state, k)
+        rows = self._rows(term, state)
+        named = [name for name in ModelScan(self.scan, test).named() if name.cause[0] != term.label]
+        named = [name for name in self._not_refused(named, test, state) if (rows & self._acted_on(name, state)).any()]
+        least = _LIKELY * max((name.net for name in named), default=0.0)
+        without = self._left_out(state, k)
+        instead = list[State]()
+        for name in named:
+            if name.net < max(least, MARGIN):
+                continue
+            trial = self._within_bounds(self._with(without, name))
+            if len(trial.tested) > len(without.tested):
+                instead.append(self.weighed(trial))
+        return instead
 
     def alternatives(self, state: State, every: int = 1) -> list[tuple[Alternative, ...]]:
         """The alternatives of each term; gains are multiplied by the samples for which each sample stands."""
