@@ -144,7 +144,8 @@ class TrackingProblem:
     """A tracking recording; `estimation.problem.Problem` describes the members it shares.
 
     Residuals are exact rollouts. Columns are differences of rollouts with one number changed, of joints along the loads
-    of the latest rollout. At zero of a number in which they are not linear they are secants of a usual size.
+    of the latest rollout. At zero of a number in which they are not linear they are secants of a usual size, of a limit
+    those of the limit with which joints are nearest to their read-outs.
 
     Attributes:
         data: the rows.
@@ -304,7 +305,11 @@ class TrackingProblem:
         wanted: list[tuple[int, list[_Difference]]] = []
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
-            wanted += enumerate(self._of_effect(effect, at[part], others, numbers), part.start)
+            step = None
+            if isinstance(effect, Limit) and not at[part].any():
+                beside_it = others.part(numbers, [term != effect for term in others.terms])
+                step = float(self.likeliest_start(effect, *beside_it)[0]) or None
+            wanted += enumerate(self._of_effect(effect, at[part], others, numbers, step), part.start)
         differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
         columns = np.zeros((own.size, self.rows, self.samples))
         for number, by_joint in wanted:
@@ -318,7 +323,7 @@ class TrackingProblem:
     ) -> list[list[_Difference]]:
         """The columns of an effect at some numbers of its own, beside others, one list for each number.
 
-        Differences are those of `step`, or of `step_of` where it is not given.
+        The first is a difference of `step`, or of `step_of` where it is not given, as all others are.
         """
         terms, values = others.part(numbers, [term != effect for term in others.terms])
         none = np.zeros(len(self.unknowns))
@@ -333,7 +338,9 @@ class TrackingProblem:
             acted_on = joints_of(effect)
         numbers_by_joint = []
         for k in range(effect.size):
-            over = self.step_of(effect, k, float(at[k])) if step is None else step
+            over = self.step_of(effect, k, float(at[k]))
+            if step is not None and k == 0:
+                over = step
             servo = model.servo
             total = extra
             if units is not None:
