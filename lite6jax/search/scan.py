@@ -10,6 +10,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | a wave | that, and ln of the orders that it is the best of |
 | a wave beside one of its angle of which it is a multiple, or which is one of it | ln of the multiples alone |
 | a read-out that wanders | ln of these, ln of the memories |
+| one that wanders where another of its kind does | −ln p, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
 | what repeats with a turn | as a wave of its order, ln of the slopes |
 | a wave whose size follows a quantity | as a wave of its order, −ln p of the quantity |

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import OPTIONS, Made, moving_motion
+from diagnosis.recorded import NOISE, OPTIONS, Made, moving_motion
 
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
+from lite6jax.search.scan import Scan
 from lite6jax.search.search import search
 
 SAMPLES, COEFFICIENT, SIZE = 240, 0.97, 2e-4
@@ -31,6 +32,35 @@ def test_a_read_out_that_wanders_is_noise_of_its_joint_and_no_finding(tmp_path, 
     memory = SAMPLES / np.pi / term.rolloff[0]
     assert 10 < memory < 100  # of 33 samples
     assert SIZE / 2 < term.spread < 2 * SIZE
+
+
+def test_one_more_read_out_of_a_kind_that_wanders_costs_even_odds(tmp_path):
+    problem = wandering_problem(tmp_path, 1)
+    order = next(one for one in problem.quantities if one.driver.is_order)
+    second, third = (next(one for one in problem.components if one.site == site) for site in ("joint2", "joint3"))
+    scan = Scan(problem, OPTIONS)
+    first = problem.process(second, [order], "wander", SIZE, (10.0, 2.0))
+    beside = scan.cost_of_wander_beside(third.site, [first])
+    assert beside == pytest.approx(np.log(2) + np.log(4))  # even odds, and any of four memories
+    assert beside < scan.cost_of_process(third.site, (scan.drivers,)) - 1
+    assert scan.cost_of_wander_beside(third.site, []) is None
+    assert scan.cost_of_wander_beside("sensor", [first]) is None  # encoders say nothing of a tracker
+
+
+@pytest.mark.parametrize("memory", [40, 80])
+def test_slow_noise_of_a_sensor_is_no_physics(tmp_path, memory):
+    """It forgets within a sixth or a third of the recording: what it leaves resembles frames that move."""
+    motion = moving_motion(1, SAMPLES)
+    made = Made(tmp_path, seed=1, orientation=False)
+    poses = made.poses(motion)
+    noise = NOISE[0] * np.random.default_rng(memory).standard_normal((SAMPLES, 3))
+    coefficient = 1 - 1 / memory
+    for k in range(1, SAMPLES):
+        noise[k] = coefficient * noise[k - 1] + np.sqrt(1 - coefficient**2) * noise[k]
+    poses[:, :3, 3] += noise
+    found = search(pose_problem(made.recording(motion, noise=None, poses=poses)), OPTIONS)
+    assert found.state.tested == ()
+    assert not found.state.fit.noise.white
 
 
 def test_what_wanders_is_nuisance_with_the_variance_of_an_autoregression(tmp_path):
