@@ -46,7 +46,7 @@ class Prior:
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")
     # read-outs, besides the four kinds
     wandering: float = option(0.25, "a read-out wanders by itself, any of them", "as each kind of physics")
-    alike: float = option(0.5, "a read-out wanders too, where another of its kind does", "encoders of an arm are alike")
+    alike: float = option(0.5, "a read-out wanders too where one of its kind does", "read-outs of a kind are alike")
     jump: float = option(0.25, "a read-out jumps once, any of them, at any sample", "as each kind of physics")
     # what was declared
     wrong_input: float = option(0.1, "a declared input such as a load is wrong", "one case in ten")

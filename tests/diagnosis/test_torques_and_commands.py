@@ -12,6 +12,7 @@ from lite6jax.diagnosis.document import read_model
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.recordings import read_recording
+from lite6jax.report.sentences.diagnosis import shared_quantity
 from tests.domains.tracking.test_servo_fit import PERIOD, TRUE
 from tests.domains.tracking.test_tracking_commands import columns_of, write_log
 from tests.oracles.servos import follow
@@ -74,11 +75,11 @@ def coulomb(part):
     return friction["parameters"]["coulomb_Nm"]
 
 
-def test_commands_show_friction_only_beside_a_gain(document):
-    """In smooth motions a servo that is too soft is one whose joint has more of everything."""
+def test_both_show_the_friction(document):
+    """A servo that is too soft resembles one whose joint has more of everything: two names, not five."""
     measured = coulomb(document)
     assert measured["value"] == pytest.approx(FRICTION - 0.2, abs=4 * measured["std"])
-    assert coulomb(document["tracking"])["value"] == pytest.approx(FRICTION * 200.0 / GAIN - 0.2, abs=0.01)
+    assert coulomb(document["tracking"])["value"] == pytest.approx(FRICTION - 0.2, abs=0.02)
 
 
 def test_the_friction_of_both_gives_the_gain(document):
@@ -87,9 +88,9 @@ def test_the_friction_of_both_gives_the_gain(document):
     stiffness = gain["torques"]["parameters"]["stiffness_Nm_per_rad"]
     assert stiffness["value"] == pytest.approx(GAIN, abs=4 * stiffness["std"])
     assert stiffness["std"] < 0.02 * GAIN
-    declared = gain["tracking"]["parameters"]["stiffness_Nm_per_rad"]
-    assert declared["value"] == pytest.approx(200.0)
-    assert not gain["agree"]
+    by_commands = gain["tracking"]["parameters"]["stiffness_Nm_per_rad"]
+    assert by_commands["value"] == pytest.approx(GAIN, rel=0.01)
+    assert gain["agree"]
 
 
 def test_the_report_shows_both(capsys, folder):
@@ -98,5 +99,19 @@ def test_the_report_shows_both(capsys, folder):
     said = flat(printed)
     assert said.index("Torques") < said.index("Commands") < said.index("What torques and commands both depend on")
     assert "Of the position gain at joint1, torques say stiffness 15" in said
-    assert "they disagree" in said
+    assert "commands say stiffness 150" in said
+    assert "they agree" in said
+
+
+def test_what_disagrees_is_said_with_a_remedy():
+    entry = {
+        "quantity": "position_gain",
+        "site": "joint1",
+        "agree": False,
+        "p_value": 1e-5,
+        "torques": {},
+        "tracking": {},
+    }
+    said = shared_quantity(entry, {"torques": "150 Nm/rad", "tracking": "200 Nm/rad"})
+    assert "torques say 150 Nm/rad, commands say 200 Nm/rad: they disagree (p = 1e-05)" in said
     assert "Put the gain that the torques show into the servo's settings" in said
