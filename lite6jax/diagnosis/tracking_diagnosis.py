@@ -469,12 +469,14 @@ def diagnose_tracking(
             screened = screen_tracking(recording, arm)
             problem = tracking_problem(screened.data)
             problem = replace(problem, valid=problem.valid & ~screened.unusable)
+            is_described = True
             if problem.unknowns:
                 memory = _MEMORY / problem.data.commands.period
                 engine = replace(engine, longest_memory=memory, damping=_DAMPING)
                 entered("linearising")
                 selection = _with_servos(problem, engine)
-                if _is_as_described(selection):
+                is_described = _is_as_described(selection)
+                if is_described:
                     problem, start = _exactly(problem, selection, engine)
                     selection = search(problem, engine, start=start)
                 else:
@@ -485,7 +487,9 @@ def diagnose_tracking(
             selection = _with_grip_of_friction(selection, engine)
             problem = selection.problem
             assert isinstance(problem, TrackingProblem)
-            selection = _compared_by_rollouts(_without_negligible(selection, engine), engine)
+            selection = _without_negligible(selection, engine)
+            if is_described:  # names of other arms were chosen by what they predict, not by evidence
+                selection = _compared_by_rollouts(selection, engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, errors_of_refit, (selection, engine), anywhere=False)
