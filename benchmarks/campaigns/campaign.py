@@ -94,7 +94,7 @@ class Campaign:
     set_goals: Callable[[Sequence[Row], float], list[Goal]]
     unseen: Callable[[Sequence[Row]], Section]  # a table on the errors of the unseen motion
     measuring: Sequence[str] = ()  # the sensors that its rows may name; empty where they name none
-    hearing: Sequence[str] = ()  # the noises that its rows may name; empty where they may name any
+    noise_names: Sequence[str] = ()  # the noises that its rows may name; empty where they may name any
     # diagnoses the files of a folder and writes what comes of it there
     answer: Callable[[Path], None] = diagnose_and_predict
     # campaigns of other sensors, among which `--sensor` chooses
@@ -149,9 +149,11 @@ class Campaign:
             raise ValueError(f"{out}: has trials of another seed; give that, or another file")
         if others := sorted({str(row.get("sensor")) for row in rows.values()} - set(self.measuring or ("None",))):
             raise ValueError(f"{out}: has trials of another sensor ({', '.join(others)}); give that, or another file")
-        unheard = sorted({row["noise"] for row in rows.values()} - set(self.hearing))
-        if self.hearing and unheard:
-            raise ValueError(f"{out}: has trials of another noise ({', '.join(unheard)}); give that, or another file")
+        noises_there = sorted({row["noise"] for row in rows.values()} - set(self.noise_names))
+        if self.noise_names and noises_there:
+            raise ValueError(
+                f"{out}: has trials of another noise ({', '.join(noises_there)}); give that, or another file"
+            )
         if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
             kept = "open" if sealed_families else "sealed"
             raise ValueError(f"{out}: has trials of {kept} families; give another file")

@@ -192,14 +192,14 @@ def unseen(rows: Sequence[Row]) -> Section:
 
 
 POSES = Campaign(
-    "concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS), hearing=NOISES
+    "concealed", 1000, 3.0, ROUNDS, SCHEMA, draw, score, goals, unseen, measuring=tuple(SENSORS), noise_names=NOISES
 )
 """Of sensors that measure poses."""
 _READING = replace(POSES, count=200, known=2.0, rounds=READ_ROUNDS, set_goals=reading_goals)
 READINGS = {name: replace(_READING, draw=partial(draw_reading, name), measuring=(name,)) for name in READERS}
 """Of the others, by name."""
 _NOISY = replace(POSES, count=67, rounds=NOISE_ROUNDS, set_goals=noise_goals)
-NOISY = {name: replace(_NOISY, draw=partial(draw_noise, name), hearing=(name,)) for name in HARD_NOISES}
+NOISY = {name: replace(_NOISY, draw=partial(draw_noise, name), noise_names=(name,)) for name in HARD_NOISES}
 """Of healthy arms whose noise is hard, by its name."""
 
 

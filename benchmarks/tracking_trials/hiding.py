@@ -110,10 +110,9 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
     for k, (name, times) in enumerate(zip(plan.effects, plan.sizes, strict=True)):
         rungs = shown[1 + k * _RUNGS : 1 + (k + 1) * _RUNGS]
         usable = np.isfinite(rungs).all(1)
-        moved = np.where(usable, np.linalg.norm(np.where(usable[:, None], rungs, 0.0), axis=1), np.inf)
-        clear = np.linalg.norm(left(np.where(usable[:, None], rungs, 0.0).T), axis=0)
-        clear = np.where(usable, clear, np.inf)
         changes = np.where(usable[:, None], rungs, 0.0)
+        moved = np.where(usable, np.linalg.norm(changes, axis=1), np.inf)
+        clear = np.where(usable, np.linalg.norm(left(changes.T), axis=0), np.inf)
         thresholds = np.where(usable, view.thresholds(clear, changes, _linear(name)), np.inf)
         sizes = np.geomspace(*_sizes(name), _RUNGS)
         least = name in AT_LEAST and thresholds[0] >= times

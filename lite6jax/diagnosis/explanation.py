@@ -355,8 +355,7 @@ def _odds_of_uncertainty(explanation: Explanation, case: Case, noise: NoiseModel
     """Log odds of an uncertain calibration over the physics found, and its standard deviation (m and rad).
 
     To first order, in one noise model, with as many of the effects beside it as make the largest odds; the standard
-    deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation,
-    Neural Computation 4, 1992).
+    deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
     problem = explanation.problem
     fit = explanation.selection.state.fit

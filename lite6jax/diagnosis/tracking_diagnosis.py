@@ -353,33 +353,39 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
     """
     selector = Selector(selection.problem, options.rough)
     state = selection.state
-    tested = list(state.tested)
-    exchanged = 0
-    k = 0
-    while k < len(tested):
-        if tested[k].term.nonparametric:
-            k += 1
-            continue
-        here = selector.weighed(replace(state, tested=tuple(tested)))
-        instead = selector.names_instead(here, k)
-        likeliest = max(instead, key=lambda trial: trial.evidence, default=here)
-        if likeliest.evidence > here.evidence + BETTER and exchanged < EXCHANGES:
-            exchanged += 1
-            state = likeliest
-            tested = list(state.tested)
-            k = 0
-            continue
-        # columns of processes say as little: the likeliest stands for all
-        others = [other for other in tested[k].alternatives if other.term.nonparametric][:1]
-        for trial in instead:
-            (name,) = (one.term for one in trial.tested if one.term not in here.fit.terms.terms)
-            gap = here.evidence - trial.evidence
-            if gap < CLOSE:
-                others.append(Alternative(name, max(gap, 0.0)))
-        nearest = tuple(sorted(others, key=lambda other: other.gap)[:LISTED])
-        tested[k] = replace(tested[k], alternatives=nearest)
-        k += 1
-    return replace(selection, state=replace(state, tested=tuple(tested)))
+    exchanges = 0
+    while True:
+        weighed = selector.weighed(state)
+        rivals = list[list[State]]()
+        likelier = None
+        for k, tested in enumerate(state.tested):
+            rivals.append([] if tested.term.nonparametric else selector.names_instead(weighed, k))
+            likeliest = max(rivals[k], key=lambda rival: rival.evidence, default=weighed)
+            if exchanges < EXCHANGES and likeliest.evidence > weighed.evidence + BETTER:
+                likelier = likeliest
+                break
+        if likelier is None:
+            break
+        state = likelier
+        exchanges = exchanges + 1
+    pairs = zip(state.tested, rivals, strict=True)
+    compared = tuple(_with_alternatives(tested, weighed, of_term) for tested, of_term in pairs)
+    return replace(selection, state=replace(state, tested=compared))
+
+
+def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[State]) -> SelectedTerm:
+    """A term of a state with the names in its place that are nearly as likely; a process as it is."""
+    if tested.term.nonparametric:
+        return tested
+    # columns of processes say as little: the likeliest stands for all
+    alternatives = [other for other in tested.alternatives if other.term.nonparametric][:1]
+    for rival in rivals:
+        (name,) = (selected.term for selected in rival.tested if selected.term not in weighed.fit.terms.terms)
+        gap = weighed.evidence - rival.evidence
+        if gap < CLOSE:
+            alternatives.append(Alternative(name, max(gap, 0.0)))
+    nearest = sorted(alternatives, key=lambda alternative: alternative.gap)
+    return replace(tested, alternatives=tuple(nearest[:LISTED]))
 
 
 def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Selection:

@@ -52,7 +52,7 @@ _LARGE = 30.0
 _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
-"""Names that are fitted beside the likeliest one."""
+"""Names of a site that are fitted beside the likeliest one, and one of each other site that moves the same rows."""
 _LIKELY = 0.25
 """Share of the log odds of the likeliest name by its columns, from which others may be likelier by their fits."""
 _PRODUCTS = 1 << 25
@@ -233,18 +233,20 @@ class Selector:
         """Beside a candidate that is large the likeliest names of its site and of each that moves the same rows."""
         if candidate.net < _LARGE:
             return []
-        test = self.test(state)
-        acted_on = self._acted_on(candidate, state)
         rivals = list[Ranked]()
         of_sites = Counter[str]()
-        for name in sorted(ModelScan(self.scan, test).named(), key=lambda name: -name.net):
+        names = self._names_moving(self._acted_on(candidate, state), self.test(state), state)
+        for name in sorted(names, key=lambda name: -name.net):
             most = _RIVALS if name.site == candidate.site else 1
-            if name.net < MARGIN or name.key == candidate.key or of_sites[name.site] == most:
-                continue
-            if self._not_refused([name], test, state) and (acted_on & self._acted_on(name, state)).any():
+            if name.key != candidate.key and of_sites[name.site] < most:
                 of_sites[name.site] += 1
                 rivals.append(name)
         return rivals
+
+    def _names_moving(self, rows: Mask, test: ScoreTest, state: State) -> list[Ranked]:
+        """The names that act on some rows and are worth their cost beside a model."""
+        worth = [name for name in ModelScan(self.scan, test).named() if name.net >= MARGIN]
+        return [name for name in self._not_refused(worth, test, state) if (rows & self._acted_on(name, state)).any()]
 
     def _most_gained(self, rival: Ranked, candidate: Ranked, state: State) -> float:
         """The log-likelihood that a rival gains at most: of fewer rows than a candidate moves, all but their noise."""
@@ -491,10 +493,12 @@ class Selector:
             if not least:
                 return state
             without = self._without(state, least)
-            if self.problem.curved and len(least) > 1 and without.evidence < state.evidence - MARGIN:
-                without = self._without(state, {int(order[0])})
-            if self.problem.curved and without.evidence < state.evidence - MARGIN:
-                return state
+            if self.problem.curved:
+                lowest = state.evidence - MARGIN
+                if len(least) > 1 and without.evidence < lowest:
+                    without = self._without(state, {int(order[0])})
+                if without.evidence < lowest:
+                    return state
             state = without
 
     def above_noise(self, state: State) -> State:
@@ -772,16 +776,12 @@ class Selector:
         These are names that by their columns are worth `_LIKELY` of the likeliest.
         """
         term = state.tested[k].term
-        test = self.beside(state, k)
-        rows = self._rows(term, state)
-        named = [name for name in ModelScan(self.scan, test).named() if name.cause[0] != term.label]
-        named = [name for name in self._not_refused(named, test, state) if (rows & self._acted_on(name, state)).any()]
+        named = self._names_moving(self._rows(term, state), self.beside(state, k), state)
+        named = [name for name in named if name.cause[0] != term.label]
         least = _LIKELY * max((name.net for name in named), default=0.0)
         without = self._left_out(state, k)
         instead = list[State]()
-        for name in named:
-            if name.net < max(least, MARGIN):
-                continue
+        for name in (name for name in named if name.net >= least):
             trial = self._within_bounds(self._with(without, name))
             if len(trial.tested) > len(without.tested):
                 instead.append(self.weighed(trial))

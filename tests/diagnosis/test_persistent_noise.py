@@ -11,12 +11,18 @@ from lite6jax.search.search import search
 SAMPLES, COEFFICIENT, SIZE = 240, 0.97, 2e-4
 
 
+def autoregression(draws, coefficient):
+    """Stationary noise of first order, of independent draws `(sample, …)` of the same standard deviation."""
+    states = draws.copy()
+    for k in range(1, len(draws)):
+        states[k] = coefficient * states[k - 1] + np.sqrt(1 - coefficient**2) * draws[k]
+    return states
+
+
 def wandering_problem(tmp_path, seed: int, compliance: float = 0.0) -> PoseProblem:
     """Poses of an arm whose joint 2 is read out with a first-order autoregression."""
     motion = moving_motion(seed, SAMPLES)
-    steps = SIZE * np.random.default_rng(seed).standard_normal(SAMPLES)
-    for k in range(1, SAMPLES):
-        steps[k] = COEFFICIENT * steps[k - 1] + np.sqrt(1 - COEFFICIENT**2) * steps[k]
+    steps = autoregression(SIZE * np.random.default_rng(seed).standard_normal(SAMPLES), COEFFICIENT)
     moved = motion["joint_position"].copy()
     moved[:, 1] += steps
     made = Made(tmp_path, seed=1, orientation=False)
@@ -53,11 +59,8 @@ def test_slow_noise_of_a_sensor_is_no_physics(tmp_path, memory):
     motion = moving_motion(1, SAMPLES)
     made = Made(tmp_path, seed=1, orientation=False)
     poses = made.poses(motion)
-    noise = NOISE[0] * np.random.default_rng(memory).standard_normal((SAMPLES, 3))
-    coefficient = 1 - 1 / memory
-    for k in range(1, SAMPLES):
-        noise[k] = coefficient * noise[k - 1] + np.sqrt(1 - coefficient**2) * noise[k]
-    poses[:, :3, 3] += noise
+    draws = NOISE[0] * np.random.default_rng(memory).standard_normal((SAMPLES, 3))
+    poses[:, :3, 3] += autoregression(draws, 1 - 1 / memory)
     found = search(pose_problem(made.recording(motion, noise=None, poses=poses)), OPTIONS)
     assert found.state.tested == ()
     assert not found.state.fit.noise.white

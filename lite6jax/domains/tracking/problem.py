@@ -307,8 +307,7 @@ class TrackingProblem:
             assert isinstance(effect, Effect)
             step = None
             if isinstance(effect, Limit) and not at[part].any():
-                beside_it = others.part(numbers, [term != effect for term in others.terms])
-                step = float(self.likeliest_start(effect, *beside_it)[0]) or None
+                step = float(self.likeliest_start(effect, others, numbers)[0]) or None
             wanted += enumerate(self._of_effect(effect, at[part], others, numbers, step), part.start)
         differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
         columns = np.zeros((own.size, self.rows, self.samples))

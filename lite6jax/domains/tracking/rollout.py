@@ -40,7 +40,7 @@ GRIP = 0.96 / (1 - 0.96)
 
 A diagnosis looks for the grip of its recording, beginning with this one: `problem.with_likely_grip`.
 """
-RESTED = 2.0
+_RESTED = 2.0
 """s, for which a joint has rested at least when a run begins."""
 _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
@@ -477,7 +477,7 @@ def _roll(
             balance = carried + p.spring * q + p.spring_torque + between[0][0] - p.stiffness * error
             coulomb = jnp.maximum(p.coulomb + between[1][0], 0.0)
             most = coulomb + p.stribeck + p.load_friction * jnp.abs(carried)
-            balance = balance + jnp.clip(p.integral * error * RESTED, -most, most)
+            balance = balance + jnp.clip(p.integral * error * _RESTED, -most, most)
             summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
             at_rest = first_command, first_command, first_command, summed, error
             fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load)
