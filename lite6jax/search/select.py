@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, CurvedProblem, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
@@ -47,6 +48,8 @@ _ESTIMATES = 4
 _MOST_TERMS = 8
 """Terms of one group of rows from which none is added; bounds the time, and more were never true in a trial."""
 
+_APART = 0.5
+"""Share of its log odds that a term keeps beside another, from which both are added at once."""
 _LARGE = 30.0
 """Log odds by their columns, from which curved terms are compared by their fits."""
 _FAILURES = 2
@@ -78,24 +81,26 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Terms are then tried in its place: its two
-        numbers cost `CLOSE`.
+        many processes are significant that each describe a part of it. More terms are then tried in its place: its two
+        numbers cost `CLOSE`. Terms are exchanged in the likelier noise alone.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
         autocorrelated = replace(state, fit=self.in_likeliest_noise(state.fit))
         begun = self._continued_from(autocorrelated)
         if self._has_terms(begun):
-            asked = {self._key_of(selected.term) for selected in begun.tested if selected.term.nonparametric}
-            return self.above_noise(self._grown(begun, exchanging, asked))
-        grown = self._grown(begun, exchanging, set())
+            return self.above_noise(self._grown(begun, exchanging, self._processes_of(begun)))
+        grown = self._grown(begun, False, set())
         if not autocorrelated.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            instead = self._grown(self._continued_from(state), exchanging, set())
+            white = self._continued_from(self._in_noise(grown, state.fit.noise))
+            instead = self._grown(white, False, self._processes_of(white))
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
             cost_of_noise = CLOSE if instead.fit.noise.white and not grown.fit.noise.white else 0.0
             if instead.evidence > grown.evidence - cost_of_noise:
                 grown = instead
+        if exchanging:
+            grown = self._grown(grown, True, self._processes_of(grown))
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
@@ -103,6 +108,16 @@ class Selector:
     def _continued_from(self, state: State) -> State:
         """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
         return self._settled(self._estimated(state)) if self._has_terms(state) else state
+
+    def _in_noise(self, state: State, noise: NoiseModel) -> State:
+        """The terms of a state fitted in another noise."""
+        f = state.fit
+        start = f.values, f.nuisance, f.training
+        return replace(state, fit=fit(self.problem, f.terms, self.options, *start, noise, whitened=self._whitened))
+
+    def _processes_of(self, state: State) -> set[tuple[object, ...]]:
+        """The processes of a state, by what they are: those in whose place no names are likelier."""
+        return {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
 
     def _has_terms(self, state: State) -> bool:
         """Whether a state has terms beside those of the domain."""
@@ -286,8 +301,10 @@ class Selector:
         return self._within_bounds(self._estimated(self._with(state, *worth)))
 
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
-        """The terms of a ranking that are worth their cost and within their bounds, of each row the likeliest alone.
+        """The terms of a ranking that are worth their cost and within their bounds, of each site the likeliest alone.
 
+        Of those that act on the same rows, further ones are taken that keep their odds beside the ones before: they
+        explain something else. Where residuals are curved none is, as columns say nothing of that.
         A further term may be a part of what a present one does not describe. It is left out where it explains less than
         noise of its own would at that one's component.
         """
@@ -297,22 +314,45 @@ class Selector:
         components = [component for term in model if (component := self._component_of(term)) is not None]
         columns = {id(component): component.column for component in components}
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
-        taken = counts >= _MOST_TERMS
+        full = counts >= _MOST_TERMS
+        taken = np.zeros(self.problem.rows, bool)
+        asked_sites = set[str]()
         worth = list[Ranked]()
         weighed = [self._continued(candidate, model) for candidate in self._not_refused(ranked, test, state)]
         for candidate in sorted(weighed, key=lambda candidate: -candidate.net):
-            if candidate.net < MARGIN or taken.all():
+            if candidate.net < MARGIN or full.all():
                 break
-            if candidate.key in tried or candidate.site in tried:
+            if candidate.key in tried or candidate.site in tried or candidate.site in asked_sites:
                 continue
             if not self._has_room(candidate, model) or not self._is_possible(test, candidate):
                 continue
             rows = self._acted_on(candidate, state)
-            if not (rows & taken).any():
-                taken |= rows
-                if all(candidate.gain >= gain for acted_on, gain in noises if (acted_on & rows).any()):
-                    worth.append(candidate)
+            if (rows & full).any():
+                continue
+            asked_sites.add(candidate.site)
+            if any(candidate.gain < gain for acted_on, gain in noises if (acted_on & rows).any()):
+                full |= rows
+                continue
+            if (rows & taken).any() and not self._is_apart(candidate, test):
+                continue
+            worth.append(candidate)
+            taken |= rows
+            if self.problem.curved:
+                full |= rows
+            else:
+                model_values = state.fit.terms, state.fit.values
+                test = test.extend(test.problem.columns([candidate.make()], beside=model_values))
         return worth
+
+    def _is_apart(self, candidate: Ranked, test: ScoreTest) -> bool:
+        """Whether a candidate keeps most of its odds beside a model that has others of its ranking."""
+        weighed = ModelScan(self.scan, test)
+        if candidate.process:
+            component, quantity_indices, kernel, rolloff = candidate.process
+            beside = weighed.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)
+        else:
+            beside = weighed.as_is(candidate.make())
+        return beside is not None and beside.gain - candidate.cost >= max(_APART * candidate.net, MARGIN)
 
     def _has_room(self, candidate: Ranked, model: Sequence[Term]) -> bool:
         """Whether a term's site has no process, or a process may be added there; no name is added to one.
