@@ -24,6 +24,8 @@ _FIRST_STEPS = 6
 """Most steps of a fit that is linearised anew where it has not converged by then; four suffice mostly."""
 _LEAST_GAIN = 0.01
 """Log-likelihood that a fit must gain to be linearised anew again; `CLOSE` is 600 times that."""
+_SHORT = 0.3
+"""Standard deviations of a step after which the derivatives are still those of the estimate."""
 _EXACT_STEPS = 8
 """Most steps of a fit with derivatives by differences, which starts at the solution."""
 _EXACT_SETTLED = 0.02
@@ -41,6 +43,11 @@ _MANY = 40
 """Numbers of a term from which factored columns save time."""
 _FAR_STEPS = 20
 """Steps at most that do not count, as the nuisance moves so far that columns are others: e⁸ of a number takes ten."""
+_SAME_WEIGHTS = 0.03
+"""Mean change of the weights, over themselves, up to which products of columns serve further steps.
+
+The gradient has the weights as they are: each step then multiplies the error by that more.
+"""
 _TYPICAL = 1e-4
 """m or rad, the change of a prediction by a number of its typical size."""
 
@@ -71,6 +78,20 @@ class Residuals(NamedTuple):
     def row_weight(self) -> Array:
         """`(row, sample)`, of each number in the normal equations."""
         return (self.weight / self.scale[:, None] ** 2)[self.groups]
+
+
+class _Information(NamedTuple):
+    """Products of columns with one another.
+
+    Attributes:
+        columns: their parts, as of `gram`; None before there are any.
+        weight: `(row, sample)`, of each row and sample in the products.
+        products: `(number, number)`.
+    """
+
+    columns: Sequence[Array | Factored] | None
+    weight: Array
+    products: Array
 
 
 @final
@@ -129,6 +150,14 @@ class Fit:
         few = r._replace(rows=r.rows[:, ::every], innovations=r.innovations[:, ::every], weight=r.weight[:, ::every])
         return replace(self, residuals=few, training=self.training[::every])
 
+    def seen_in(self, problem: LinearisedProblem, training: Mask, noise: NoiseModel) -> "Fit":
+        """Its numbers and what is known of them, with the residuals of another problem, linearised at them."""
+        nuisance = np.zeros_like(self.nuisance)
+        rows = problem.residual(nuisance, self.terms, self.values)
+        residuals = weighed(rows, noise, training, float(problem.floored))
+        moved = {"nuisance": nuisance, "offset": problem.offset, "residuals": residuals}
+        return replace(self, **moved, training=training, noise=noise)
+
     @property
     def freedom(self) -> float:
         """Residual degrees of freedom."""
@@ -172,7 +201,8 @@ def fit(
     (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise.
     Each step multiplies the error by about a thousandth, or by the error of the start in rad where that is larger.
     Beside an effect of many times the noise the nuisance may be too far from that point: a fit that has not converged
-    after `_FIRST_STEPS` goes on with the problem linearised anew, up to `relinearisations` times. Derivatives are kept
+    after `_FIRST_STEPS` goes on as `relinearised_fit`, if `relinearised`. Its nuisance is then the sum of displacements
+    one after the other, which differ from their sum to second order; its residuals are exact. Derivatives are kept
     while no term's numbers change by more than the share `stale`. Where a combination of nuisance numbers is nearly
     confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
     are needed for the covariance.
@@ -192,39 +222,20 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    following = options.fit.relinearisations and not exact and len(problem.precision)
+    following = options.fit.relinearised and not exact and len(problem.precision)
     first = replace(options, fit=replace(options.fit, steps=_FIRST_STEPS)) if following else options
     found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False, whitened)[1]
     if found.converged or exact:
         return found
     if following:
-        found = _followed(problem, found, first)
+        there = problem.relinearised(found.nuisance, (terms, found.values))
+        again = relinearised_fit(there, terms, found.values, options, found.training, found.noise)[1]
+        if again.gain_over(found) > 0:
+            found = replace(again, nuisance=again.nuisance_about(problem), offset=problem.offset)
     if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
         return found
     again = _fitted(problem, terms, options, None, None, training, noise, False, False, whitened)[1]
     return again if again.gain_over(found) > 0 else found
-
-
-def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -> Fit:
-    """The fit after further ones, for each of which the problem is linearised where the one before ended.
-
-    Its nuisance is the sum of all. Displacements one after the other differ from their sum to second order, and its
-    residuals are those of the former: a further fit, from there, makes them agree.
-    """
-    about = problem
-    f = fitted
-    for _ in range(options.fit.relinearisations):
-        about = about.relinearised(f.nuisance)
-        again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
-        gain = again.gain_over(f)
-        if gain <= 0:
-            break
-        f = replace(again, converged=again.converged or gain < _LEAST_GAIN)
-        if f.converged:
-            break
-    if f is fitted:
-        return f
-    return replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
 
 
 def _may_jump(terms: Terms) -> bool:
@@ -241,10 +252,35 @@ def relinearise(problem: P, options: EngineOptions, training: Mask | None = None
         training: `(sample,)` bool; all where not given.
         steps: the most; those of the options where not given.
     """
-    terms, values = problem.preset
     if steps is not None:
         options = replace(options, fit=replace(options.fit, steps=steps))
-    return _fitted(problem, terms, options, values, None, training, None, False, True)[0]
+    return relinearised_fit(problem, *problem.preset, options, training=training)[0]
+
+
+def relinearised_fit(
+    problem: P,
+    terms: Terms,
+    values: Array,
+    options: EngineOptions,
+    training: Mask | None = None,
+    noise: NoiseModel | None = None,
+) -> tuple[P, Fit]:
+    """The problem about the best nuisance and numbers of terms, linearised anew after each long step; and the fit.
+
+    Derivatives are then those at the estimate. Where numbers are nearly confounded, an error of a thousandth in the
+    derivatives leads every step astray along the combination that the data hardly determine.
+
+    Args:
+        problem: the data, linearised where the fit begins.
+        terms: of the model.
+        values: `(terms.size,)` to start from.
+        options: thresholds.
+        training: `(sample,)` bool; all where not given.
+        noise: the noise model; white where not given.
+    """
+    problem, fitted = _fitted(problem, terms, options, values, None, training, noise, False, True)
+    there = problem.relinearised(fitted.nuisance, (terms, fitted.values))
+    return there, fitted.seen_in(there, fitted.training, fitted.noise)
 
 
 def _fitted(
@@ -287,6 +323,18 @@ def _fitted(
             return _parts(near, terms, numbers[k:])
         return of_models.columns(near, terms, numbers[k:], noise)
 
+    def informed(columns: Sequence[Array | Factored], weight: Array) -> _Information:
+        nonlocal buffer
+        root = np.sqrt(weight)
+        dense = [part for part in columns if not isinstance(part, Factored)]
+        if len(dense) == len(columns):
+            if len(buffer) != len(at):  # written again and again: new memory takes as long as the products
+                buffer = np.empty((len(at), problem.rows, problem.samples))
+            parts: list[Array | Factored] = [weighed_columns(dense, root, buffer)]
+        else:
+            parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
+        return _Information(columns, weight, gram(parts))
+
     def differs(where: P, numbers: Array, others: Array) -> bool:
         """Whether columns at some numbers differ from those at others by the nuisance."""
         return linearised_at(where, numbers[:k] - others[:k]) is not where
@@ -298,6 +346,8 @@ def _fitted(
     H = np.eye(0)
     damped = 0.0
     columns: Sequence[Array | Factored] | None = None
+    weight = np.zeros((problem.rows, problem.samples))
+    information = _Information(None, weight, H)
     taken = at
     most_steps = _EXACT_STEPS if exact else options.fit.steps
     far_steps = 0
@@ -306,40 +356,29 @@ def _fitted(
         far_steps += far
         if step_number - far_steps >= most_steps:
             break
-        if columns is None or exact or moving or far or _apart(terms, at[k:], taken[k:], options.fit.stale):
+        if columns is None or exact or far or _apart(terms, at[k:], taken[k:], options.fit.stale):
             columns = columns_at(problem, at, state.rows)
             taken = at
         if not sum(map(len, columns)):
             converged = True
             break
-        root = np.sqrt(np.where(training, state.row_weight, 0.0))
-        dense = [part for part in columns if not isinstance(part, Factored)]
-        if len(dense) == len(columns):
-            if len(buffer) != len(at):  # written at every step: new memory takes as long as the products
-                buffer = np.empty((len(at), problem.rows, problem.samples))
-            parts: list[Array | Factored] = [weighed_columns(dense, root, buffer)]
-        else:
-            parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
-        H = gram(parts)
-        gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
-        H[np.diag_indices_from(H)] += precision
+        weight = np.where(training, state.row_weight, 0.0)
+        if columns is not information.columns or _differ(weight, information.weight):
+            information = informed(columns, weight)
+        gradient = pulled(columns, weight * state.innovations) + precision * prior(problem, at)
+        H = information.products + np.diag(precision)
         full = -scaled_solve(H, gradient, rounding)
         length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
         fresh = np.array_equal(at[k:], taken[k:]) and not differs(problem, at, taken)
         trial = at
-        there = problem
         rows = state.rows
         cost = np.inf
         for step, damping in _steps(H, gradient, full, rounding, damped, options, problem.curved):
             trial = at + step
-            there = problem
             trial[k:] = np.clip(trial[k:], *bounds)
-            if moving:
-                there = problem.relinearised(trial[:k])
-                trial = np.concatenate([np.zeros(k), trial[k:]])
-            rows = residual(there, trial)
-            cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
+            rows = residual(problem, trial)
+            cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, trial))
             if cost <= before + 1e-9 * abs(before):
                 if fresh:
                     damped = damping
@@ -350,13 +389,22 @@ def _fitted(
             columns = None
             continue
         at = trial
-        problem = there
+        if moving and length > _SHORT:
+            problem = problem.relinearised(at[:k], (terms, at[k:]))
+            at = np.concatenate([np.zeros(k), at[k:]])
+            rows = residual(problem, at)
+            columns = None
+            there = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, at))
+            # what is computed where a problem is linearised has no derivatives: steps may stay long at the end
+            moving = before - there > 2 * _LEAST_GAIN
         state = weighed(rows, noise, training, least)
         if length < (_EXACT_SETTLED if exact else options.fit.settled):
             converged = True
             break
         if before - cost < options.fit.settled**2:
             break  # where derivatives are inexact, steps may stay long and change nothing
+    if columns and len(H) and (columns is not information.columns or weight is not information.weight):
+        H = informed(columns, weight).products + np.diag(precision)
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
@@ -367,6 +415,11 @@ def _fitted(
     volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, CONFOUNDED)
     rest = covariance, state, training, effective, converged, noise, penalty, volume
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
+
+
+def _differ(weight: Array, other: Array) -> bool:
+    """Whether weights differ by more than steps need."""
+    return bool(np.sum(np.abs(weight - other)) > _SAME_WEIGHTS * np.sum(weight))
 
 
 def _volume_of_processes(H: Array, precision: Array, terms: Terms) -> float:

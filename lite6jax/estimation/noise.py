@@ -5,7 +5,7 @@ white (G. Box and G. Jenkins, Time Series Analysis, A4.4).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise, product
 from typing import final
@@ -163,6 +163,18 @@ class NoiseModel:
         """
         white_shares = np.array([1 - model.share for model in self.models])
         return declared / np.sqrt(np.maximum(white_shares, _LEAST_WHITE))
+
+    def between(self, every: int, run: Integers) -> "NoiseModel":
+        """The model of all samples, of which this is that of one in `every`.
+
+        Args:
+            every: how many samples are between two of these.
+            run: `(sample,)`, changes where a sample is independent of those before it.
+        """
+        if self.white:
+            return self
+        models = (replace(model, coefficient=model.coefficient ** (1 / every)) for model in self.models)
+        return NoiseModel(tuple(models), self.groups, run_starts(run))
 
     def transposed(self, rows: Array) -> Array:
         """The transpose of `whitened`, of rows `(…, row, sample)`."""

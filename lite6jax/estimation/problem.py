@@ -163,8 +163,8 @@ class LinearisedProblem(Protocol):
         """The least and the most that each number of a term can be in these data."""
         ...
 
-    def relinearised(self, nuisance: Array) -> Self:
-        """The same problem about another nuisance, `(number,)` from here."""
+    def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> Self:
+        """The same problem about another nuisance, `(number,)` from here, and about terms with numbers where given."""
         ...
 
 

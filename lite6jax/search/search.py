@@ -7,9 +7,9 @@ from typing import NamedTuple, cast, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.least_squares import fit, relinearised_fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem, WanderingProblem, linearised_at
+from lite6jax.estimation.problem import Mask, Problem, WanderingProblem
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
@@ -19,12 +19,6 @@ from lite6jax.search.select import Selector, is_known
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
 Array = NDArray[np.floating]
-
-SAME_LINEARISATION = 0.1
-"""Sum of the squared differences of residuals, in standard deviations, below which linearisations are the same.
-
-A tenth of what each fitted number explains of noise.
-"""
 
 _ROUNDS = 3
 """Linearisations: the first about the nuisance alone, each next about what the one before has found."""
@@ -96,7 +90,8 @@ def search(
     """Selects terms by evidence, in a linearisation about what has been found.
 
     Of many samples, terms are first selected in every n-th. That is where the search of more of them starts: what they
-    do not support is dropped, and what they show besides is added. Of very many, the terms are fitted to all at last.
+    do not support is dropped, and what they show besides is added. Of very many, every n-th decides everything, and the
+    terms are fitted to all at last.
 
     Args:
         problem: the data, linearised.
@@ -118,10 +113,10 @@ def search(
         exchanging = not names_alone and not selection.state.tested
         begun = _begun(*_every(problem, reference, last), training[::last], options, selection.start)
         selection = _selected(begun, options, exchanging, names_alone)
-    if last > 1:
-        selection = at_estimate(_begun(problem, reference, training, options, selection.start), options)
-    selection = _confirmed(_with_wandering_as_noise(selection, training, options), options)
-    return selection if names_alone else _reviewed(selection, options)
+    selection = _confirmed(_with_wandering_as_noise(selection, training[::last], options), options)
+    if not names_alone:
+        selection = _reviewed(selection, options, last)
+    return selection if last == 1 else _of_all_samples(selection, last, problem, reference, training, options)
 
 
 def supported(
@@ -150,9 +145,31 @@ def supported(
     begun = at_estimate(_begun(*some, training[::every], options, start), options)
     state = Selector(begun.problem, options.rough).supported(begun.state)
     selection = at_estimate(replace(begun, state=state), options)
-    if every > 1:
-        selection = at_estimate(_begun(problem, reference, training, options, selection.start), options)
-    return _confirmed(_with_wandering_as_noise(selection, training, options), options)
+    selection = _confirmed(_with_wandering_as_noise(selection, training[::every], options), options)
+    return selection if every == 1 else _of_all_samples(selection, every, problem, reference, training, options)
+
+
+def _of_all_samples(
+    selection: Selection, every: int, problem: Problem, reference: Problem, training: Mask, options: EngineOptions
+) -> Selection:
+    """The terms of a selection among every n-th sample, with all.
+
+    In white noise they are fitted to all. In autocorrelated noise the samples between say little that is new: numbers
+    stay as they are, and all samples have residuals.
+    """
+    f = selection.state.fit
+    if selection.wandering:
+        wandering = [selected.term for selected in selection.wandering]
+        problem = cast(WanderingProblem, problem).with_nuisance(wandering)
+        reference = cast(WanderingProblem, reference).with_nuisance(wandering)
+    there = problem.relinearised(f.nuisance_about(problem), (f.terms, f.values))
+    if f.noise.white:
+        there, fitted = relinearised_fit(there, f.terms, f.values, options, training)
+    else:
+        fitted = f.seen_in(there, training, f.noise.between(every, problem.run))
+    baseline = fit(reference, Terms(), options, training=training)
+    state = replace(selection.state, baseline=baseline, fit=fitted)
+    return replace(selection, problem=there, reference=reference, state=state)
 
 
 def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, Problem]:
@@ -223,26 +240,17 @@ def _selected(selection: Selection, options: EngineOptions, exchanging: bool, na
 
 
 def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
-    """The selection linearised at its estimate and fitted there, where that changes its residuals.
+    """The selection linearised at its estimate and fitted there; itself without terms.
 
     Drivers of terms that depend on the nuisance are computed where a problem is linearised. Before a search that is
     where the nuisance alone fits best, which is far from the estimate beside an effect of many times the noise.
     """
     if not selection.state.tested:
         return selection
-    for _ in range(options.fit.relinearisations):
-        problem = selection.problem
-        f = selection.state.fit
-        there = problem.relinearised(f.nuisance)
-        none = np.zeros_like(f.nuisance)
-        here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
-        apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
-        same = np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < SAME_LINEARISATION
-        if same and linearised_at(problem, f.nuisance) is problem:
-            break
-        fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
-        selection = replace(selection, problem=there, state=replace(selection.state, fit=fitted))
-    return selection
+    f = selection.state.fit
+    there = selection.problem.relinearised(f.nuisance, (f.terms, f.values))
+    problem, fitted = relinearised_fit(there, f.terms, f.values, options, f.training, f.noise)
+    return replace(selection, problem=problem, state=replace(selection.state, fit=fitted))
 
 
 def chance_of(selector: Selector, state: State, k: int) -> float:
@@ -268,7 +276,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     """
     problem = selection.problem
     state = selection.state
-    at_once = replace(options, fit=replace(options.fit, relinearisations=0))
+    at_once = replace(options, fit=replace(options.fit, relinearised=False))
     selector = Selector(problem, at_once)
     while state.tested:
         tested = []
@@ -293,26 +301,20 @@ def nearest_of(selector: Selector, state: State) -> tuple[Term, float] | None:
     return None if likeliest is None else (likeliest.make(), min(float(np.exp(-likeliest.net)), 1.0))
 
 
-def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
+def _reviewed(selection: Selection, options: EngineOptions, every: int) -> Selection:
     """With the alternatives of each term, what is confounded with the nuisance, and what is nearest.
 
-    Of very many samples with white noise, alternatives are compared in every n-th, which stands for those between.
+    Args:
+        selection: of every n-th sample.
+        options: thresholds.
+        every: n; in white noise each sample stands for those between.
     """
     entered("naming")
     problem = selection.problem
-    state = selection.state
     selector = Selector(problem, options.rough)
-    state = selector.weighed(state)
-    every = 1
-    if state.fit.noise.white:
-        every = _stride(int(problem.valid.sum()), options.most_samples)
-    if every == 1:
-        alternatives = selector.alternatives(state)
-    else:
-        some = Selector(problem.thinned(every), options.rough)
-        few = replace(state, baseline=state.baseline.thinned(every), fit=state.fit.thinned(every))
-        alternatives = some.alternatives(some.weighed(few), every)
-    pairs = zip(state.tested, alternatives, strict=True)
+    state = selector.weighed(selection.state)
+    represented = every if state.fit.noise.white else 1
+    pairs = zip(state.tested, selector.alternatives(state, represented), strict=True)
     state = replace(state, tested=tuple(replace(selected, alternatives=listed) for selected, listed in pairs))
     candidates = problem.candidates
     hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)

@@ -120,7 +120,7 @@ class OscillatorProblem:
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]
 
-    def relinearised(self, nuisance):
+    def relinearised(self, nuisance, beside=None):
         return self
 
     def seen(self, functions):

@@ -239,7 +239,7 @@ class LinearProblem:
     def nuisance_columns(self, terms, values):
         return self.levels
 
-    def relinearised(self, nuisance):
+    def relinearised(self, nuisance, beside=None):
         return replace(self, offset=self.offset + nuisance)
 
     @cached_property

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -95,14 +95,75 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
     return np.linalg.solve(np.moveaxis(whitener, -1, 0), rows.T[..., None])[..., 0].T
 
 
+class BentFrames(NamedTuple):
+    """Where the twists of a deflected arm act, in the sensor's frame: sensor, base, and what follows each joint.
+
+    Attributes:
+        before: `(site, sample, 4, 4)`, the frames that are displaced: translations are along their axes.
+        turning: `(site, sample, 4, 4)`, the axes about which a change of the rotation vector turns, at their origin.
+        tool: `(sample, 4, 4)`.
+    """
+
+    before: Array
+    turning: Array
+    tool: Array
+
+
+def bent_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], deflection: Deflection) -> BentFrames:
+    """The frames of a six-parameter chain with a dense deflection, in the order of `predict_bent`."""
+    bent: Any = jax.tree.map(np.asarray, deflection)
+    links = frames.transform_from_row(np.asarray(model.geometry).reshape(-1, 6))
+    samples = joint_position.shape[1]
+    T = np.tile(np.eye(4), (samples, 1, 1))
+    before = []
+    turning = []
+
+    def displaced_by(twist: Array) -> Array:
+        before.append(T)
+        turning.append(T @ turned_axes(twist))
+        return T @ displacements(twist)
+
+    T = displaced_by(bent.sensor) @ np.asarray(model.T_sensor_base)
+    T = displaced_by(bent.base)
+    for joint, link in enumerate(links):
+        along = np.tile(link, (samples, 1, 1))
+        along[:, :3, 3] *= 1 + bent.stretch[joint][:, None]
+        motion = np.zeros((6, samples))
+        motion[2 if joint in sliding else 5] = joint_position[joint] + bent.joint[joint]
+        T = T @ along @ displacements(motion)
+        T = displaced_by(bent.link[joint])
+    tool = T @ displacements(bent.tool) @ np.asarray(model.T_flange_tool)
+    of_sites = BentFrames(np.stack(before), np.stack(turning), tool)
+    for transforms in of_sites:
+        transforms[..., :3, 3] *= 1 + bent.scale[:, None]
+    return of_sites
+
+
 def site_columns(
-    model: ArmModel, joint_position: Array, measured: Sensor, sliding: tuple[int, ...]
+    model: ArmModel,
+    joint_position: Array,
+    measured: Sensor,
+    sliding: tuple[int, ...],
+    deflection: Deflection | None = None,
 ) -> dict[Site, Array]:
-    """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
-    rigid = rigid_frames(model, joint_position, sliding)
+    """How whitened residuals `(row, sample)` change with a unit deflection at each site.
+
+    Args:
+        model: the arm.
+        joint_position: `(joint, sample)` rad, m of prismatic joints.
+        measured: what is seen of it.
+        sliding: which joints are prismatic.
+        deflection: of the arm, dense; it is rigid where that is not given.
+    """
     dof = len(joint_position)
-    sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
-    twists, stretches, scale = rigid_columns(rigid._replace(frames=np.concatenate([sensor, rigid.frames])), measured)
+    if deflection is None:
+        rigid = rigid_frames(model, joint_position, sliding)
+        sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
+        before = np.concatenate([sensor, rigid.frames])
+        at = BentFrames(before, before, rigid.tool)
+    else:
+        at = bent_frames(model, joint_position, sliding, deflection)
+    twists, stretches, scale = twist_columns(at, measured)
     stretches = stretches[1:]
     columns = whitened(
         np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
@@ -148,6 +209,29 @@ def small_displacement(twist: Array) -> Array:
     return T
 
 
+def displacements(twist: Array) -> Array:
+    """`(sample, 4, 4)` of displacements `(6, sample)`, as `small_displacement`."""
+    T = np.tile(np.eye(4), (twist.shape[1], 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.array(twist[3:].T)).as_matrix()
+    T[:, :3, 3] = twist[:3].T
+    return T
+
+
+def turned_axes(twist: Array) -> Array:
+    """`(sample, 4, 4)`: about which axes, and where, a displacement `(6, sample)` turns as its rotation vector changes.
+
+    That is the left Jacobian of a rotation vector r, 1 + [r]/2 + [r]²/6 to third order, at the displaced origin.
+    """
+    x, y, z = twist[3:]
+    cross = np.zeros((twist.shape[1], 3, 3))
+    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = x, y, z
+    cross -= cross.swapaxes(1, 2)
+    T = np.tile(np.eye(4), (twist.shape[1], 1, 1))
+    T[:, :3, :3] += cross / 2 + cross @ cross / 6
+    T[:, :3, 3] = twist[:3].T
+    return T
+
+
 def unit_quaternions(rotation: Array) -> Array:
     """`(sample, 4)` of rotations `(sample, 3, 3)`: scalar first, the first component that is not zero positive."""
     return Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True)
@@ -180,15 +264,22 @@ def measured_poses(recording: Recording, whitener: Array) -> PoseSensor:
 
 
 def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
-    """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
-    F = rigid.frames
-    tool = rigid.tool
-    axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
-    origins = np.moveaxis(F[:, :, :3, 3], 1, -1)
-    lever = tool[:, :3, 3].T - origins
-    turned = np.cross(axes, lever[:, None], axis=2)
-    twists = np.concatenate([measured.columns(tool, axes), measured.columns(tool, turned, axes)], 1)
-    stretches = np.diff(origins, axis=0)
+    """As `twist_columns`, of the base and of the frame after each joint of a rigid arm."""
+    return twist_columns(BentFrames(rigid.frames, rigid.frames, rigid.tool), measured)
+
+
+def twist_columns(at: BentFrames, measured: Sensor) -> tuple[Array, Array, Array]:
+    """How differences change with twists `(site, 6, row, sample)`, stretches between sites, and the scale.
+
+    Stretches are `(site - 1, row, sample)`, and the scale `(row, sample)`.
+    """
+    tool = at.tool
+    axes = np.moveaxis(at.before[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (site, axis, component, sample)
+    about = np.moveaxis(at.turning[:, :, :3, :3], 1, -1).swapaxes(1, 2)
+    lever = tool[:, :3, 3].T - np.moveaxis(at.turning[:, :, :3, 3], 1, -1)
+    turned = np.cross(about, lever[:, None], axis=2)
+    twists = np.concatenate([measured.columns(tool, axes), measured.columns(tool, turned, about)], 1)
+    stretches = np.diff(np.moveaxis(at.before[:, :, :3, 3], 1, -1), axis=0)
     along = np.concatenate([stretches, tool[:, :3, 3].T[None]])
     lengths = measured.columns(tool, along)
     return twists, lengths[:-1], lengths[-1]

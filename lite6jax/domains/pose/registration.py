@@ -28,6 +28,7 @@ from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank, scaled_inverse
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
+from lite6jax.estimation.terms import Terms
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
 from lite6jax.recordings.alignment import frames_from_poses
@@ -233,7 +234,7 @@ class _Frames(NuisanceProblem):
         twists = rigid_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
         return whitened(twists[self.unknown], self.measured.whitener)
 
-    def relinearised(self, nuisance: Array) -> "_Frames":
+    def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> "_Frames":
         change = np.zeros(12)
         change[self.unknown] = nuisance
         F, T = (small_displacement(twist) for twist in (change[:6], change[6:]))

@@ -255,8 +255,8 @@ class RigidArm(NuisanceProblem):
         """The sensor's own unknowns in a nuisance `(unknown,)`."""
         return nuisance[[k for k, site in enumerate(self.unknown) if site[0] == "reading"]]
 
-    def relinearised(self, nuisance: Array) -> Self:
-        """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
+    def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> Self:
+        """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there. It has no terms."""
         sensor_numbers = self.own_numbers(nuisance)
         measured = self.measured.displaced(sensor_numbers) if len(sensor_numbers) else self.measured
         return replace(self, start=self.displaced(nuisance), measured=measured, offset=self.offset + nuisance)

@@ -465,8 +465,8 @@ class TorqueProblem:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
         return self._inertial / self.sigma
 
-    def relinearised(self, nuisance: Array) -> "TorqueProblem":
-        """The same problem at other inertial numbers: nuisance zero is then there."""
+    def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> "TorqueProblem":
+        """The same problem at other inertial numbers: nuisance zero is then there, whatever terms are `beside`."""
         return replace(
             self, links=self.links_at(nuisance), offset=self.offset + nuisance, known=self.known.at_other_links()
         )

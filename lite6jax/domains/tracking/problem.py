@@ -538,8 +538,8 @@ class TrackingProblem:
             columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
         return columns
 
-    def relinearised(self, nuisance: Array) -> "TrackingProblem":
-        """The same problem at other numbers of the servos: nuisance zero is then there."""
+    def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> "TrackingProblem":
+        """The same problem at other numbers of the servos: nuisance zero is then there, whatever is `beside`."""
         return replace(self, servo=self.servo_at(nuisance), offset=self.offset + nuisance)
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
