@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 LIBRARY = [
     *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
-    *("deferred", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
+    *("deferred", "levenberg_marquardt", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
     *("calibration", "domains", "design", "diagnosis", "simulation"),
 ]
 """What a program of a user imports."""

@@ -174,7 +174,8 @@ class Camera(PoseReading, ABC):
         depth = (self.corners @ np.swapaxes(R, 1, 2) + p if fixed else (self.corners - p) @ R)[..., 2]
         # residuals of pixels at zero are the pixels
         none = np.zeros((*depth.shape, 2))
-        at, J = map(np.asarray, linearise_corners(self.mounted, self.lens, self.corners, none, tool))
+        still = np.zeros((len(tool), 6))
+        at, J = map(np.asarray, linearise_corners(self.mounted, self.lens, self.corners, none, tool, still))
         visible = (depth > 0) & ((at > 0) & (at < 2 * self.lens.pinhole[2:])).all(2)
         J = np.where(visible[..., None, None], J / self.pixel_noise, 0.0).reshape(len(tool), -1, 6)
         U = np.asarray(jnp.linalg.cholesky(np.swapaxes(J, 1, 2) @ J, upper=True))

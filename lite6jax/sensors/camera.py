@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.se3 import rotation_exp
 from lite6jax.deferred import Array as DeviceArray
 from lite6jax.deferred import jax, jit, jnp
+from lite6jax.levenberg_marquardt import Linearised, minimise
 
 Array = NDArray[np.floating]
 Mounted = Literal["fixed", "on_flange"]
@@ -32,6 +33,10 @@ _MATTERS = 0.1
 _FOCAL = 0.1
 """Of the focal length and of the image: one sigma of the prior of intrinsics that are refined; wide."""
 _FLAT = 1e-3
+_RIDGE = 1e-12
+"""Information added to each number of a pose: one that corners in one line leave open stays finite."""
+_QUICKLY_COMPILED = {"xla_backend_optimization_level": 0}
+"""To optimise the fit of poses takes the compiler longer than it saves, were there a thousand images."""
 
 
 class Lens(NamedTuple):
@@ -88,20 +93,18 @@ def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any)
 
 @partial(jit, static_argnums=0)
 def linearise_corners(
-    mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any
+    mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any, twist: Any
 ) -> tuple[DeviceArray, DeviceArray]:
-    """Residuals `(image, corner, 2)`, predicted less measured, and their slopes `(image, corner, 2, 6)`.
+    """Residuals `(image, corner, 2)`, predicted less measured, and their slopes `(image, corner, 2, 6)` by the twist.
 
-    They are zero where a corner was not seen.
+    They are zero where a corner was not seen. The poses `T` are displaced by the twist `(image, 6)`.
     """
 
-    def one(T: Any, pixels: Any, twist: Any) -> DeviceArray:
+    def residual(twist: Any, T: Any, pixels: Any) -> DeviceArray:
         missed = seen_corners(mounted, lens, corners, T, twist) - pixels
-        return jnp.where(jnp.isfinite(pixels), missed, 0.0)
+        return jnp.where(jnp.isfinite(pixels).all(1)[:, None], missed, 0.0)
 
-    still = jnp.zeros(6)
-    slopes = jax.vmap(lambda T, pixels: jax.jacfwd(lambda twist: one(T, pixels, twist))(still))(T, pixels)
-    return jax.vmap(lambda T, pixels: one(T, pixels, still))(T, pixels), slopes
+    return jax.vmap(residual)(twist, T, pixels), jax.vmap(jax.jacfwd(residual))(twist, T, pixels)
 
 
 @partial(jit, static_argnums=0)
@@ -144,12 +147,13 @@ def board_poses(
         return empty
     usable_pixels = pixels[good]
     starts = _starts(mounted, lens, corners, usable_pixels)
-    solved = [_solved(mounted, lens, corners, usable_pixels, T, 1.0) for T in starts]
-    better = np.argmin([cost for _, cost in solved], 0)
-    T = np.stack([T for T, _ in solved])[better, np.arange(len(usable_pixels))]
-    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, usable_pixels, T))
-    T, _ = _solved(mounted, lens, corners, usable_pixels, T, _weights(r, visible[good])[1])
-    r, J = map(np.asarray, linearise_corners(mounted, lens, corners, usable_pixels, T))
+    fit = partial(_fit_poses, mounted, lens, corners, usable_pixels)
+    fits = [fit(T, 1.0, _STEPS) for T in starts]
+    candidates, costs, residuals, _ = map(np.stack, zip(*fits, strict=True))
+    likelier = np.argmin(costs, 0), np.arange(len(usable_pixels))
+    _, shown = _weights(residuals[likelier], visible[good])
+    T = np.asarray(fit(candidates[likelier], shown, _STEPS)[0])
+    r, J = map(np.asarray, fit(T, shown, 0)[2:])
     weight, shown = _weights(r, visible[good])
     sigma = noise or shown
     root = np.sqrt(weight)[..., None] / sigma
@@ -209,41 +213,33 @@ def _weights(r: Array, visible: NDArray[np.bool_]) -> tuple[Array, float]:
     return np.where(visible, (_FREEDOM + 2) / (_FREEDOM + squares / shown**2), 0.0), shown
 
 
-def _solved(mounted: Mounted, lens: Lens, corners: Array, pixels: Array, T: Array, scale: float) -> tuple[Array, Array]:
-    """The likeliest pose of each image from a start `(image, 4, 4)`, and its cost, by damped Gauss–Newton steps.
+@partial(jit, static_argnums=0, compiler_options=_QUICKLY_COMPILED)
+def _fit_poses(
+    mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any, scale: Any, steps: Any
+) -> tuple[DeviceArray, ...]:
+    """The likeliest pose of each image after some steps from a start `(image, 4, 4)`; with no steps the start.
 
     Corners count by Student's t of a scale in pixels.
+
+    Returns:
+        the poses; their costs `(image,)`; residuals there and slopes by a twist of the start, as of
+        `linearise_corners`.
     """
-    T = T.copy()
-    visible = np.isfinite(pixels).all(2)
-    damping = np.full(len(T), 1e-3)
+    freedom = _FREEDOM * scale**2
 
-    def cost_at(T: Array) -> tuple[Array, Array, Array]:
-        r, J = map(np.asarray, linearise_corners(mounted, lens, corners, pixels, T))
-        squares = np.nan_to_num(np.sum(r**2, 2), nan=1e12, posinf=1e12)
-        return r, J, np.sum(np.where(visible, np.log1p(squares / _FREEDOM / scale**2), 0.0), 1)
+    def linearise(twist: DeviceArray) -> Linearised:
+        linearised = linearise_corners(mounted, lens, corners, pixels, T, twist.T)
+        r, J = (jnp.moveaxis(part, 0, -1) for part in linearised)
+        squares = jnp.sum(r**2, 1)
+        weighed = J / (freedom + squares)[:, None, None]
+        H = jnp.einsum("caki,cali->kli", weighed, J) + _RIDGE * jnp.eye(6)[:, :, None]
+        gradient = jnp.einsum("caki,cai->ki", weighed, r)
+        return Linearised(jnp.sum(jnp.log1p(squares / freedom), 0), gradient, H, jnp.einsum("kki->ki", H), (r, J))
 
-    r, J, cost = cost_at(T)
-    for _ in range(_STEPS):
-        weight = np.where(visible, 1 / (_FREEDOM * scale**2 + np.sum(r**2, 2)), 0.0)[..., None, None]
-        H = np.einsum("icak,ical->ikl", weight * J, J)
-        g = np.einsum("icak,ica->ik", weight * J, r)
-        scaled = H + damping[:, None, None] * np.einsum("ikl,kl->ikl", H, np.eye(6)) + 1e-12 * np.eye(6)
-        step = -np.linalg.solve(scaled, g[..., None])[..., 0]
-        proposed = T.copy()
-        proposed[:, :3, 3] += step[:, :3]
-        proposed[:, :3, :3] = T[:, :3, :3] @ np.asarray(rotation_exp(jnp.asarray(step[:, 3:])))
-        r_, J_, cost_ = cost_at(proposed)
-        better = np.isfinite(cost_) & (cost_ <= cost)
-        done = np.all(np.abs(step) < 1e-9, 1)
-        T, r, J = (
-            np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in ((proposed, T), (r_, r), (J_, J))
-        )
-        cost = np.where(better, cost_, cost)
-        damping = np.where(better, damping / 10, np.minimum(damping * 10, 1e6))
-        if done.all():
-            break
-    return T, cost
+    twist, linearised, *_ = minimise(linearise, jnp.add, jnp.zeros((6, len(T))), steps)
+    R = T[:, :3, :3] @ rotation_exp(twist[3:].T)
+    poses = T.at[:, :3].set(jnp.concatenate([R, (T[:, :3, 3] + twist[:3].T)[..., None]], 2))
+    return poses, linearised.cost, *(jnp.moveaxis(part, -1, 0) for part in linearised.detail)
 
 
 def _starts(mounted: Mounted, lens: Lens, corners: Array, pixels: Array) -> list[Array]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
@@ -22,6 +22,7 @@ from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia
+from lite6jax.levenberg_marquardt import Linearised, minimise
 from lite6jax.model import LEVER, ArmModel, arm_model, predict_frames_with
 
 STEPS = 300
@@ -30,9 +31,7 @@ _MOST_NEED = 16
 _CHUNKS = (64, 1024)
 """Rows solved together, few or many: two compiled functions serve any number, and Jacobians stay in cache."""
 _FINE = 1e-11
-"""m: an error below this is rounding, …"""
-_STILL = 1e-12
-"""… and a step below this, in rad, is rounding."""
+"""m: an error below this is rounding."""
 _CREEPING = 1e-8
 """Relative decrease of the cost below which a step is the last."""
 _LONGEST = 0.5
@@ -333,20 +332,6 @@ def _followed(
     return q, reached
 
 
-class _InverseState(NamedTuple):
-    """Each sample's joints and where to try next; normal equations, residual, cost; damping, and whether it is done."""
-
-    joints: Array
-    proposal: Array
-    curvature: Array
-    gradient: Array
-    missed: Array
-    cost: Array
-    damping: Array
-    done: Array
-    step: Array
-
-
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve(
     chain: SixParameterForm,
@@ -359,9 +344,9 @@ def _solve(
     limits: Array,
     steps: ArrayLike,
 ) -> InverseSolution:
-    dof = motion.dof
     lower = limits[:, :1]
     upper = limits[:, 1:]
+    eye = jnp.eye(motion.dof)[:, :, None]
 
     def residual(q: Array) -> Array:
         at = motion._replace(joint_position=q)
@@ -373,53 +358,22 @@ def _solve(
         relative = [[jnp.sum(target.rotation[:, i] * axes[j], 0) for j in range(3)] for i in range(3)]
         return jnp.concatenate([missed, LEVER * jnp.stack(rotation_log_components(relative))])
 
-    def normal(q: Array) -> tuple[Array, Array, Array]:
-        directions = jnp.broadcast_to(jnp.eye(dof)[:, :, None], (dof, *q.shape))
+    def linearise(q: Array) -> Linearised:
+        directions = jnp.broadcast_to(eye, (motion.dof, *q.shape))
         r, J = jax.vmap(lambda along: jax.jvp(residual, (q,), (along,)), out_axes=(None, 0))(directions)
-        return jnp.sum(J[:, None] * J, 2), jnp.sum(J * r, 1), r
+        gradient = jnp.sum(J * r, 1)
+        pressed = ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
+        free = 1.0 - pressed
+        curvature = jnp.sum(J[:, None] * J, 2) * free * free[:, None] + eye * (1 - free)
+        return Linearised(jnp.sum(r**2, 0), gradient * free, curvature, jnp.ones_like(q), (r, pressed))
 
-    def held(q: Array, gradient: Array) -> Array:
-        return ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
+    def advance(q: Array, step: Array) -> Array:
+        shortened = step * (_LONGEST / jnp.maximum(jnp.abs(step).max(0), _LONGEST))
+        return jnp.clip(q + shortened, lower, upper)
 
-    def improve(state: _InverseState) -> _InverseState:
-        new = normal(state.proposal)
-        cost = jnp.sum(new[2] ** 2, 0)
-        better = cost < state.cost
-        now = (state.proposal, *new, cost)
-        before = (state.joints, *state[2:6])
-        q, H, g, r, smallest = (jnp.where(better, a, b) for a, b in zip(now, before, strict=True))
-        damping = jnp.clip(jnp.where(better, state.damping / 8, state.damping * 4), 1e-14, 1e4)
-        free = 1.0 - held(q, g)
-        move = _solve_spd(H * free * free[:, None] + eye * (damping + (1 - free)), -g * free)
-        move = move * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.abs(move).max(0), _STILL))
-        proposal = jnp.clip(q + move, lower, upper)
-        crept = better & (state.cost - cost < _CREEPING * cost)
-        done = state.done | crept | (smallest < _FINE**2) | (jnp.abs(proposal - q).max(0) < _STILL)
-        return _InverseState(q, jnp.where(done, q, proposal), H, g, r, smallest, damping, done, state.step + 1)
-
-    eye = jnp.eye(dof)[:, :, None]
     start = jnp.clip(motion.joint_position, lower, upper)
-    samples = start.shape[1]
-    rows = 3 if target.rotation is None else 6
-    nowhere = jnp.full(samples, jnp.inf)
-    undone = jnp.zeros(samples, bool)
-    flat, none, unmet = (jnp.zeros((*shape, samples)) for shape in ((dof, dof), (dof,), (rows,)))
-    damping = jnp.full(samples, 1e-3)
-    state = _InverseState(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))
-    state = lax.while_loop(lambda s: (s.step <= steps) & ~s.done.all(), improve, state)
-    return InverseSolution(
-        state.joints,
-        jnp.sqrt(jnp.sum(state.missed[:3] ** 2, 0)),
-        jnp.sqrt(jnp.sum(state.missed[3:] ** 2, 0)) / LEVER,
-        held(state.joints, state.gradient),
-        state.done,
-    )
-
-
-def _solve_spd(A: Array, b: Array) -> Array:
-    """x `(n, sample)` with A x = b for positive definite `(n, n, sample)`: elimination without pivots, unrolled."""
-    system = jnp.concatenate([A, b[:, None]], 1)
-    for k in range(len(b)):
-        row = system[k] / system[k, k]
-        system = (system - system[:, k, None] * row).at[k].set(row)
-    return system[:, -1]
+    minimum = minimise(linearise, advance, start, steps, _FINE**2, _CREEPING)
+    missed, pressed = minimum.linearised.detail
+    position_error = jnp.sqrt(jnp.sum(missed[:3] ** 2, 0))
+    orientation_error = jnp.sqrt(jnp.sum(missed[3:] ** 2, 0)) / LEVER
+    return InverseSolution(minimum.numbers, position_error, orientation_error, pressed, minimum.ended)
