@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.simulator import Simulator
 from lite6jax.calibration.source import declared_arm_of, with_calibration
-from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_refit, judge_by_folds, verify
+from lite6jax.diagnosis.heldout import HeldOut, errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis
 from lite6jax.domains.base import DomainName
@@ -440,6 +440,17 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     return replace(selection, state=refitted(problem, state, significant, options))
 
 
+def _errors_of_refit(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:
+    """The errors as of `errors_of_refit`, beginning at the loads of the selection.
+
+    Folds are worked on side by side: each begins its rollouts where its own last one ended, not that of another fold.
+    """
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    alone = replace(problem, known=RolloutCache(loads=problem.known.loads))
+    return errors_of_refit(held, replace(selection, problem=alone), options)
+
+
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose_tracking(
@@ -498,7 +509,7 @@ def diagnose_tracking(
                 selection = _compared_by_rollouts(selection, engine)
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
-        held_out = partial(errors_of_folds, errors_of_refit, (selection, engine), anywhere=False)
+        held_out = partial(errors_of_folds, _errors_of_refit, (selection, engine), anywhere=False)
         verified = verify(selection, held_out(folds), folds, problem.valid, held_out, judge_by_folds)
         if not verified.findings:
             verified = verified._replace(errors=verified.errors.without_effects())

@@ -7,12 +7,18 @@ coupled arm, whatever M is taken.
 Joints of which each moves the others by nearly as much as itself make that iteration go apart, for want of inertia of
 their own. So M is taken larger there, and L is mixed with those of a few sweeps before, such that what is left is least
 (D. G. Anderson, Journal of the ACM 12, 1965).
+
+What is left, r, is answered by the joints: a change d of L changes the accelerations by −R·d, and with them what the
+arm exerts by −O·R·d, O being the mass matrix less M. Nothing is left after d where
+
+    (1 + O·R) d = r,  Rᵢ = s² / ((M + A) s² + (kd + b) s + kp).
 """
 
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
@@ -27,6 +33,8 @@ _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
 _MIXED = 6
 """Sweeps before the last one, whose loads are mixed with its own."""
+_TERMS = 3
+"""Of the series d = r − O·R·r + …; with twice as many no sweep is saved."""
 _POSTURES = 20
 """Of a motion, in which the inertias of joints are compared."""
 _ALIKE = 1e-10
@@ -165,21 +173,62 @@ def _weights(bodies: Bodies, commands: Commands) -> Array:
     return weights
 
 
-def _own_masses(bodies: Bodies, q: Array, servo: Servo) -> Array:
-    """kg·m² `(joint, sample)`, M by which an iteration comes closer fastest, at positions `(joint, sample)`.
+def _own_masses(matrix: Array, servo: Servo) -> Array:
+    """kg·m² `(joint, sample)`, M by which an iteration comes closer fastest, beside mass matrices.
 
     With the rotors it is the diagonal of the mass matrix times the middle of the eigenvalues of that matrix over it.
+
+    Args:
+        matrix: `(joint, joint, sample)` kg·m².
+        servo: each `(joint,)`.
     """
-    matrix = bodies.mass_matrix(q)
     diagonal = np.diagonal(matrix).T
     rotor = np.asarray(servo.inertia, float)[:, None]
-    some = slice(None, None, max(q.shape[1] // _POSTURES, 1))
+    some = slice(None, None, max(matrix.shape[2] // _POSTURES, 1))
     size = np.sqrt(np.maximum(diagonal + rotor, 1e-12))[:, some]
-    with_rotors = matrix[:, :, some] + rotor[:, None] * np.eye(len(q))[:, :, None]
+    with_rotors = matrix[:, :, some] + rotor[:, None] * np.eye(len(matrix))[:, :, None]
     scaled = with_rotors / (size[:, None] * size[None])
     eigenvalues = np.linalg.eigvalsh(np.moveaxis(np.nan_to_num(scaled), 2, 0))
     middle = max(float(np.max(eigenvalues[:, 0] + eigenvalues[:, -1])) / 2, 1.0)
     return middle * (diagonal + rotor) - rotor
+
+
+class _Answer:
+    """How an arm whose joints follow their servos linearly answers what is left of its loads.
+
+    Args:
+        matrix: `(joint, joint, sample)` kg·m², the mass matrix.
+        own: `(joint, sample)` kg·m², M.
+        servo: each `(joint,)`.
+        commands: of all joints.
+    """
+
+    def __init__(self, matrix: Array, own: Array, servo: Servo, commands: Commands) -> None:
+        joints = np.arange(len(matrix))
+        self._others = matrix.copy()
+        self._others[joints, joints] -= own
+        self._steps = commands.steps
+        inertia = own.mean(1) + servo.inertia
+        drag = np.asarray(servo.damping) + servo.viscous
+        # s = 2/h · (1 − z⁻¹) / (1 + z⁻¹)
+        rate = 2 / commands.step
+        twice = rate**2 * np.array([1.0, -2.0, 1.0])
+        once = rate * np.array([1.0, 0.0, -1.0])
+        filters = zip(inertia, drag, np.asarray(servo.stiffness), strict=True)
+        self._numerator = twice
+        self._denominators = [m * twice + c * once + k * np.array([1.0, 2.0, 1.0]) for m, c, k in filters]
+
+    def change(self, left: Array) -> Array:
+        """The change `(joint, step)` Nm of the loads that are held after which nothing is left; d."""
+        change = left
+        for _ in range(_TERMS):
+            accelerations = [
+                scipy.signal.lfilter(self._numerator, denominator, row)
+                for denominator, row in zip(self._denominators, change, strict=True)
+            ]
+            by_sample = np.stack(accelerations).reshape(len(left), -1, self._steps)
+            change = left - np.einsum("ijs,jsk->isk", self._others, by_sample).reshape(left.shape)
+        return change
 
 
 class _Mixture:
@@ -239,13 +288,20 @@ def roll_coupled(
     if not bodies.links.any():
         return rolled, loads
     # of these bodies: rollouts with the inertia of an arm without its payload may go apart
-    mass = interpolate(_own_masses(bodies, rolled.position[:, :: commands.steps], servo), commands)
+    matrix = bodies.mass_matrix(rolled.position[:, :: commands.steps])
+    own = _own_masses(matrix, servo)
+    mass = interpolate(own, commands)
     load = loads.load + (loads.mass - mass) * rolled.acceleration
     mixture = _Mixture(1 / np.maximum(np.asarray(servo.stiffness, float), 1e-9))
-    for _ in range(_SWEEPS):
+    answer = None
+    for sweep in range(_SWEEPS):
         before = rolled.readout
         along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
-        load = mixture.next(load, along)
+        if not sweep:  # this change is mostly that of the motion, which is slow: joints hardly answer it
+            load = along
+        else:
+            answer = answer or _Answer(matrix, own, servo, commands)
+            load = mixture.next(load, load + answer.change(along - load))
         loads = JointLoads(load, mass, weight)
         rolled = roll(servo, commands, joints, load, mass, extra=extra, weight=weight, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold

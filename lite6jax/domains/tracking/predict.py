@@ -17,7 +17,14 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.rollout import INVERTED, LONGEST_STEP, RETURN, Commands, hold_commands
+from lite6jax.domains.tracking.rollout import (
+    LONGEST_STEP,
+    RETURN,
+    Commands,
+    hold_commands,
+    invert_read_out,
+    read_out,
+)
 from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
@@ -184,12 +191,7 @@ def friction_share_of(model: TrackingModel, command: Array, readout: Array, at_r
         at_rest: `(joint, sample)`, which of them are of a joint at rest.
     """
     servo = model.servo
-    offset, scale, sine, cosine = (
-        np.asarray(field)[:, None] for field in (servo.offset, servo.scale, servo.sine, servo.cosine)
-    )
-    position = readout
-    for _ in range(INVERTED):
-        position = (readout - offset - sine * np.sin(position) - cosine * np.cos(position)) / (1 + scale)
+    position = np.asarray(invert_read_out(readout.T, servo)).T
     balanced = resting_positions(model, command, np.zeros(len(command)))
     friction = np.maximum(np.asarray(servo.coulomb), 1e-12)
     shares = np.clip((position - balanced) * (np.asarray(servo.stiffness) / friction)[:, None], -1.0, 1.0)
@@ -352,7 +354,7 @@ class DiagnosedServos(JointModel):
         begun = u
         if self.friction_share is not None:
             begun = np.vstack([resting_positions(self.model, u[:1].T, self.friction_share)[:, 0], u[1:]])
-        shown = begun * (1 + servo.scale) + servo.offset + servo.sine * np.sin(begun) + servo.cosine * np.cos(begun)
+        shown = np.asarray(read_out(begun, servo))
         commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
         readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():

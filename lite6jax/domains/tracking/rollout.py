@@ -46,7 +46,7 @@ _IMPLICIT = 4.0
 """h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
 _LEAST_TIME = 1e-9
 """s, of a low pass, below which it passes all."""
-INVERTED = 3
+_INVERTED = 3
 """Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
 _LANES = (6, 24, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
@@ -138,6 +138,20 @@ def hold_commands(
     integral = np.vstack([np.zeros(command.shape[1]), np.cumsum(areas, 0)]).T
     v = np.zeros_like(command) if velocity is None else velocity
     return Commands(integral, reset, first, np.asarray(start, float), v, period, steps)
+
+
+def read_out(position: Any, servo: Servo) -> Any:
+    """What encoders show `(…, lane)` rad of joints, behind their play, at positions of that shape."""
+    wave = servo.sine * jnp.sin(position) + servo.cosine * jnp.cos(position)
+    return position * (1 + servo.scale) + servo.offset + wave
+
+
+def invert_read_out(readout: Any, servo: Servo) -> Any:
+    """The positions `(…, lane)` rad of joints of which encoders show so much."""
+    position = readout
+    for _ in range(_INVERTED):
+        position = position + (readout - read_out(position, servo)) / (1 + servo.scale)
+    return position
 
 
 @final
@@ -485,8 +499,7 @@ def _roll(
             return fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
 
         state = jax.lax.cond(here, begin_run, lambda present: present, state)
-        wave = p.sine * jnp.sin(state.y) + p.cosine * jnp.cos(state.y)
-        shown = state.y * (1 + p.scale) + p.offset + wave
+        shown = read_out(state.y, p)
         state, fine_states = jax.lax.scan(advance, state, (u, arriving, following_load, M, between))
         return state, (shown, fine_states)
 
@@ -498,14 +511,10 @@ def _roll(
     arriving = held_areas[:, 1:] / h
     mean = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
     after = jnp.concatenate([extra[1:], extra[-1:]])
-    true_start = start
-    for _ in range(INVERTED):
-        wave = p.sine * jnp.sin(true_start) + p.cosine * jnp.cos(true_start)
-        true_start = (start - p.offset - wave) / (1 + p.scale)
     of_next = jnp.concatenate([load[1:, :1], load[-1:, -1:]])
     of_next = jnp.where(jnp.append(reset[1:], True)[:, None, None], load[:, -1:], of_next)
     loads = jnp.concatenate([load[:, 1:], of_next], 1)[..., columns], mass[..., columns]
-    begun = weight[:, columns], true_start, start_velocity, initial[:, 0]
+    begun = weight[:, columns], invert_read_out(start, p), start_velocity, initial[:, 0]
     inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun)
     zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))
