@@ -16,10 +16,10 @@ _FLAT = 1e-12
 
 
 class Linearised(NamedTuple):
-    """Problems about some numbers, to second order.
+    """Problems about some numbers: cost + 2 gradient·step + step·curvature·step.
 
     Attributes:
-        cost: `(problem,)`, what is minimised.
+        cost: `(problem,)`, what is minimised; of a sum of squares |r|² the rest is Jᵀr and JᵀJ.
         gradient: `(number, problem)`; zero of a number that is held.
         curvature: `(number, number, problem)`, positive semidefinite; the identity's row of a number that is held.
         damped: `(number, problem)`, what the damping multiplies: one, or the curvature's diagonal where units differ.
@@ -37,12 +37,12 @@ class Minimum(NamedTuple):
     """What `minimise` returns, and its state on the way.
 
     Attributes:
-        numbers: `(number, problem)` of the least cost.
+        numbers: `(number, problem)`, those reached.
         linearised: the problems there.
         proposal: `(number, problem)`, where to look next.
         damping: `(problem,)`.
         ended: `(problem,)`, whether it converged.
-        steps: that were taken.
+        steps: how often the problems were linearised.
     """
 
     numbers: Array
@@ -75,7 +75,8 @@ def minimise(
 
     def improve(state: Minimum) -> Minimum:
         proposed = linearise(state.proposal)
-        better = proposed.cost <= (1 + _FLAT) * state.linearised.cost
+        # the start is taken as it is: where it cannot be computed, so is what is returned
+        better = (proposed.cost <= (1 + _FLAT) * state.linearised.cost) | jnp.isinf(state.linearised.cost)
         numbers, reached = jax.tree.map(
             lambda new, old: jnp.where(better, new, old),
             (state.proposal, proposed),

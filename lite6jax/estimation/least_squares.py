@@ -25,7 +25,7 @@ _FIRST_STEPS = 6
 _LEAST_GAIN = 0.01
 """Log-likelihood that a fit must gain to be linearised anew again; `CLOSE` is 600 times that."""
 _SHORT = 0.3
-"""Standard deviations of a step after which the derivatives are still those of the estimate."""
+"""Standard deviations that a step has at least for the problem to be linearised anew after it."""
 _EXACT_STEPS = 8
 """Most steps of a fit with derivatives by differences, which starts at the solution."""
 _EXACT_SETTLED = 0.02
@@ -46,7 +46,7 @@ _FAR_STEPS = 20
 _SAME_WEIGHTS = 0.03
 """Mean change of the weights, over themselves, up to which products of columns serve further steps.
 
-The gradient has the weights as they are: each step then multiplies the error by that more.
+The gradient has the weights as they are. Of the distance to the solution a step leaves this share more.
 """
 _TYPICAL = 1e-4
 """m or rad, the change of a prediction by a number of its typical size."""
@@ -201,8 +201,8 @@ def fit(
     (`linearised_at`), and so are the drivers of terms that a domain computes from it; residuals are exact otherwise.
     Each step multiplies the error by about a thousandth, or by the error of the start in rad where that is larger.
     Beside an effect of many times the noise the nuisance may be too far from that point: a fit that has not converged
-    after `_FIRST_STEPS` goes on as `relinearised_fit`, if `relinearised`. Its nuisance is then the sum of displacements
-    one after the other, which differ from their sum to second order; its residuals are exact. Derivatives are kept
+    after `_FIRST_STEPS` goes on as `relinearised_fit`, if it `may_relinearise`. Its nuisance is then the sum of
+    displacements that were made one after the other, which is the same to first order. Derivatives are kept
     while no term's numbers change by more than the share `stale`. Where a combination of nuisance numbers is nearly
     confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
     are needed for the covariance.
@@ -222,7 +222,7 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    following = options.fit.relinearised and not exact and len(problem.precision)
+    following = options.fit.may_relinearise and not exact and len(problem.precision)
     first = replace(options, fit=replace(options.fit, steps=_FIRST_STEPS)) if following else options
     found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False, whitened)[1]
     if found.converged or exact:
@@ -391,19 +391,21 @@ def _fitted(
         at = trial
         if moving and length > _SHORT:
             problem = problem.relinearised(at[:k], (terms, at[k:]))
-            at = np.concatenate([np.zeros(k), at[k:]])
+            at = taken = np.concatenate([np.zeros(k), at[k:]])
             rows = residual(problem, at)
             columns = None
-            there = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, at))
+            moved_cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, at))
             # what is computed where a problem is linearised has no derivatives: steps may stay long at the end
-            moving = before - there > 2 * _LEAST_GAIN
+            moving = before - moved_cost > 2 * _LEAST_GAIN
         state = weighed(rows, noise, training, least)
         if length < (_EXACT_SETTLED if exact else options.fit.settled):
             converged = True
             break
         if before - cost < options.fit.settled**2:
             break  # where derivatives are inexact, steps may stay long and change nothing
-    if columns and len(H) and (columns is not information.columns or weight is not information.weight):
+    if columns is None:
+        columns = columns_at(problem, at, state.rows)
+    if len(H) and (columns is not information.columns or weight is not information.weight):
         H = informed(columns, weight).products + np.diag(precision)
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H

@@ -169,7 +169,7 @@ class NoiseModel:
 
         Args:
             every: how many samples are between two of these.
-            run: `(sample,)`, changes where a sample is independent of those before it.
+            run: `(sample,)` of all, changes where a sample is independent of those before it.
         """
         if self.white:
             return self

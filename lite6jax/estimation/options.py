@@ -16,16 +16,16 @@ class FitOptions:
         steps: most Gauss-Newton steps in one linearisation. Four suffice where the model is right.
         settled: length of a last step, in standard deviations; the default is invisible in any printed digit.
         stale: share by which the numbers of a term change before derivatives are taken anew; at each step if 0.
-        relinearised: whether a fit that does not converge where its problem is linearised goes on where it ends.
+        may_relinearise: whether a fit that does not converge where its problem is linearised goes on where it ends.
     """
 
     steps: int = 25
     settled: float = 1e-3
     stale: float = 0.003
-    relinearised: bool = True
+    may_relinearise: bool = True
 
 
-COMPARED = FitOptions(steps=10, settled=0.05, stale=0.03, relinearised=False)
+COMPARED = FitOptions(steps=10, settled=0.05, stale=0.03, may_relinearise=False)
 """How far fits are taken that are only compared with others.
 
 Most of the models that a search compares are not true, and their fits may take many more steps, ever smaller ones. The

@@ -657,11 +657,16 @@ def _has_prior(term: Term) -> bool:
     return bool(np.isfinite([number.spread for number in term.coordinates]).any())
 
 
+def independent_runs(problem: Problem, training: NDArray[np.bool_]) -> NDArray[np.integer]:
+    """`(sample,)`, changes between runs, and where samples for training `(sample,)` and others meet."""
+    begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
+    return np.cumsum(begins, dtype=int)
+
+
 def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) -> NoiseModel:
     """The noise model of a fit's residuals; noise is independent between runs, and across held-out samples."""
     training = fit.training
-    begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
-    run = np.cumsum(begins, dtype=int)
+    run = independent_runs(problem, training)
     rows = _winsorised(fit.residuals.rows, fit, _WINSOR)
     columns = linear_columns(linearised_at(problem, fit.nuisance), fit.terms, fit.values)
     columns /= fit.scale[fit.residuals.groups, None]

@@ -26,7 +26,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     be wrong without being found so, on which every number may depend in proportion.
     """
     # the problem is linearised at the estimate
-    options = replace(options, fit=replace(options.fit, relinearised=False))
+    options = replace(options, fit=replace(options.fit, may_relinearise=False))
     fitted = state.fit
     between = _between_models(problem, fitted, options)
     of_inputs = _beside_inputs(problem, fitted, options)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.estimation.least_squares import fit, relinearised_fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem, WanderingProblem
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import independent_runs, score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
@@ -152,10 +152,9 @@ def supported(
 def _of_all_samples(
     selection: Selection, every: int, problem: Problem, reference: Problem, training: Mask, options: EngineOptions
 ) -> Selection:
-    """The terms of a selection among every n-th sample, with all.
+    """The terms of a selection among every n-th sample, fitted to all in the same noise.
 
-    In white noise they are fitted to all. In autocorrelated noise the samples between say little that is new: numbers
-    stay as they are, and all samples have residuals.
+    In autocorrelated noise the fit takes few steps, each of which takes a multiple of the time.
     """
     f = selection.state.fit
     if selection.wandering:
@@ -163,10 +162,9 @@ def _of_all_samples(
         problem = cast(WanderingProblem, problem).with_nuisance(wandering)
         reference = cast(WanderingProblem, reference).with_nuisance(wandering)
     there = problem.relinearised(f.nuisance_about(problem), (f.terms, f.values))
-    if f.noise.white:
-        there, fitted = relinearised_fit(there, f.terms, f.values, options, training)
-    else:
-        fitted = f.seen_in(there, training, f.noise.between(every, problem.run))
+    noise = f.noise.between(every, independent_runs(problem, training))
+    steps = options if noise.white else options.rough
+    there, fitted = relinearised_fit(there, f.terms, f.values, steps, training, noise)
     baseline = fit(reference, Terms(), options, training=training)
     state = replace(selection.state, baseline=baseline, fit=fitted)
     return replace(selection, problem=there, reference=reference, state=state)
@@ -276,7 +274,7 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     """
     problem = selection.problem
     state = selection.state
-    at_once = replace(options, fit=replace(options.fit, relinearised=False))
+    at_once = replace(options, fit=replace(options.fit, may_relinearise=False))
     selector = Selector(problem, at_once)
     while state.tested:
         tested = []

@@ -116,7 +116,7 @@ class Selector:
         return replace(state, fit=fit(self.problem, f.terms, self.options, *start, noise, whitened=self._whitened))
 
     def _processes_of(self, state: State) -> set[tuple[object, ...]]:
-        """The processes of a state, by what they are: those in whose place no names are likelier."""
+        """The processes of a state, by what they are."""
         return {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
 
     def _has_terms(self, state: State) -> bool:
@@ -303,8 +303,9 @@ class Selector:
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
         """The terms of a ranking that are worth their cost and within their bounds, of each site the likeliest alone.
 
-        Of those that act on the same rows, further ones are taken that keep their odds beside the ones before: they
-        explain something else. Where residuals are curved none is, as columns say nothing of that.
+        Of those that act on the same rows, further ones are taken that keep half of their odds beside any numbers of
+        the ones before: they explain something else. A site whose likeliest does not waits for the next ranking. Where
+        residuals are curved none is taken, as columns say nothing of that.
         A further term may be a part of what a present one does not describe. It is left out where it explains less than
         noise of its own would at that one's component.
         """
@@ -337,6 +338,8 @@ class Selector:
                 continue
             worth.append(candidate)
             taken |= rows
+            counts = counts + rows
+            full |= counts >= _MOST_TERMS
             if self.problem.curved:
                 full |= rows
             else:

@@ -255,7 +255,7 @@ def test_kept_derivatives_lead_to_the_same_fit(arm, still, poses, monkeypatch):
     fits = []
     for stale in (0.0, 0.1):
         taken.append(0)
-        fits.append(fit(case, PHYSICS, replace(OPTIONS, fit=FitOptions(stale=stale, relinearised=False))))
+        fits.append(fit(case, PHYSICS, replace(OPTIONS, fit=FitOptions(stale=stale, may_relinearise=False))))
     first = taken.index(0, 1)
     assert sum(taken[first:]) < sum(taken[:first])
     anew, kept = fits

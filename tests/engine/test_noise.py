@@ -59,6 +59,17 @@ def test_the_volume_is_that_of_the_samples_that_are_used():
     assert with_gap.log_volume(used) == pytest.approx(alone.log_volume(np.ones(70, bool)), rel=1e-12)
 
 
+def test_the_noise_of_all_samples_follows_from_that_of_every_fifth():
+    memory, slow, every = 0.95, 0.7, 5
+    few = NoiseModel((Autocorrelation(memory**every, slow),), np.array([0]))
+    run = np.zeros(600, int)
+    model = few.between(every, run)
+    rows = noise(np.random.default_rng(4), memory, slow, 1, 600)
+    white = NoiseModel((Autocorrelation(memory, slow),), np.array([0]))
+    np.testing.assert_allclose(model.whitened(rows), white.whitened(rows), rtol=0, atol=1e-9)
+    assert NoiseModel((UNCORRELATED,), np.array([0])).between(every, run).white
+
+
 def test_a_stretch_remembers_nothing_of_the_one_before():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(3, 90))

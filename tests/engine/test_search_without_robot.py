@@ -304,6 +304,22 @@ def test_very_many_samples_are_searched_in_part_and_fitted_whole():
     state = found(problem, few)
     assert terms(state) == [Column("u4")]
     assert state.fit.training.sum() == 1200
+    whole = fit(problem, state.fit.terms, few)
+    np.testing.assert_allclose(state.fit.values, whole.values, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(state.fit.covariance, whole.covariance, rtol=1e-3)
+
+
+def test_very_many_samples_are_fitted_in_the_noise_of_those_that_decide():
+    few = replace(OPTIONS, first_samples=150, most_samples=300)
+    problem = linear_problem(np.random.default_rng(9), 1200, lambda d: 0.6 * d["u4"], correlated=(0.97, 0.97))
+    state = found(problem, few)
+    assert Column("u4") in terms(state)
+    assert not state.fit.noise.white
+    number = terms(state).index(Column("u4"))
+    alone = fit(problem, Terms((Column("u4"),)), few)  # as if the noise were white
+    std = np.sqrt(state.fit.covariance[number, number])
+    assert abs(state.fit.values[number] - 0.6) < 4 * std
+    assert std < 0.5 * np.sqrt(alone.covariance[0, 0])  # differences of neighbours tell a fast regressor
 
 
 def test_the_most_specific_of_indistinguishable_names_is_reported():

@@ -96,11 +96,12 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
 
 
 class BentFrames(NamedTuple):
-    """Where the twists of a deflected arm act, in the sensor's frame: sensor, base, and what follows each joint.
+    """Where the twists of an arm act, in the sensor's frame: sensor, base, what follows each joint, and the tool.
 
     Attributes:
         before: `(site, sample, 4, 4)`, the frames that are displaced: translations are along their axes.
-        turning: `(site, sample, 4, 4)`, the axes about which a change of the rotation vector turns, at their origin.
+        turning: `(site, sample, 4, 4)`, the axes about which a change of the rotation vector turns, at the displaced
+            origin.
         tool: `(sample, 4, 4)`.
     """
 
@@ -120,6 +121,9 @@ def bent_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]
 
     def displaced_by(twist: Array) -> Array:
         before.append(T)
+        if not twist.any():  # the same numbers: of equal sites the search takes the first
+            turning.append(T)
+            return T
         turning.append(T @ turned_axes(twist))
         return T @ displacements(twist)
 
@@ -132,7 +136,7 @@ def bent_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]
         motion[2 if joint in sliding else 5] = joint_position[joint] + bent.joint[joint]
         T = T @ along @ displacements(motion)
         T = displaced_by(bent.link[joint])
-    tool = T @ displacements(bent.tool) @ np.asarray(model.T_flange_tool)
+    tool = displaced_by(bent.tool) @ np.asarray(model.T_flange_tool)
     of_sites = BentFrames(np.stack(before), np.stack(turning), tool)
     for transforms in of_sites:
         transforms[..., :3, 3] *= 1 + bent.scale[:, None]
@@ -159,27 +163,27 @@ def site_columns(
     if deflection is None:
         rigid = rigid_frames(model, joint_position, sliding)
         sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
-        before = np.concatenate([sensor, rigid.frames])
+        before = np.concatenate([sensor, rigid.frames, rigid.frames[-1:]])
         at = BentFrames(before, before, rigid.tool)
     else:
         at = bent_frames(model, joint_position, sliding, deflection)
-    twists, stretches, scale = twist_columns(at, measured)
-    stretches = stretches[1:]
+    slid = np.where(np.isin(np.arange(dof), sliding)[:, None], joint_position, 0.0)
+    twists, turns, stretches, scale = site_differences(at, slid, measured)
     columns = whitened(
-        np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
+        np.concatenate([twists.reshape(-1, *twists.shape[2:]), turns, stretches, scale[None]]), measured.whitener
     )
     visible = np.abs(columns).max((1, 2), initial=0.0)
     columns[visible < _ROUNDING * visible.max()] = 0.0  # rounding: the last joint's, of a point on its axis
-    twisted = columns[: 6 * (dof + 2)].reshape(dof + 2, 6, *columns.shape[1:])
-    stretched = columns[6 * (dof + 2) :]
+    twisted = columns[: 6 * (dof + 3)].reshape(dof + 3, 6, *columns.shape[1:])
+    turned, stretched = np.split(columns[6 * (dof + 3) : -1], 2)
     sites: dict[Site, Array] = {("base", 0, k): twisted[1, k] for k in range(6)}
     for j in range(dof):
         sites |= {("link", j, k): twisted[j + 2, k] for k in range(6)}
-        sites["joint", j, 0] = twisted[j + 2, 2 if j in sliding else 5]  # along its frame's z, or about it
+        sites["joint", j, 0] = twisted[j + 2, 2] if j in sliding else turned[j]
         sites["stretch", j, 0] = stretched[j]
-    sites |= {("tool", 0, k): twisted[dof + 1, k] for k in range(6)}
+    sites |= {("tool", 0, k): twisted[dof + 2, k] for k in range(6)}
     sites |= {("sensor", 0, k): twisted[0, k] for k in range(6)}
-    sites["scale", 0, 0] = stretched[dof]
+    sites["scale", 0, 0] = columns[-1]
     return sites
 
 
@@ -220,7 +224,8 @@ def displacements(twist: Array) -> Array:
 def turned_axes(twist: Array) -> Array:
     """`(sample, 4, 4)`: about which axes, and where, a displacement `(6, sample)` turns as its rotation vector changes.
 
-    That is the left Jacobian of a rotation vector r, 1 + [r]/2 + [r]²/6 to third order, at the displaced origin.
+    That is the left Jacobian of a rotation vector r, 1 + [r]/2 + [r]²/6 with an error of third order, at the displaced
+    origin.
     """
     x, y, z = twist[3:]
     cross = np.zeros((twist.shape[1], 3, 3))
@@ -263,26 +268,40 @@ def measured_poses(recording: Recording, whitener: Array) -> PoseSensor:
     )
 
 
-def rigid_columns(rigid: RigidFrames, measured: Sensor) -> tuple[Array, Array, Array]:
-    """As `twist_columns`, of the base and of the frame after each joint of a rigid arm."""
-    return twist_columns(BentFrames(rigid.frames, rigid.frames, rigid.tool), measured)
+def rigid_columns(rigid: RigidFrames, measured: Sensor) -> Array:
+    """How differences change with twists of the base and of the frame after each joint, `(frame, 6, row, sample)`."""
+    return _twist_columns(BentFrames(rigid.frames, rigid.frames, rigid.tool), measured)
 
 
-def twist_columns(at: BentFrames, measured: Sensor) -> tuple[Array, Array, Array]:
-    """How differences change with twists `(site, 6, row, sample)`, stretches between sites, and the scale.
+def site_differences(at: BentFrames, slid: Array, measured: Sensor) -> tuple[Array, Array, Array, Array]:
+    """How differences change with deflections at every site of an arm.
 
-    Stretches are `(site - 1, row, sample)`, and the scale `(row, sample)`.
+    Args:
+        at: where they act.
+        slid: `(joint, sample)` m, by how much prismatic joints have moved along their axes; zero of others.
+        measured: what is seen.
+
+    Returns:
+        twists `(site, 6, row, sample)`; turns about each joint's axis and stretches before it, `(joint, row, sample)`;
+        and the scale `(row, sample)`.
     """
-    tool = at.tool
+    joints = slice(2, -1)
+    origins = np.moveaxis(at.before[joints, :, :3, 3], 1, -1)  # (joint, component, sample)
+    axes = np.moveaxis(at.before[joints, :, :3, 2], 1, -1)
+    tool = at.tool[:, :3, 3].T
+    turns = measured.columns(at.tool, np.cross(axes, tool - origins, axis=1), axes)
+    stretches = origins - slid[:, None] * axes - np.moveaxis(at.turning[1:-2, :, :3, 3], 1, -1)
+    along = np.concatenate([stretches, tool[None]])
+    lengths = measured.columns(at.tool, along)
+    return _twist_columns(at, measured), turns, lengths[:-1], lengths[-1]
+
+
+def _twist_columns(at: BentFrames, measured: Sensor) -> Array:
     axes = np.moveaxis(at.before[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (site, axis, component, sample)
     about = np.moveaxis(at.turning[:, :, :3, :3], 1, -1).swapaxes(1, 2)
-    lever = tool[:, :3, 3].T - np.moveaxis(at.turning[:, :, :3, 3], 1, -1)
+    lever = at.tool[:, :3, 3].T - np.moveaxis(at.turning[:, :, :3, 3], 1, -1)
     turned = np.cross(about, lever[:, None], axis=2)
-    twists = np.concatenate([measured.columns(tool, axes), measured.columns(tool, turned, about)], 1)
-    stretches = np.diff(np.moveaxis(at.before[:, :, :3, 3], 1, -1), axis=0)
-    along = np.concatenate([stretches, tool[:, :3, 3].T[None]])
-    lengths = measured.columns(tool, along)
-    return twists, lengths[:-1], lengths[-1]
+    return np.concatenate([measured.columns(at.tool, axes), measured.columns(at.tool, turned, about)], 1)
 
 
 @partial(jax.jit, static_argnums=0)

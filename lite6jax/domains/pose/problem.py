@@ -403,7 +403,7 @@ class PoseProblem(RigidArm):
         What turns the arm by a milliradian turns all that is nearer to the tool: columns about the rigid arm are off by
         a thousandth then, which misleads fits of numbers that are nearly confounded.
         """
-        problem = super().relinearised(nuisance)
+        problem = replace(super().relinearised(nuisance), bent=None)
         if beside is None or not beside[0].terms:
             return problem
         return replace(problem, bent=problem._deflection(np.zeros(len(self.unknown)), *beside)[1])

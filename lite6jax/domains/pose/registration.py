@@ -231,7 +231,7 @@ class _Frames(NuisanceProblem):
 
     @property
     def frame_columns(self) -> Array:
-        twists = rigid_columns(self.rigid, self.measured)[0].reshape(12, self.rows, -1)
+        twists = rigid_columns(self.rigid, self.measured).reshape(12, self.rows, -1)
         return whitened(twists[self.unknown], self.measured.whitener)
 
     def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> "_Frames":

@@ -201,7 +201,7 @@ class RigidArm(NuisanceProblem):
     @cached_property
     def plain_twists(self) -> Array:
         """`((joint + 1) 6, row, sample)`: how differences change with a twist of each frame, in its own axes."""
-        twists = rigid_columns(self.rigid, self.measured)[0]
+        twists = rigid_columns(self.rigid, self.measured)
         return twists.reshape(-1, self.rows, self.samples)
 
     @cached_property
