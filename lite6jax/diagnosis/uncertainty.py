@@ -199,12 +199,11 @@ def _covariance(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Arra
     if not len(columns):
         return np.zeros((0, 0))
     used = fit.training & valid
-    innovations = columns if fit.noise.white else fit.noise.whitened(np.where(used, columns, 0.0))
     root = np.sqrt(np.where(used, fit.residuals.row_weight, 0.0))
     H = np.diag(np.asarray(precision, float))
-    for first in range(0, root.shape[1], _BLOCK):
-        flat = (innovations[..., first : first + _BLOCK] * root[:, first : first + _BLOCK]).reshape(len(columns), -1)
-        H += flat @ flat.T
+    for row, row_root in enumerate(root):  # all at once would take half a gigabyte a copy of a real arm
+        of_row = fit.noise.of_row(row).whitened(np.where(used, columns[:, [row]], 0.0))[:, 0] * row_root
+        H += of_row @ of_row.T
     return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 
 

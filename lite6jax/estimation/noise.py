@@ -164,6 +164,10 @@ class NoiseModel:
         white_shares = np.array([1 - model.share for model in self.models])
         return declared / np.sqrt(np.maximum(white_shares, _LEAST_WHITE))
 
+    def of_row(self, row: int) -> "NoiseModel":
+        """The model of one row alone."""
+        return replace(self, groups=self.groups[row : row + 1])
+
     def between(self, every: int, run: Integers) -> "NoiseModel":
         """The model of all samples, of which this is that of one in `every`.
 

@@ -227,10 +227,7 @@ def turned_axes(twist: Array) -> Array:
     That is the left Jacobian of a rotation vector r, 1 + [r]/2 + [r]²/6 with an error of third order, at the displaced
     origin.
     """
-    x, y, z = twist[3:]
-    cross = np.zeros((twist.shape[1], 3, 3))
-    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = x, y, z
-    cross -= cross.swapaxes(1, 2)
+    cross = np.cross(twist[3:].T[:, None], np.eye(3)).swapaxes(1, 2)
     T = np.tile(np.eye(4), (twist.shape[1], 1, 1))
     T[:, :3, :3] += cross / 2 + cross @ cross / 6
     T[:, :3, 3] = twist[:3].T
