@@ -267,6 +267,7 @@ def relinearised_fit(
 ) -> tuple[P, Fit]:
     """The problem about the best nuisance and numbers of terms, linearised anew after each long step; and the fit.
 
+    Columns of curved problems follow the estimate anyway: these are linearised anew at the end alone.
     Derivatives are then those at the estimate. Where numbers are nearly confounded, an error of a thousandth in the
     derivatives leads every step astray along the combination that the data hardly determine.
 
@@ -389,7 +390,7 @@ def _fitted(
             columns = None
             continue
         at = trial
-        if moving and length > _SHORT:
+        if moving and not problem.curved and length > _SHORT:
             problem = problem.relinearised(at[:k], (terms, at[k:]))
             at = taken = np.concatenate([np.zeros(k), at[k:]])
             rows = residual(problem, at)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
-from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, CurvedProblem, Mask, Problem, acts_on, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
@@ -48,8 +47,10 @@ _ESTIMATES = 4
 _MOST_TERMS = 8
 """Terms of one group of rows from which none is added; bounds the time, and more were never true in a trial."""
 
-_APART = 0.5
+_APART = 0.9
 """Share of its log odds that a term keeps beside another, from which both are added at once."""
+_REFUSED = 40
+"""Terms that are no other thing than those before, after which none of a ranking is looked at."""
 _LARGE = 30.0
 """Log odds by their columns, from which curved terms are compared by their fits."""
 _FAILURES = 2
@@ -81,8 +82,8 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. More terms are then tried in its place: its two
-        numbers cost `CLOSE`. Terms are exchanged in the likelier noise alone.
+        many processes are significant that each describe a part of it. Terms are then tried in its place: its two
+        numbers cost `CLOSE`.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -90,17 +91,14 @@ class Selector:
         begun = self._continued_from(autocorrelated)
         if self._has_terms(begun):
             return self.above_noise(self._grown(begun, exchanging, self._processes_of(begun)))
-        grown = self._grown(begun, False, set())
+        grown = self._grown(begun, exchanging, set())
         if not autocorrelated.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            white = self._continued_from(self._in_noise(grown, state.fit.noise))
-            instead = self._grown(white, False, self._processes_of(white))
+            instead = self._grown(self._continued_from(state), exchanging, set())
             instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
             cost_of_noise = CLOSE if instead.fit.noise.white and not grown.fit.noise.white else 0.0
             if instead.evidence > grown.evidence - cost_of_noise:
                 grown = instead
-        if exchanging:
-            grown = self._grown(grown, True, self._processes_of(grown))
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
@@ -108,12 +106,6 @@ class Selector:
     def _continued_from(self, state: State) -> State:
         """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
         return self._settled(self._estimated(state)) if self._has_terms(state) else state
-
-    def _in_noise(self, state: State, noise: NoiseModel) -> State:
-        """The terms of a state fitted in another noise."""
-        f = state.fit
-        start = f.values, f.nuisance, f.training
-        return replace(state, fit=fit(self.problem, f.terms, self.options, *start, noise, whitened=self._whitened))
 
     def _processes_of(self, state: State) -> set[tuple[object, ...]]:
         """The processes of a state, by what they are."""
@@ -301,11 +293,11 @@ class Selector:
         return self._within_bounds(self._estimated(self._with(state, *worth)))
 
     def _worth(self, ranked: list[Ranked], test: ScoreTest, state: State, tried: set[object]) -> list[Ranked]:
-        """The terms of a ranking that are worth their cost and within their bounds, of each site the likeliest alone.
+        """The terms of a ranking that are worth their cost and within their bounds, the likeliest first.
 
-        Of those that act on the same rows, further ones are taken that keep half of their odds beside any numbers of
-        the ones before: they explain something else. A site whose likeliest does not waits for the next ranking. Where
-        residuals are curved none is taken, as columns say nothing of that.
+        Of those that act on the same rows, further ones are taken that keep nine tenths of their odds beside any
+        numbers of the ones before: they explain something else. Where residuals are curved none is taken, as columns
+        say nothing of that.
         A further term may be a part of what a present one does not describe. It is left out where it explains less than
         noise of its own would at that one's component.
         """
@@ -317,26 +309,27 @@ class Selector:
         noises = [(np.any(column, 1), float(marginal.of_noise(column).gain)) for column in columns.values()]
         full = counts >= _MOST_TERMS
         taken = np.zeros(self.problem.rows, bool)
-        asked_sites = set[str]()
+        refused = 0
         worth = list[Ranked]()
         weighed = [self._continued(candidate, model) for candidate in self._not_refused(ranked, test, state)]
         for candidate in sorted(weighed, key=lambda candidate: -candidate.net):
-            if candidate.net < MARGIN or full.all():
+            if candidate.net < MARGIN or full.all() or refused == _REFUSED:
                 break
-            if candidate.key in tried or candidate.site in tried or candidate.site in asked_sites:
+            if candidate.key in tried or candidate.site in tried:
                 continue
             if not self._has_room(candidate, model) or not self._is_possible(test, candidate):
                 continue
             rows = self._acted_on(candidate, state)
             if (rows & full).any():
                 continue
-            asked_sites.add(candidate.site)
             if any(candidate.gain < gain for acted_on, gain in noises if (acted_on & rows).any()):
                 full |= rows
                 continue
             if (rows & taken).any() and not self._is_apart(candidate, test):
+                refused = refused + 1
                 continue
             worth.append(candidate)
+            model = (*model, candidate.make())
             taken |= rows
             counts = counts + rows
             full |= counts >= _MOST_TERMS
@@ -348,7 +341,7 @@ class Selector:
         return worth
 
     def _is_apart(self, candidate: Ranked, test: ScoreTest) -> bool:
-        """Whether a candidate keeps most of its odds beside a model that has others of its ranking."""
+        """Whether a candidate keeps its odds, but for a tenth, beside a model that has others of its ranking."""
         weighed = ModelScan(self.scan, test)
         if candidate.process:
             component, quantity_indices, kernel, rolloff = candidate.process

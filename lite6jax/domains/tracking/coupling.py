@@ -296,12 +296,14 @@ def roll_coupled(
     answer = None
     for sweep in range(_SWEEPS):
         before = rolled.readout
-        along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
+        with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
+            along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
         if not sweep:  # this change is mostly that of the motion, which is slow: joints hardly answer it
             load = along
         else:
             answer = answer or _Answer(matrix, own, servo, commands)
-            load = mixture.next(load, load + answer.change(along - load))
+            with np.errstate(invalid="ignore", over="ignore"):
+                load = mixture.next(load, load + answer.change(along - load))
         loads = JointLoads(load, mass, weight)
         rolled = roll(servo, commands, joints, load, mass, extra=extra, weight=weight, fine=True)
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
