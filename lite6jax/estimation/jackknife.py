@@ -49,7 +49,7 @@ def stds_over_blocks(
     """
     nuisance = fitted.nuisance
     columns = linear_columns(linearised_at(problem, nuisance), terms, values)
-    for row in range(problem.rows):  # all at once would take half a gigabyte more of a real arm
+    for row in range(problem.rows):  # all at once would take as much memory again
         columns[:, [row]] = fitted.noise.of_row(row).whitened(columns[:, [row]])
     count = len(columns)
     row_weight = np.where(fitted.training, fitted.residuals.row_weight, 0.0)
