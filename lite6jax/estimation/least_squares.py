@@ -228,8 +228,8 @@ def fit(
     if found.converged or exact:
         return found
     if following:
-        there = problem.relinearised(found.nuisance, (terms, found.values))
-        again = relinearised_fit(there, terms, found.values, options, found.training, found.noise)[1]
+        start = found.values, options, found.nuisance, found.training, found.noise
+        again = relinearised_fit(problem, terms, *start)[1]
         if again.gain_over(found) > 0:
             found = replace(again, nuisance=again.nuisance_about(problem), offset=problem.offset)
     if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
@@ -244,7 +244,7 @@ def _may_jump(terms: Terms) -> bool:
 
 
 def relinearise(problem: P, options: EngineOptions, training: Mask | None = None, steps: int | None = None) -> P:
-    """The problem about the nuisance that fits best without further terms, linearised anew at every step.
+    """The problem about the nuisance that fits best without further terms, linearised anew after each long step.
 
     Args:
         problem: the data.
@@ -262,6 +262,7 @@ def relinearised_fit(
     terms: Terms,
     values: Array,
     options: EngineOptions,
+    nuisance: Array | None = None,
     training: Mask | None = None,
     noise: NoiseModel | None = None,
 ) -> tuple[P, Fit]:
@@ -272,13 +273,16 @@ def relinearised_fit(
     derivatives leads every step astray along the combination that the data hardly determine.
 
     Args:
-        problem: the data, linearised where the fit begins.
+        problem: the data.
         terms: of the model.
         values: `(terms.size,)` to start from.
         options: thresholds.
+        nuisance: `(number,)` to start from, where the problem is linearised first; as it is where not given.
         training: `(sample,)` bool; all where not given.
         noise: the noise model; white where not given.
     """
+    if nuisance is not None:
+        problem = problem.relinearised(nuisance, (terms, values))
     problem, fitted = _fitted(problem, terms, options, values, None, training, noise, False, True)
     there = problem.relinearised(fitted.nuisance, (terms, fitted.values))
     return there, fitted.seen_in(there, fitted.training, fitted.noise)

@@ -161,13 +161,13 @@ def _of_all_samples(
         wandering = [selected.term for selected in selection.wandering]
         problem = cast(WanderingProblem, problem).with_nuisance(wandering)
         reference = cast(WanderingProblem, reference).with_nuisance(wandering)
-    there = problem.relinearised(f.nuisance_about(problem), (f.terms, f.values))
     noise = f.noise.between(every, independent_runs(problem, training))
-    steps = options if noise.white else options.rough
-    there, fitted = relinearised_fit(there, f.terms, f.values, steps, training, noise)
+    extent = options if noise.white else options.rough
+    nuisance = f.nuisance_about(problem)
+    problem, fitted = relinearised_fit(problem, f.terms, f.values, extent, nuisance, training, noise)
     baseline = fit(reference, Terms(), options, training=training)
     state = replace(selection.state, baseline=baseline, fit=fitted)
-    return replace(selection, problem=there, reference=reference, state=state)
+    return replace(selection, problem=problem, reference=reference, state=state)
 
 
 def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, Problem]:
@@ -246,8 +246,8 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     if not selection.state.tested:
         return selection
     f = selection.state.fit
-    there = selection.problem.relinearised(f.nuisance, (f.terms, f.values))
-    problem, fitted = relinearised_fit(there, f.terms, f.values, options, f.training, f.noise)
+    start = f.values, options, f.nuisance, f.training, f.noise
+    problem, fitted = relinearised_fit(selection.problem, f.terms, *start)
     return replace(selection, problem=problem, state=replace(selection.state, fit=fitted))
 
 

@@ -298,15 +298,13 @@ def roll_coupled(
         before = rolled.readout
         with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
             along = bodies.torques(rolled.position, rolled.velocity, rolled.acceleration) - mass * rolled.acceleration
-        if not sweep:  # this change is mostly that of the motion, which is slow: joints hardly answer it
-            load = along
-        else:
-            answer = answer or _Answer(matrix, own, servo, commands)
-            with np.errstate(invalid="ignore", over="ignore"):
+            if not sweep:  # this change is mostly that of the motion, which is slow: joints hardly answer it
+                load = along
+            else:
+                answer = answer or _Answer(matrix, own, servo, commands)
                 load = mixture.next(load, load + answer.change(along - load))
-        loads = JointLoads(load, mass, weight)
-        rolled = roll(servo, commands, joints, load, mass, extra=extra, weight=weight, fine=True)
-        with np.errstate(invalid="ignore", over="ignore"):  # of an arm that its servos do not hold
+            loads = JointLoads(load, mass, weight)
+            rolled = roll(servo, commands, joints, load, mass, extra=extra, weight=weight, fine=True)
             change = np.sqrt(np.mean((rolled.readout - before) ** 2, 1))
         if np.all(change < settled) or not np.all(change < _APART):
             break
