@@ -208,9 +208,7 @@ def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmM
 
 def small_displacement(twist: Array) -> Array:
     """`(4, 4)` of a displacement `(6,)`: its translation in m, and its rotation vector in rad."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
-    return T
+    return displacements(twist[:, None])[0]
 
 
 def displacements(twist: Array) -> Array:
