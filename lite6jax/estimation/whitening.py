@@ -56,7 +56,9 @@ class Whitened:
             # of one linearisation these are the same arrays each time
             key = id(product.site), id(product.functions)
             if key not in self._kept:
-                dense = (product.site[:, None] * product.functions[:, None]).reshape(-1, *product.site.shape[1:])
+                dense = product.site[:, None] * product.functions[:, None]
+                # in the order of all other columns, whatever that of the functions: sums then round alike
+                dense = np.ascontiguousarray(dense.reshape(-1, *product.site.shape[1:]))
                 self._keep(key, (product.site, product.functions), noise.whitened(dense))
             parts.append(self._kept[key][1])
         return [part for part in parts if len(part)]
