@@ -498,11 +498,23 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             status = "found"
             if effect not in self.fit.terms.terms:
                 status = self._distinction(k, effect)
-        numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
-        stated_numbers = {name: value for name, value in numbers.items() if value not in (None, "")}
-        if "period_m" in stated_numbers:  # what an order is of a prismatic joint
-            del stated_numbers["order"]
-        return {**effect_entry(effect), **stated_numbers, "log_likelihood_gap": alternative.gap, "status": status}
+        entry = {**effect_entry(effect), **_stated_numbers(effect)}
+        if alternative.together_with:
+            entry["together_with"] = [
+                {**effect_entry(other), **_stated_numbers(other)}
+                for other in alternative.together_with
+                if isinstance(other, Effect)
+            ]
+        return {**entry, "log_likelihood_gap": alternative.gap, "status": status}
+
+
+def _stated_numbers(effect: Effect) -> dict[str, Any]:
+    """What tells an effect from others of its name and site."""
+    numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
+    stated = {name: value for name, value in numbers.items() if value not in (None, "")}
+    if "period_m" in stated:  # what an order is of a prismatic joint
+        del stated["order"]
+    return stated
 
 
 def block_count(folds: Sequence[Mask]) -> int:

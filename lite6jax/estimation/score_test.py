@@ -183,8 +183,8 @@ class ScoreTest:
     def _changed(self, part: Fit, kept: Sequence[bool]) -> Spanned | None:
         """The columns of a part of the model, as changes of this span; None where more of them differ than a few.
 
-        Masses act through what gives way: without it their columns go, and those beside the rest come. Columns of
-        processes are always the same.
+        Masses act through what gives way: without it their columns go, and those beside the rest come; so does the
+        column of an offset in time, which delays what the other terms do. Columns of processes are always the same.
 
         Args:
             part: of the model.
@@ -192,12 +192,14 @@ class ScoreTest:
         """
         before, whole_columns = self._named
         nuisance, part_columns = _named_columns(self.problem, part)
-        if not all(np.array_equal(whole_columns[term], part_columns[term]) for term in part_columns):
-            return None
+        places = {term: place for place, term in enumerate(self.fit.terms.terms)}
+        moved = [term for term, columns in part_columns.items() if not np.array_equal(whole_columns[term], columns)]
         stay = np.append(kept, True)[self.owners]
+        for term in moved:
+            stay[self.owners == places[term]] = False
         place = np.append(np.cumsum(kept) - 1, -1)
         changed = (before != nuisance).any((1, 2))
-        if not changed.any():
+        if not changed.any() and not moved:
             span = self.span.part(stay, EIGENVALUE_ROUNDING)
             return Spanned(span, place[self.owners[stay]], self.acting[stay])
         acted, acts = (columns[..., self.fit.training].any((1, 2)) for columns in (before, nuisance))
@@ -207,18 +209,20 @@ class ScoreTest:
             return None
         stay[of_nuisance[changed[acted]]] = False
         numbers = np.flatnonzero(changed & acts)
-        flat = self._flat(nuisance[numbers])
+        columns = np.concatenate([nuisance[numbers], *(part_columns[term] for term in moved)])
+        flat = self._flat(columns)
         readings = _with_readings(self.problem, precision)
         measured = self.problem.rows * self.problem.samples
-        flat[:, measured : measured + len(readings)] = np.where(
+        flat[: len(numbers), measured : measured + len(readings)] = np.where(
             numbers[:, None] == readings, np.sqrt(precision[readings]) * self.fit.scale[0], 0.0
         )
         shorter = self.span.part(stay, EIGENVALUE_ROUNDING)
         span = shorter.extended(flat, EIGENVALUE_ROUNDING)
-        if len(span.changes) - len(shorter.changes) != len(numbers):
+        if len(span.changes) - len(shorter.changes) != len(columns):
             return None
-        owners = np.append(place[self.owners[stay]], np.full(len(numbers), -1))
-        return Spanned(span, owners, np.concatenate([self.acting[stay], _acting(self.problem, nuisance[numbers])]))
+        of_terms = [np.full(len(part_columns[term]), place[places[term]]) for term in moved]
+        owners = np.concatenate([place[self.owners[stay]], np.full(len(numbers), -1), *of_terms])
+        return Spanned(span, owners, np.concatenate([self.acting[stay], _acting(self.problem, columns)]))
 
     @cached_property
     def _named(self) -> "tuple[Array, dict[Term, Array]]":

@@ -140,7 +140,8 @@ def effect_title(entry: Entry) -> str:
         at_site = driver != entry["driver"] and " and " not in driver
         of = f"its {driver}" if at_site else f"the {with_articles(entry['driver'])}"
         return f"unnamed effect at {site}{component(where or entry)} as a function of {of}"
-    return f"{effect_name(entry['effect'])}{detail(entry)} at {site}"
+    further = "".join(f" with another{detail(other)}" for other in entry.get("together_with", ()))
+    return f"{effect_name(entry['effect'])}{detail(entry)}{further} at {site}"
 
 
 def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:

@@ -282,8 +282,12 @@ def what_to_record(document: Document) -> list[str]:
     for finding in findings:
         subject = {"one": effect_title(finding), "site": finding["site"]}
         waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
-        if orders := [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]:
+        open_waves = [rival for rival in waves if rival["status"] == "undecided"]
+        if orders := [f"{rival['order']:.6g}" for rival in open_waves if "together_with" not in rival]:
             lines.append(fill(texts["orders"], subject, orders=orders))
+        for rival in (rival for rival in open_waves if "together_with" in rival):
+            orders = [f"{wave['order']:.6g}" for wave in (rival, *rival["together_with"])]
+            lines.append(fill(texts["several_orders"], subject, orders=orders))
         undecided = []
         equivalents = [effect_title(rival) for rival in distinct_rivals(finding) if rival["status"] == "equivalent"]
         if equivalents:

@@ -299,11 +299,15 @@ class Scan:
 
     @cached_property
     def later(self) -> tuple[NDArray[np.integer], NDArray[np.integer], Array]:
-        """The samples from the last to the first; and of each jump in time how many are after it, and from when on."""
+        """The samples from the last to the first; and of each jump in time how many are after it, and from when on.
+
+        At least two are before it and two after: one sample that differs from all others is an outlier.
+        """
         assert self.time is not None
         times = self.problem.seen(np.asarray(self.quantities[self.time].values)[None])[0]
         order = np.argsort(times, kind="stable")
         first = 1 + np.flatnonzero(np.diff(times[order]) > 0)
+        first = first[(first >= 2) & (first <= len(times) - 2)]
         return order[::-1], len(times) - first, times[order[first]]
 
     def _cost_of_quantity(self, site: str, k: int) -> float:

@@ -94,14 +94,19 @@ class Selector:
         grown = self._grown(begun, exchanging, set())
         if not autocorrelated.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            instead = self._grown(self._continued_from(state), exchanging, set())
-            instead = self._dropped(replace(instead, fit=self.in_likeliest_noise(instead.fit)))
+            instead = self._in_noise_left(self._with_all_worth(self._continued_from(state)))
+            if self._has_terms(instead):
+                instead = self._in_noise_left(self._grown(instead, exchanging, set()))
             cost_of_noise = CLOSE if instead.fit.noise.white and not grown.fit.noise.white else 0.0
             if instead.evidence > grown.evidence - cost_of_noise:
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
+
+    def _in_noise_left(self, state: State) -> State:
+        """The terms that are worth their cost in the noise that all of them leave."""
+        return self._dropped(replace(state, fit=self.in_likeliest_noise(state.fit)))
 
     def _continued_from(self, state: State) -> State:
         """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
@@ -128,7 +133,7 @@ class Selector:
             present = state.fit.terms.terms
             if term in self._preset or term not in present:  # one in its place may include others
                 continue
-            rivals = [alternative.term for alternative in selected.alternatives]
+            rivals = [other.term for other in selected.alternatives if not other.together_with]
             rivals = [rival for rival in rivals if rival not in present and is_known(self.problem, rival)]
             if not rivals and (not is_process(term) or is_wander(term)):
                 continue
@@ -632,6 +637,9 @@ class Selector:
             absorbed = self._absorbed(state, k)
             if absorbed is not None and absorbed.evidence > state.evidence:
                 return absorbed
+            two = self._as_two_waves(state, k)
+            if two is not None and two.evidence > state.evidence + BETTER:
+                return self._settled(two)
             likeliest = next(iter(self._in_place(state, k)), None)
             if likeliest is None or self._is(likeliest, selected.term):
                 continue
@@ -686,6 +694,24 @@ class Selector:
             if likeliest and likeliest[0].net >= MARGIN:
                 bare = self._refitted(state, rest)
                 return self._settled(self._estimated(self._with(bare, likeliest[0])))
+        return None
+
+    def _as_two_waves(self, state: State, k: int) -> State | None:
+        """The state with the likeliest two waves of whole orders, its last terms, in the place of one between them.
+
+        None where the k-th term is no wave, or no such waves are likely to first order.
+        """
+        wave = wave_of(self.problem, state.tested[k].term)
+        if wave is None:
+            return None
+        family, order = wave
+        for pair in ModelScan(self.scan, self.beside(state, k)).pairs_at(family.site):
+            waves = [wave_of(self.problem, name.make()) for name in pair.names]
+            orders = sorted(other[1] for other in waves if other is not None and other[0] is family)
+            if len(orders) == 2 and orders[0] < order < orders[1]:
+                if pair.net < state.tested[k].net - 2 * CLOSE:
+                    return None
+                return self.weighed(self._with(self._left_out(state, k), *pair.names))
         return None
 
     def _has_number(self, term: Term) -> bool:
@@ -855,6 +881,7 @@ class Selector:
                     continue
                 if (
                     not self._contains(candidate, selected.term)
+                    and not self._is_near_order(candidate, selected.term)
                     and key not in listed_keys
                     and self._is_possible(test, candidate)
                 ):
@@ -872,6 +899,10 @@ class Selector:
             if (wave := wave_of(self.problem, selected.term)) is not None:
                 waves = as_likely(test, *wave, CLOSE / every)
                 alternatives += [Alternative(wave[0].term(order), every * gap) for order, gap in waves]
+                two = self._as_two_waves(state, k)
+                if two is not None and (gap := _gap(state, two, every)) < CLOSE:
+                    low, high = (weighed.term for weighed in two.tested[-2:])
+                    alternatives.append(Alternative(low, max(gap, 0.0), (high,)))
                 alternatives.sort(key=lambda alternative: alternative.gap)
             alternatives_by_term.append(tuple(alternatives))
         return alternatives_by_term
@@ -900,6 +931,14 @@ class Selector:
         phrases = {driver.phrase for driver in term.drivers}
         more = term.nonparametric and ranked.site == term.site and bool(ranked.process) and phrases <= set(ranked.cause)
         return more or self._is(ranked, term)
+
+    def _is_near_order(self, ranked: Ranked, term: Term) -> bool:
+        """Whether it is the likeliest order of an angle, found once more, where a term is a wave of it."""
+        wave = wave_of(self.problem, term)
+        candidate_wave = None if ranked.process else wave_of(self.problem, ranked.make())
+        if wave is None or candidate_wave is None:
+            return False
+        return candidate_wave[0] is wave[0] and candidate_wave[1] % 1 != 0
 
     def _is(self, ranked: Ranked, term: Term) -> bool:
         """Whether a ranked term is this one, or a process of the same quantities at its site."""
@@ -933,6 +972,12 @@ class Selector:
             return fitted
         start = fitted.values, fitted.nuisance, fitted.training
         return fit(self.problem, fitted.terms, self.options, *start, noise, whitened=self._whitened)
+
+
+def _gap(state: State, other: State, every: int) -> float:
+    """By which another state is less likely, where each sample stands for some; costs are of the choice of terms."""
+    cost = sum(selected.cost for selected in other.tested) - sum(selected.cost for selected in state.tested)
+    return every * (state.evidence - other.evidence - cost) + cost
 
 
 def is_known(problem: Problem, term: Term) -> bool:

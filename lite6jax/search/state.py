@@ -19,15 +19,17 @@ Array = NDArray[np.floating]
 @final
 @dataclass(frozen=True)
 class Alternative:
-    """A term that explains nearly the same as another.
+    """A term, or several, that explain nearly the same as another.
 
     Attributes:
         term: which.
         gap: by which its log evidence, less the cost of its choice, is lower.
+        together_with: further terms without which it does not explain that.
     """
 
     term: Term
     gap: float
+    together_with: tuple[Term, ...] = ()
 
 
 @final
