@@ -388,13 +388,14 @@ class _Repeat(_Orders):
 class _Wander(_Orders):
     """A first-order autoregression of unit variance.
 
-    With the memory m in a recording of length T it has the spectrum 1 / (1 + (k / c)²) of its half-waves k,
-    c = T / (π m). Corners are half-waves over the recording: memories of a fifth, a 13th, a 31st and a 75th of it.
+    With the memory m in a recording of length T it has the spectrum 1 / (1 + (k / c)²) of its half-waves k > 0,
+    c = T / (π m). Its mean over the recording has the variance 2μ (1 − μ (1 − exp(−1/μ))), μ = m / T. Corners are
+    half-waves over the recording: memories of 1.3 recordings, of a half, a fifth, a 13th, a 31st and a 75th of one.
     """
 
     prior = "wandering"
     numbers = ("corner", "slope")
-    grid = tuple(product((1.6, 4.0, 10.0, 24.0), (2.0,)))
+    grid = tuple(product((0.25, 0.64, 1.6, 4.0, 10.0, 24.0), (2.0,)))
     undriven = True
     apart = True
 
@@ -412,7 +413,8 @@ class _Wander(_Orders):
             return np.ones(len(orders))
         corner, slope = rolloff
         variance = 4 / (np.pi * corner) / (1 + (orders / corner) ** slope)
-        variance[0] /= 2
+        memory = 1 / (np.pi * corner)
+        variance[0] = 2 * memory * (1 - memory * -np.expm1(-1 / memory))
         return np.sqrt(variance)
 
     def suits(self, driver: Driver, discrete: bool) -> bool:

@@ -49,6 +49,26 @@ def test_the_order_of_a_joint(arm, still, joint, order, within):
     assert np.linalg.norm(score.values - wanted) < 0.15 * 6e-4
 
 
+def test_two_waves_of_whole_orders_and_one_between_them_are_alternatives(tmp_path):
+    """Within two radians of a joint orders 1 and 2 together are nearly one wave of order 1.5."""
+    motion = static_motion(3, 120)
+    narrow = motion["joint_position"].copy()
+    narrow[:, 3] = 0.45 * np.tanh(narrow[:, 3])
+    motion = {**motion, "joint_position": narrow}
+    made = with_effects(
+        Made(tmp_path, seed=1, frame=True),
+        "joint_harmonic:joint=4,order=1,amplitude_rad=2e-3,phase_rad=0.3",
+        "joint_harmonic:joint=4,order=2,amplitude_rad=2e-3,phase_rad=1.1",
+    )
+    found = search(pose_problem(made.recording(motion)), OPTIONS)
+    waves = [selected for selected in found.state.tested if selected.term.periodic]
+    (wave,) = waves
+    assert 1 < wave.term.order < 2
+    (pair,) = [alternative for alternative in wave.alternatives if alternative.together_with]
+    assert (pair.term.order, [term.order for term in pair.together_with]) == (1, [2])
+    assert 0 <= pair.gap < CLOSE
+
+
 def taught(motion, grid):
     """The motion with joint positions at multiples of some degrees, as they are typed into a teach pendant."""
     return {**motion, "joint_position": np.radians(np.round(np.degrees(motion["joint_position"]) / grid) * grid)}

@@ -47,10 +47,23 @@ def test_one_more_read_out_of_a_kind_that_wanders_costs_even_odds(tmp_path):
     scan = Scan(problem, OPTIONS)
     first = problem.process(second, [order], "wander", SIZE, (10.0, 2.0))
     beside = scan.cost_of_wander_beside(third.site, [first])
-    assert beside == pytest.approx(np.log(2) + np.log(4))  # even odds, and any of four memories
+    assert beside == pytest.approx(np.log(2) + np.log(6))  # even odds, and any of six memories
     assert beside < scan.cost_of_process(third.site, (scan.drivers,)) - 1
     assert scan.cost_of_wander_beside(third.site, []) is None
     assert scan.cost_of_wander_beside("sensor", [first]) is None  # encoders say nothing of a tracker
+
+
+def test_a_read_out_that_remembers_longer_than_the_recording_is_no_finding(tmp_path):
+    """Of a factory file that holds, its mean over the recording is far from zero, as that of an offset is."""
+    motion = moving_motion(1, SAMPLES)
+    steps = autoregression(SIZE * np.random.default_rng(2).standard_normal(SAMPLES), 1 - 1 / (2 * SAMPLES))
+    assert abs(np.mean(steps)) > 0.7 * SIZE
+    moved = motion["joint_position"].copy()
+    moved[:, 1] += steps
+    made = Made(tmp_path, seed=1, orientation=False)
+    found = search(pose_problem(made.recording(motion, poses=made.poses({**motion, "joint_position": moved}))), OPTIONS)
+    assert found.state.tested == ()
+    assert [selected.term.site for selected in found.wandering] == ["joint2"]
 
 
 @pytest.mark.parametrize("memory", [40, 80])

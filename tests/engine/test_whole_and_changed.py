@@ -66,6 +66,39 @@ def with_masses(request):
     return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
 
 
+class Delayed(LinearProblem):
+    """A problem whose column u4 is 0.3 of what the rest of the model does, as an offset in time has its rate."""
+
+    def columns(self, terms, values=None, beside=None):
+        columns = super().columns(terms, values, beside)
+        if beside is None:
+            return columns
+        model, numbers = beside
+        others = [term != Column("u4") for term in model.terms]
+        rest, rest_numbers = model.part(numbers, others)
+        done = np.tensordot(rest_numbers, super().columns(rest.terms, rest_numbers), 1) if rest.terms else 0.0
+        begins = np.cumsum([0, *(term.size for term in terms)])
+        for term, k in zip(terms, begins, strict=False):
+            if term == Column("u4"):
+                columns[k] += 0.3 * done
+        return columns
+
+
+@pytest.fixture(scope="module", params=["white", "autocorrelated"])
+def delayed(request):
+    """A test of a model with a column that follows the other terms, as `whole`."""
+    planted = lambda d: 0.8 * d["u2"] + np.tanh(3 * d["u3"]) + 0.4 * d["u4"] + 0.5 * np.sin(3 * d["angle"])  # noqa: E731
+    plain = linear_problem(np.random.default_rng(6), 160, planted)
+    problem = Delayed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
+    third = problem.quantities[2]
+    process = Process("x", (third.driver,), third.bounds, "cubic", 1.0)
+    noise = None
+    if request.param != "white":
+        noise = NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+    fitted = fit(plain, Terms((Column("u2"), Column("u4"), process)), OPTIONS, noise=noise)
+    return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
+
+
 def projection_on(problem, test):
     """The projection on the columns of a model with the readings of their priors, those that are stated first."""
     fitted = test.fit
@@ -210,3 +243,27 @@ def test_what_one_model_knows_of_candidates_serves_another_in_other_noise(whole)
     odds_by_name = all_weighed(scan, score_test(problem, fewer, OPTIONS, grams))
     assert len(grams) < 1.5 * count
     assert odds_by_name == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("stay", [(False, True, True), (True, True, False), (False, True, False), (True, False, True)])
+def test_beside_a_model_without_what_a_column_follows_it_is_another(delayed, stay):
+    problem, scan, test = delayed
+    part = test.beside(stay)
+    assert part.whole is test
+    fitted = part.fit
+    columns = problem.columns(fitted.terms.terms, fitted.values, (fitted.terms, fitted.values))
+    columns = fitted.noise.whitened(np.concatenate([problem.levels, columns]))
+    columns = (columns * (part.scale[0] / part.scale)[:, None]).reshape(len(columns), -1)
+    precision = np.append(np.zeros(len(problem.levels)), prior_precision(problem, fitted.terms.terms))
+    with_prior = np.flatnonzero(precision)
+    prior = np.zeros((len(columns), len(with_prior)))
+    prior[with_prior, np.arange(len(with_prior))] = np.sqrt(precision[with_prior]) * fitted.scale[0]
+    rows = np.concatenate([columns, prior], 1)
+    projection = columns.T @ np.linalg.pinv(rows @ rows.T, hermitian=True) @ columns
+    read = columns.shape[1]
+    assert_close(part.basis[:, :read].T @ part.basis[:, :read], projection)
+    expected = all_weighed(scan, computed_anew(part))
+    odds_by_name = all_weighed(scan, part)
+    assert odds_by_name.keys() == expected.keys()
+    for key, odds in expected.items():
+        assert odds_by_name[key] == pytest.approx(odds, rel=1e-7, abs=1e-7), key
