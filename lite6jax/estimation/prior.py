@@ -41,6 +41,7 @@ class Prior:
         "it is a wave of a turn, of any order, whose size follows another driver",
         "most waves are of one size",
     )
+    overtone: float = option(0.5, "a wave has one of twice its order beside it", "parts are eccentric and out of round")
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
     own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")

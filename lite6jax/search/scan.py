@@ -247,8 +247,8 @@ class Scan:
     def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
         """Of a wave beside other terms; None of a term that is no wave of a fixed order.
 
-        An eccentric part makes waves of several whole multiples of its turn. Where one is there, another costs the
-        choice of the multiple alone, which is chosen as whole orders of all are.
+        An eccentric part makes waves of several whole multiples of its turn. Where one is there, one of twice its order
+        is as probable as not, and another costs the choice of the multiple alone, as whole orders of all are chosen.
         """
         wave = wave_of(self.problem, term)
         if wave is None:
@@ -262,6 +262,8 @@ class Scan:
             multiple = max(order, other_order) / min(order, other_order)
             if other_family is family and multiple > 1 and multiple % 1 == 0:
                 cost = min(cost, float(log_orders_of(family, multiple, self.options)))
+            if other_family is family and multiple == 2:
+                cost = min(cost, self.prior.cost("overtone"))
         return cost
 
     def cost_of_kernel(self, site: str, which: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...]) -> float:
