@@ -248,7 +248,7 @@ class Scan:
         """Of a wave beside other terms; None of a term that is no wave of a fixed order.
 
         An eccentric part makes waves of several whole multiples of its turn. Where one is there, one of twice its order
-        is as probable as not, and another costs the choice of the multiple alone, as whole orders of all are chosen.
+        is as probable as not, and else the multiple is chosen as whole orders are.
         """
         wave = wave_of(self.problem, term)
         if wave is None:
@@ -261,9 +261,10 @@ class Scan:
         for other_family, other_order in (other for other in waves if other is not None):
             multiple = max(order, other_order) / min(order, other_order)
             if other_family is family and multiple > 1 and multiple % 1 == 0:
-                cost = min(cost, float(log_orders_of(family, multiple, self.options)))
-            if other_family is family and multiple == 2:
-                cost = min(cost, self.prior.cost("overtone"))
+                of_choice = float(np.exp(-log_orders_of(family, multiple, self.options)))
+                of_twice = 1.0 if multiple == 2 else 0.0
+                overtone = self.prior.overtone
+                cost = min(cost, float(-np.log(overtone * of_twice + (1 - overtone) * of_choice)))
         return cost
 
     def cost_of_kernel(self, site: str, which: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...]) -> float:

@@ -122,14 +122,17 @@ def test_a_number_that_is_tried_costs_and_what_nearly_every_problem_has_does_not
 
 def test_a_multiple_of_a_wave_costs_its_choice_alone(scan):
     (family,) = scan.problem.periodic
-    twice = float(log_orders_of(family, 2.0, DEFAULTS))
+    any_multiple = 0.5 * np.exp(-log_orders_of(family, 2.0, DEFAULTS))
+    twice = -np.log(0.5 + any_multiple)
     for order, others in ((20.0, [Wave(10.0)]), (10.0, [Column("u1"), Wave(20.0)])):
         assert scan.cost_of_wave(Wave(order), others) == pytest.approx(twice)
         assert scan.cost_of_wave(Wave(order), ()) > twice + 2
+    thrice = float(log_orders_of(family, 3.0, DEFAULTS)) + np.log(2)
+    assert scan.cost_of_wave(Wave(30.0), [Wave(10.0)]) == pytest.approx(thrice)
     assert scan.cost_of_wave(Wave(15.0), [Wave(10.0)]) == scan.cost_of_wave(Wave(15.0), ())
-    # the multiples of one wave have no more than all whole orders together
+    # the multiples of one wave have no more than even odds of twice it and all whole orders together
     weights = [np.exp(-scan.cost_of_wave(Wave(10.0 * multiple), [Wave(10.0)])) for multiple in range(2, 41)]
-    assert 0.1 < sum(weights) <= DEFAULTS.prior.whole_order
+    assert 0.5 < sum(weights) <= 0.5 + 0.5 * DEFAULTS.prior.whole_order
     assert scan.cost_of_wave(Column("u1"), ()) is None
 
 
