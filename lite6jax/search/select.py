@@ -82,8 +82,8 @@ class Selector:
         """The likeliest set of terms, in the likeliest noise.
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
-        many processes are significant that each describe a part of it. Terms are then tried in its place: its two
-        numbers cost `CLOSE`.
+        many processes are significant that each describe a part of it. Terms are then tried in the place of what is
+        left of it, whose two numbers cost `CLOSE`.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -92,12 +92,12 @@ class Selector:
         if self._has_terms(begun):
             return self.above_noise(self._grown(begun, exchanging, self._processes_of(begun)))
         grown = self._grown(begun, exchanging, set())
-        if not autocorrelated.fit.noise.white:
+        if not grown.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
             instead = self._in_noise_left(self._with_all_worth(self._continued_from(state)))
             if self._has_terms(instead):
                 instead = self._in_noise_left(self._grown(instead, exchanging, set()))
-            cost_of_noise = CLOSE if instead.fit.noise.white and not grown.fit.noise.white else 0.0
+            cost_of_noise = CLOSE if instead.fit.noise.white else 0.0
             if instead.evidence > grown.evidence - cost_of_noise:
                 grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
