@@ -31,7 +31,7 @@ from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
-from lite6jax.search.search import Selection, Start, supported
+from lite6jax.search.search import Selection, Start, reviewed, supported
 
 Array = NDArray[np.floating]
 
@@ -189,7 +189,7 @@ class Case:
 def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     """The most likely explanation of a recording by data faults and physics.
 
-    Faults and physics are weighed here where no decisions between them are given.
+    Faults and physics are weighed here, and alternatives of terms determined, where no decisions are given.
 
     Raises:
         InputError: as `screen` and `pose_problem`.
@@ -198,6 +198,7 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     if decisions is None:
         for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
             explanation = weighed(explanation, case)
+        explanation = replace(explanation, selection=reviewed(explanation.selection, case.options.engine))
     return _with_wandering(explanation)
 
 

@@ -56,6 +56,8 @@ class Selection:
         nearest: the likeliest term that was not selected, and the probability that chance alone makes it so likely.
         wandering: what read-outs do by themselves, which is nuisance of `problem`.
         cost_of_wandering: what their priors and their choice cost in log evidence.
+        every: n, where the terms were selected among every n-th sample and fitted to all.
+        thinned: the selection among these; None where that is of all samples.
     """
 
     problem: Problem
@@ -65,6 +67,8 @@ class Selection:
     nearest: tuple[Term, float] | None = None
     wandering: tuple[SelectedTerm, ...] = ()
     cost_of_wandering: float = 0.0
+    every: int = 1
+    thinned: "Selection | None" = None
 
     @property
     def evidence(self) -> float:
@@ -87,7 +91,20 @@ def search(
     names_alone: bool = False,
     start: Start = NO_TERMS,
 ) -> Selection:
-    """Selects terms by evidence, in a linearisation about what has been found.
+    """Selects terms by evidence, with the alternatives of each; arguments as of `select`."""
+    selection = select(problem, options, training, reference, names_alone, start)
+    return selection if names_alone else reviewed(selection, options)
+
+
+def select(
+    problem: Problem,
+    options: EngineOptions,
+    training: Mask | None = None,
+    reference: Problem | None = None,
+    names_alone: bool = False,
+    start: Start = NO_TERMS,
+) -> Selection:
+    """Selects terms by evidence, in a linearisation about what has been found, without their alternatives.
 
     Of many samples, terms are first selected in every n-th. That is where the search of more of them starts: what they
     do not support is dropped, and what they show besides is added. Of very many, every n-th decides everything, and the
@@ -98,8 +115,7 @@ def search(
         options: thresholds.
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
-        names_alone: whether no process is tried but what repeats and what wanders, no term exchanged, and neither
-            alternatives, what is confounded nor what is nearest is determined.
+        names_alone: whether no process is tried but what repeats and what wanders, and no term exchanged.
         start: the terms that it begins with.
     """
     training = problem.valid if training is None else training & problem.valid
@@ -115,7 +131,7 @@ def search(
         selection = _selected(begun, options, exchanging, names_alone)
     selection = _confirmed(_with_wandering_as_noise(selection, training[::last], options), options)
     if not names_alone:
-        selection = _reviewed(selection, options, last)
+        selection = replace(selection, state=Selector(selection.problem, options.rough).weighed(selection.state))
     return selection if last == 1 else _of_all_samples(selection, last, problem, reference, training, options)
 
 
@@ -167,7 +183,7 @@ def _of_all_samples(
     problem, fitted = relinearised_fit(problem, f.terms, f.values, extent, nuisance, training, noise)
     baseline = fit(reference, Terms(), options, training=training)
     state = replace(selection.state, baseline=baseline, fit=fitted)
-    return replace(selection, problem=problem, reference=reference, state=state)
+    return replace(selection, problem=problem, reference=reference, state=state, every=every, thinned=selection)
 
 
 def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, Problem]:
@@ -299,22 +315,26 @@ def nearest_of(selector: Selector, state: State) -> tuple[Term, float] | None:
     return None if likeliest is None else (likeliest.make(), min(float(np.exp(-likeliest.net)), 1.0))
 
 
-def _reviewed(selection: Selection, options: EngineOptions, every: int) -> Selection:
+def reviewed(selection: Selection, options: EngineOptions) -> Selection:
     """With the alternatives of each term, what is confounded with the nuisance, and what is nearest.
 
-    Args:
-        selection: of every n-th sample.
-        options: thresholds.
-        every: n; in white noise each sample stands for those between.
+    These are of the samples that decided. In white noise each of them stands for those between.
     """
     entered("naming")
-    problem = selection.problem
+    deciding = selection.thinned or selection
+    problem = deciding.problem
+    state = deciding.state
     selector = Selector(problem, options.rough)
-    state = selector.weighed(selection.state)
-    represented = every if state.fit.noise.white else 1
-    pairs = zip(state.tested, selector.alternatives(state, represented), strict=True)
-    state = replace(state, tested=tuple(replace(selected, alternatives=listed) for selected, listed in pairs))
+    represented = selection.every if state.fit.noise.white else 1
+    pairs = zip(selection.state.tested, selector.alternatives(state, represented), strict=True)
+    tested = tuple(replace(selected, alternatives=listed) for selected, listed in pairs)
     candidates = problem.candidates
-    hidden = score_test(selection.reference, state.baseline, options).confounded(candidates)
+    hidden = score_test(deciding.reference, state.baseline, options).confounded(candidates)
     confounded = tuple(term for term, is_hidden in zip(candidates, hidden, strict=True) if is_hidden)
-    return replace(selection, state=state, confounded=confounded, nearest=nearest_of(selector, state))
+    return replace(
+        selection,
+        state=replace(selection.state, tested=tested),
+        confounded=confounded,
+        nearest=nearest_of(selector, state),
+        thinned=None,
+    )

@@ -959,11 +959,11 @@ class Selector:
         return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
 
     def _noise_chosen_again(self, state: State) -> State:
-        """White noise stays white: `selected` asks for another. Where noise turns white, terms are weighed anew."""
+        """White noise stays white: `selected` asks for another. Where noise turns white, terms are estimated anew."""
         if state.fit.noise.white:
             return state
         again = replace(state, fit=self.in_likeliest_noise(state.fit))
-        return self.weighed(again) if again.fit.noise.white else again
+        return self.weighed(self._estimated(again)) if again.fit.noise.white else again
 
     def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""

@@ -23,7 +23,7 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
-from lite6jax.search.search import Selection, at_estimate, search
+from lite6jax.search.search import Selection, at_estimate, select
 from lite6jax.sensors.pose import PoseSensor
 
 Array = NDArray[np.floating]
@@ -127,10 +127,10 @@ def search_load_model(
     It starts with the load model under which the best single effect is more likely. Where the terms found are more
     likely under the other, the search is repeated with that, as other terms may be still more likely there. If the
     terms found then are not, and the two load models are not distinguished, the first ones are refitted.
-    Arguments are as of `search`.
+    Alternatives of terms are not determined. Arguments are as of `select`.
     """
     problem, reference = _first(problem, reference, options, training)
-    selection = search(problem, options, training, reference)
+    selection = select(problem, options, training, reference)
     alternative = with_alternative(selection.problem, selection.state.fit, options)
     if alternative is None:
         return selection
@@ -138,7 +138,7 @@ def search_load_model(
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
-    again = search(other_problem, options, training, other_reference)
+    again = select(other_problem, options, training, other_reference)
     state = replace(selection.state, fit=alternative)
     if gain > CLOSE or again.evidence > replace(selection, state=state).evidence:
         return again
