@@ -748,10 +748,12 @@ class Selector:
         Of those that are as likely to first order, the fewest are fitted first.
         """
         process = state.tested[k]
-        bare = None
-        for names, gain in self._names_for(state, k):
+        replaced = self._jumping_with(state, k)
+        bare = None if len(replaced) == 1 else self._without(state, replaced)
+        net = process.net if bare is None else state.evidence - self.weighed(bare).evidence
+        for names, gain in self._names_for(state, k, replaced):
             needed = self._needed(process.term, bool(names[-1].process))
-            if gain + CLOSE < process.net + needed:
+            if gain + CLOSE < net + needed:
                 continue
             bare = bare or self._left_out(state, k)
             candidate = self._noise_chosen_again(self._dropped(self._added(bare, names)))
@@ -759,8 +761,23 @@ class Selector:
                 return candidate
         return None
 
-    def _names_for(self, state: State, k: int) -> Iterator[tuple[list[Ranked], float]]:
+    def _jumping_with(self, state: State, k: int) -> set[int]:
+        """Of a jump in time, all terms of its site that jump: a gear that falls to its other flank jumps each time."""
+        term = state.tested[k].term
+        if not (is_process(term) and kernel_of(term.kernel).any_sample):
+            return {k}
+        jumping = set[int]()
+        for j, selected in enumerate(state.tested):
+            other = selected.term
+            jumps = kernel_of(other.kernel).any_sample if is_process(other) else self._has_number(other)
+            if jumps and other.site == term.site:
+                jumping.add(j)
+        return jumping
+
+    def _names_for(self, state: State, k: int, replaced: set[int]) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
+
+        It is one of the terms that are `replaced`.
 
         After each, two names of the site in the place of the last ones: one wave of any order may be as likely to first
         order as two of whole ones. Then the same beside a process of one of the two quantities that the process has,
@@ -768,12 +785,12 @@ class Selector:
         """
         process = state.tested[k].term
         assert is_process(process)
-        test = self.beside(state, k)
+        test = self.test(state).beside([j not in replaced for j in range(len(state.tested))])
         names = list[Ranked]()
         gain = 0.0
         rows = self._rows(process, state)
         model = (state.fit.terms, state.fit.values)
-        excluded = {term.label for term in (*state.refused, *state.fit.terms.terms) if not term.periodic}
+        excluded = {term.label for term in (*state.refused, *test.fit.terms.terms) if not term.periodic}
         component, quantity_indices = self._process_of(process)
         while len(names) < _NAMES_FOR_PROCESS:
             likeliest = self._likeliest_name(test, state, rows, excluded)
