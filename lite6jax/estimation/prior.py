@@ -48,7 +48,9 @@ class Prior:
     # read-outs, besides the four kinds
     wandering: float = option(0.25, "a read-out wanders by itself, any of them", "as each kind of physics")
     alike: float = option(0.5, "a read-out wanders too where one of its kind does", "read-outs of a kind are alike")
-    jump: float = option(1 / 300, "a read-out jumps once, any of them, at any sample", "one file in 300, as a data fault")
+    jump: float = option(
+        1 / 300, "a read-out jumps once, any of them, at any sample", "one file in 300, as a data fault"
+    )
     # what was declared
     wrong_input: float = option(0.1, "a declared input such as a load is wrong", "one case in ten")
     calibration_off: float = option(0.1, "all numbers of the calibration file are off a little", "one file in ten")
