@@ -270,7 +270,8 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
 def chance_of(selector: Selector, state: State, k: int) -> float:
     """The probability that chance alone makes the k-th term of a state so likely, family-wise over all of its kind.
 
-    That of a name is of the score test by blocks, whatever the noise; of a process it is of the evidence.
+    That of a name is of the score test by blocks, whatever the noise; of a process it is of the evidence. A name that
+    nearly every problem has costs less than the others, and is one of as many that were tried.
     """
     tested = state.tested[k]
     if tested.term.nonparametric:
@@ -280,7 +281,7 @@ def chance_of(selector: Selector, state: State, k: int) -> float:
         score = test.score_columns([selector.columns_at_estimate(test, state, k)])[0]
     else:
         score = test.score([tested.term])[0]
-    return score.familywise(float(np.exp(tested.cost)))
+    return score.familywise(max(float(np.exp(tested.cost)), len(selector.scan.names)))
 
 
 def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
