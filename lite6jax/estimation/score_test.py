@@ -181,7 +181,7 @@ class ScoreTest:
         )
 
     def _changed(self, part: Fit, kept: Sequence[bool]) -> Spanned | None:
-        """The columns of a part of the model, as changes of this span; None where more of them differ than a few.
+        """The columns of a part of the model, as changes of this span; None where they are no changes of it.
 
         Masses act through what gives way: without it their columns go, and those beside the rest come; so does the
         column of an offset in time, which delays what the other terms do. Columns of processes are always the same.
@@ -199,6 +199,8 @@ class ScoreTest:
             stay[self.owners == places[term]] = False
         place = np.append(np.cumsum(kept) - 1, -1)
         changed = (before != nuisance).any((1, 2))
+        if not stay[len(self.span.coordinates) :].all():  # directions that came are of several columns each
+            return None
         if not changed.any() and not moved:
             span = self.span.part(stay, EIGENVALUE_ROUNDING)
             return Spanned(span, place[self.owners[stay]], self.acting[stay])

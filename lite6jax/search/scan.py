@@ -8,7 +8,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | a kind: name, wave, process of one quantity, of two; besides: repeats, a read-out that wanders or jumps | −ln p |
 | a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
-| a wave beside one of its angle of which it is a multiple, or which is one of it | ln of the multiples alone |
+| a wave beside one of its angle, a multiple or a part of it | even odds of twice or half; else ln 2 and ln of these |
 | a read-out that wanders | ln of these, ln of the memories |
 | one that wanders where another of its kind does | −ln p, ln of the memories |
 | one that jumps | ln of these, ln of the samples |
@@ -62,6 +62,8 @@ _UNSCALED = [name for name in SINGLE if name not in (*SCALED, *_PLAYS)]
 _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
 _JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
 _MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
+_LEAST_IN_STEP = 2
+"""Samples before a jump in time, and after it."""
 _FRACTIONS = (1, 2, 3)
 """Parts of the order of the likeliest wave that are tried as the order of what repeats: its multiple may be larger."""
 _OFF_ORDER = (0.3, 0.08, 0.02)
@@ -302,15 +304,11 @@ class Scan:
 
     @cached_property
     def later(self) -> tuple[NDArray[np.integer], NDArray[np.integer], Array]:
-        """The samples from the last to the first; and of each jump in time how many are after it, and from when on.
-
-        At least two are before it and two after: one sample that differs from all others is an outlier.
-        """
+        """The samples from the last to the first; and of each jump in time how many are after it, and from when on."""
         assert self.time is not None
         times = self.problem.seen(np.asarray(self.quantities[self.time].values)[None])[0]
         order = np.argsort(times, kind="stable")
         first = 1 + np.flatnonzero(np.diff(times[order]) > 0)
-        first = first[(first >= 2) & (first <= len(times) - 2)]
         return order[::-1], len(times) - first, times[order[first]]
 
     def _cost_of_quantity(self, site: str, k: int) -> float:
@@ -721,7 +719,8 @@ class ModelScan:
     def _steps(self, component: Component) -> list[Ranked]:
         """The likeliest jump in time of a read-out; none where no time is known.
 
-        Sums over the samples after each jump weigh all of them.
+        Sums over the samples after each jump weigh all of them. At least two samples are before it and two after: one
+        that differs from all others is an outlier.
         """
         if self._scan.time is None:
             return []
@@ -742,7 +741,12 @@ class ModelScan:
             sums.freedom,
             CONFOUNDED,
         ).gain
-        at = float(begins[np.argmax(gains)])
+        training = self._test.fit.training.astype(float)
+        later = after(training)
+        inside = (later >= _LEAST_IN_STEP) & (training.sum() - later >= _LEAST_IN_STEP)
+        if not inside.any():
+            return []
+        at = float(begins[np.argmax(np.where(inside, gains, -np.inf))])
         return [self.of_kernel(component, (self._scan.time,), name, (at,), exact=True) for name in _JUMPING]
 
     def _line(self, family: PeriodicFamily) -> Line | None:

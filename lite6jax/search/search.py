@@ -91,7 +91,7 @@ def search(
     names_alone: bool = False,
     start: Start = NO_TERMS,
 ) -> Selection:
-    """Selects terms by evidence, with the alternatives of each; arguments as of `select`."""
+    """Selects terms by evidence, with their alternatives but for names alone; arguments as of `select`."""
     selection = select(problem, options, training, reference, names_alone, start)
     return selection if names_alone else reviewed(selection, options)
 
@@ -271,7 +271,7 @@ def chance_of(selector: Selector, state: State, k: int) -> float:
     """The probability that chance alone makes the k-th term of a state so likely, family-wise over all of its kind.
 
     That of a name is of the score test by blocks, whatever the noise; of a process it is of the evidence. A name that
-    nearly every problem has costs less than the others, and is one of as many that were tried.
+    nearly every problem has costs less than the others, but counts as one of all names that were tried.
     """
     tested = state.tested[k]
     if tested.term.nonparametric:
@@ -324,10 +324,10 @@ def reviewed(selection: Selection, options: EngineOptions) -> Selection:
     entered("naming")
     deciding = selection.thinned or selection
     problem = deciding.problem
-    state = deciding.state
     selector = Selector(problem, options.rough)
+    state = selector.weighed(deciding.state)
     represented = selection.every if state.fit.noise.white else 1
-    pairs = zip(selection.state.tested, selector.alternatives(state, represented), strict=True)
+    pairs = zip(state.tested, selector.alternatives(state, represented), strict=True)
     tested = tuple(replace(selected, alternatives=listed) for selected, listed in pairs)
     candidates = problem.candidates
     hidden = score_test(deciding.reference, state.baseline, options).confounded(candidates)

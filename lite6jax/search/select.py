@@ -83,7 +83,7 @@ class Selector:
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
         many processes are significant that each describe a part of it. Terms are then tried in the place of what is
-        left of it, whose two numbers cost `CLOSE`.
+        left of it, whose two numbers cost `CLOSE`. These go on to names only where they are about as likely.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -94,12 +94,12 @@ class Selector:
         grown = self._grown(begun, exchanging, set())
         if not grown.fit.noise.white:
             # terms of what varies slowly make rows autocorrelated too
-            instead = self._in_noise_left(self._with_all_worth(self._continued_from(state)))
-            if self._has_terms(instead):
+            instead = self._with_all_worth(self._continued_from(state))
+            if self._in_noise_left(instead).evidence > grown.evidence - CLOSE:
                 instead = self._in_noise_left(self._grown(instead, exchanging, set()))
-            cost_of_noise = CLOSE if instead.fit.noise.white else 0.0
-            if instead.evidence > grown.evidence - cost_of_noise:
-                grown = instead
+                cost_of_noise = CLOSE if instead.fit.noise.white else 0.0
+                if instead.evidence > grown.evidence - cost_of_noise:
+                    grown = instead
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
@@ -448,7 +448,11 @@ class Selector:
 
     def beside(self, state: State, k: int) -> ScoreTest:
         """The test of the model without its k-th term, in the noise that is left with it."""
-        return self.test(state).beside([i != k for i in range(len(state.tested))])
+        return self._beside_all_but(state, {k})
+
+    def _beside_all_but(self, state: State, left_out: set[int]) -> ScoreTest:
+        """The test of the model without some terms, in the noise that is left with them."""
+        return self.test(state).beside([k not in left_out for k in range(len(state.tested))])
 
     def test(self, state: State) -> ScoreTest:
         """The test of a model, kept for the latest."""
@@ -638,8 +642,8 @@ class Selector:
             if absorbed is not None and absorbed.evidence > state.evidence:
                 return absorbed
             two = self._as_two_waves(state, k)
-            if two is not None and two.evidence > state.evidence + BETTER:
-                return self._settled(two)
+            if two is not None and (settled := self._settled(two)).evidence > state.evidence + BETTER:
+                return settled
             likeliest = next(iter(self._in_place(state, k)), None)
             if likeliest is None or self._is(likeliest, selected.term):
                 continue
@@ -689,7 +693,7 @@ class Selector:
             if len(phrases) < len(_phrases(term)) or len(together) > 2:
                 continue
             rest = [selected for n, selected in enumerate(state.tested) if n not in (j, k)]
-            test = self.test(state).beside([n not in (j, k) for n in range(len(state.tested))])
+            test = self._beside_all_but(state, {j, k})
             likeliest = self._processes(test, component, [tuple(together)])
             if likeliest and likeliest[0].net >= MARGIN:
                 bare = self._refitted(state, rest)
@@ -697,7 +701,7 @@ class Selector:
         return None
 
     def _as_two_waves(self, state: State, k: int) -> State | None:
-        """The state with the likeliest two waves of whole orders, its last terms, in the place of one between them.
+        """The state with waves of orders 1 and 2, its last terms, in the place of one between them.
 
         None where the k-th term is no wave, or no such waves are likely to first order.
         """
@@ -748,7 +752,7 @@ class Selector:
         Of those that are as likely to first order, the fewest are fitted first.
         """
         process = state.tested[k]
-        replaced = self._jumping_with(state, k)
+        replaced = self._replaced_with(state, k)
         bare = None if len(replaced) == 1 else self._without(state, replaced)
         net = process.net if bare is None else state.evidence - self.weighed(bare).evidence
         for names, gain in self._names_for(state, k, replaced):
@@ -761,18 +765,20 @@ class Selector:
                 return candidate
         return None
 
-    def _jumping_with(self, state: State, k: int) -> set[int]:
-        """Of a jump in time, all terms of its site that jump: a gear that falls to its other flank jumps each time."""
+    def _replaced_with(self, state: State, k: int) -> set[int]:
+        """The process that a name may replace; of a jump in time also the names of its site that have a number.
+
+        A gear that gravity throws to its other flank jumps at a time. Of the jump and a play of another friction
+        neither is likely without the other, and one play of the right friction may be as likely as both.
+        """
         term = state.tested[k].term
         if not (is_process(term) and kernel_of(term.kernel).any_sample):
             return {k}
-        jumping = set[int]()
-        for j, selected in enumerate(state.tested):
-            other = selected.term
-            jumps = kernel_of(other.kernel).any_sample if is_process(other) else self._has_number(other)
-            if jumps and other.site == term.site:
-                jumping.add(j)
-        return jumping
+        numbered = [j for j, other in enumerate(state.tested) if other.term.site == term.site]
+        return {
+            k,
+            *(j for j in numbered if not state.tested[j].term.nonparametric and self._is_open(state.tested[j].term)),
+        }
 
     def _names_for(self, state: State, k: int, replaced: set[int]) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.
@@ -785,7 +791,7 @@ class Selector:
         """
         process = state.tested[k].term
         assert is_process(process)
-        test = self.test(state).beside([j not in replaced for j in range(len(state.tested))])
+        test = self._beside_all_but(state, replaced)
         names = list[Ranked]()
         gain = 0.0
         rows = self._rows(process, state)
@@ -950,7 +956,7 @@ class Selector:
         return more or self._is(ranked, term)
 
     def _is_near_order(self, ranked: Ranked, term: Term) -> bool:
-        """Whether it is the likeliest order of an angle, found once more, where a term is a wave of it."""
+        """Whether it is a wave of no whole order of an angle of which a term is a wave: both are the likeliest one."""
         wave = wave_of(self.problem, term)
         candidate_wave = None if ranked.process else wave_of(self.problem, ranked.make())
         if wave is None or candidate_wave is None:
@@ -980,7 +986,7 @@ class Selector:
         if state.fit.noise.white:
             return state
         again = replace(state, fit=self.in_likeliest_noise(state.fit))
-        return self.weighed(self._estimated(again)) if again.fit.noise.white else again
+        return self._dropped(self._within_bounds(self._estimated(again))) if again.fit.noise.white else again
 
     def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""

@@ -132,3 +132,21 @@ def test_the_chance_of_a_name_is_right_in_noise_that_is_taken_for_white():
         by_blocks.append(chance_of(Selector(problem, DEFAULTS), state, 0))
     assert np.mean(np.array(by_evidence) < 0.05) > 0.3
     assert np.mean(np.array(by_blocks) < 0.05) <= 0.15
+
+
+def test_a_name_that_nearly_every_problem_has_is_one_of_all_that_were_tried():
+    """Its prior is even odds, and yet as many names were tried as beside any other."""
+    rng = np.random.default_rng(7)
+    problem = linear_problem(rng, 300, noise=(1.0, 1.0))
+    usual = Column("u1", usual=True)
+    problem = replace(
+        problem,
+        measured=problem.measured + 0.25 * np.outer(problem.shares, problem.data["u1"]),
+        candidates=(usual, *(Column(f"u{k}") for k in range(2, 7))),
+    )
+    state = state_of(problem, (usual,))
+    selector = Selector(problem, DEFAULTS)
+    score = selector.beside(state, 0).score([usual])[0]
+    assert 0 < score.p_value < 0.05
+    assert chance_of(selector, state, 0) == pytest.approx(len(selector.scan.names) * score.p_value)
+    assert len(selector.scan.names) >= 6

@@ -255,6 +255,28 @@ def test_what_no_recording_would_change_comes_last(undecided):
     assert last.endswith(": their effects are the same here.")
 
 
+def test_two_waves_together_are_one_alternative_of_one_between_them(undecided):
+    document = documented(undecided)
+    finding = document["findings"][0]
+    wave = {"effect": "joint_harmonic", "site": "joint4", "driver": "position of joint 4"}
+    order = {"order": {"value": 1.31, "std": 0.02}}
+    pair = {**wave, "order": 1.0, "log_likelihood_gap": 2.4, "status": "undecided"}
+    pair["together_with"] = [{**wave, "order": 2.0}]
+    finding |= {**wave, "parameters": order, "confusable_with": [pair]}
+    assert statements.rivals(finding) == [
+        "joint harmonic of order 1 with another of order 2 at joint4 (log evidence -2.4)"
+    ]
+    assert (
+        "To separate joint harmonic of order 1.31 at joint4 from waves of orders 1 and 2 together, record more rows, "
+        "over a wider range of joint4."
+    ) in statements.what_to_record(document)
+    slide = {"effect": "joint_harmonic", "site": "joint4", "driver": "position of joint 4"}
+    strokes = {**slide, "period_m": 0.02, "log_likelihood_gap": 2.4, "status": "undecided"}
+    finding["confusable_with"] = [{**strokes, "together_with": [{**slide, "period_m": 0.01}]}]
+    assert statements.rivals(finding)[0].startswith("joint harmonic of period 20 mm with another of period 10 mm at ")
+    assert statements.what_to_record(document)
+
+
 def test_what_is_confounded_is_to_be_declared(compliant):
     start = "To test for effects that are confounded or not observed, "
     last = statements.what_to_record(documented(compliant))[-1]

@@ -142,9 +142,20 @@ def search_load_model(
     state = replace(selection.state, fit=alternative)
     if gain > CLOSE or again.evidence > replace(selection, state=state).evidence:
         return again
+    thinned = selection.thinned
+    if thinned is not None:
+        refitted = with_alternative(thinned.problem, thinned.state.fit, options)
+        assert refitted is not None
+        thinned = _under_other_loads(thinned, refitted, options)
+    return replace(_under_other_loads(selection, alternative, options), thinned=thinned)
+
+
+def _under_other_loads(selection: Selection, fitted: Fit, options: EngineOptions) -> Selection:
+    """A selection under the other load model, under which its terms were fitted."""
     assert isinstance(selection.problem, PoseProblem)
     assert isinstance(selection.reference, PoseProblem)
     problem, reference = _other(selection.problem, selection.reference)
+    state = replace(selection.state, fit=fitted)
     return at_estimate(replace(selection, problem=problem, reference=reference, state=state), options)
 
 

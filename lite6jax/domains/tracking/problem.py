@@ -280,8 +280,7 @@ class TrackingProblem:
             if went_apart and start is not self.loads:  # along the loads of an arm that is quite another
                 readouts, loads = along(loads=self.loads, extra=extra, coupled=self.data.coupled)
             self.known.loads = loads
-            far = np.nan_to_num(readouts, nan=_FAR, posinf=_FAR, neginf=-_FAR)
-            self.known.rollouts[key] = np.clip(far, -_FAR, _FAR)
+            self.known.rollouts[key] = _bounded(readouts)
         return self.known.rollouts[key]
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
@@ -453,7 +452,8 @@ class TrackingProblem:
         if not missing:
             return columns
         states = {state.key: state for each in missing.values() for state in (each.before, each.after)}
-        readouts = dict(zip(states, self.rolled(list(states.values())), strict=True))
+        rolled = self.rolled(list(states.values()))
+        readouts = {key: _bounded(readout) for key, readout in zip(states, rolled, strict=True)}
         if len(known) + len(missing) > _KEPT:
             known.clear()
         new = {key: (readouts[each.after.key] - readouts[each.before.key]) / each.over for key, each in missing.items()}
@@ -814,6 +814,11 @@ _BANDS = (1e-3, 2e-2)
 stiffness, rad of friction over stiffness."""
 _LONGEST_START = 4000
 """Samples of the rollouts of that grid."""
+
+
+def _bounded(readouts: Array) -> Array:
+    """Readouts of an arm that its servos may not hold, at `_FAR` where they are farther, or no numbers."""
+    return np.clip(np.nan_to_num(readouts, nan=_FAR, posinf=_FAR, neginf=-_FAR), -_FAR, _FAR)
 
 
 def started(problem: TrackingProblem) -> TrackingProblem:
