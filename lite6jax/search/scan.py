@@ -62,6 +62,8 @@ _UNSCALED = [name for name in SINGLE if name not in (*SCALED, *_PLAYS)]
 _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
 _JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
 _MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
+_LEAST_CORNER_OF_FIRST = 1.6
+"""Half-waves over the recording of the first read-out that wanders, at least."""
 _LEAST_IN_STEP = 2
 """Samples before a jump in time, and after it."""
 _FRACTIONS = (1, 2, 3)
@@ -708,11 +710,20 @@ class ModelScan:
         return of_process(pull @ R, R.T @ information @ R, residual_sum, freedom, CONFOUNDED)
 
     def of_read_outs(self) -> list[Ranked]:
-        """What the read-outs that may wander do by themselves: wander with the likeliest memory, or jump once."""
+        """What the read-outs that may wander do by themselves: wander with the likeliest memory, or jump once.
+
+        The first one that wanders has a memory of a fifth of the recording at most: what varies more slowly is an
+        offset, unless others of its kind wander.
+        """
         candidates = []
         for component in self.components:
             if self._scan.may_wander(component):
-                candidates += self._of_rolloffs(component, self._scan.drivers, exact=True)
+                wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
+                if self._scan.cost_of_wander_beside(component.site, self._test.fit.terms.terms) is None:
+                    wandering = [
+                        candidate for candidate in wandering if candidate.process[3][0] >= _LEAST_CORNER_OF_FIRST
+                    ]
+                candidates += wandering
                 candidates += self._steps(component)
         return _best_of_each(candidates)
 

@@ -677,8 +677,8 @@ class Selector:
         """The state with one process in the place of the k-th term, a name, and of a process beside it at its site.
 
         A step of the direction of motion and a curve of the velocity may be one function of both, of which the name
-        says a part. None where no such process is there, and of a name that nearly every problem has: it is known to
-        be there.
+        says a part; a constant and what wanders may be what wanders more slowly. None where no such process is there,
+        and of a name that nearly every problem has: it is known to be there.
         """
         term = state.tested[k].term
         if term.nonparametric or term.usual or self._component_of(term) is None:
@@ -686,7 +686,9 @@ class Selector:
         phrases = {phrase for phrase in _phrases(term) if phrase in self.scan.phrases}
         for j, beside in enumerate(state.tested):
             process = beside.term
-            if process.site != term.site or not is_process(process) or not kernel_of(process.kernel).takes_driver:
+            if process.site != term.site or not is_process(process):
+                continue
+            if not (kernel_of(process.kernel).takes_driver or (is_wander(process) and not phrases)):
                 continue
             component, quantity_indices = self._process_of(process)
             together = sorted({*quantity_indices, *(self.scan.phrases.index(phrase) for phrase in phrases)})

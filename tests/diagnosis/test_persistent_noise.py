@@ -53,17 +53,29 @@ def test_one_more_read_out_of_a_kind_that_wanders_costs_even_odds(tmp_path):
     assert scan.cost_of_wander_beside("sensor", [first]) is None  # encoders say nothing of a tracker
 
 
-def test_a_read_out_that_remembers_longer_than_the_recording_is_no_finding(tmp_path):
-    """Of a factory file that holds, its mean over the recording is far from zero, as that of an offset is."""
+def test_encoders_that_remember_longer_than_the_recording_are_no_finding(tmp_path):
+    """Of a factory file that holds; their means over the recording are far from zero, as those of offsets are."""
     motion = moving_motion(1, SAMPLES)
-    steps = autoregression(SIZE * np.random.default_rng(3).standard_normal(SAMPLES), 1 - 1 / (2 * SAMPLES))
-    assert abs(np.mean(steps)) > 0.7 * SIZE
+    joints = motion["joint_position"]
+    draws = np.random.default_rng(3).standard_normal(joints.shape)
+    wandering = autoregression(SIZE * draws, 1 - 1 / (2 * SAMPLES))
+    assert np.abs(wandering.mean(0)).max() > SIZE
+    made = Made(tmp_path, seed=1, orientation=True)
+    poses = made.poses({**motion, "joint_position": joints + wandering})
+    found = search(pose_problem(made.recording(motion, poses=poses)), OPTIONS)
+    assert found.state.tested == ()
+    assert len(found.wandering) >= 5
+
+
+def test_an_offset_is_no_read_out_that_wanders(tmp_path):
+    """Of a small offset, alone: the mean of slow wandering may be as large."""
+    motion = moving_motion(1, SAMPLES)
     moved = motion["joint_position"].copy()
-    moved[:, 1] += steps
+    moved[:, 1] += 3e-5
     made = Made(tmp_path, seed=1, orientation=False)
     found = search(pose_problem(made.recording(motion, poses=made.poses({**motion, "joint_position": moved}))), OPTIONS)
-    assert found.state.tested == ()
-    assert [selected.term.site for selected in found.wandering] == ["joint2"]
+    assert [selected.term.label for selected in found.state.tested] == ["joint_offset:joint2"]
+    assert found.wandering == ()
 
 
 @pytest.mark.parametrize("memory", [40, 80])
