@@ -45,7 +45,7 @@ from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, LISTED, MAR
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search
+from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search, select
 from lite6jax.search.select import Selector
 from lite6jax.search.state import Alternative, SelectedTerm, State, fitted_again, refitted
 
@@ -258,7 +258,7 @@ def _begun(problem: TrackingProblem, options: EngineOptions) -> TrackingProblem:
     likely = along_rollout(with_likely_grip(problem), Terms(), np.zeros(0))
     if not problem.data.coupled or follows_as_described(likely):
         return likely
-    fit = search(problem.thinned(_ROUGHLY), options, names_alone=True).state.fit
+    fit = select(problem.thinned(_ROUGHLY), options, names_alone=True).state.fit
     return along_rollout(with_likely_grip(problem, fit.terms, fit.values), fit.terms, fit.values)
 
 
@@ -325,7 +325,7 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
         # a servo that fits best without these names may be far from the one beside them
         refitted_names = replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
         return exact, refitted_names.start._replace(nuisance=again.nuisance)
-    named = search(described, options, names_alone=True)
+    named = select(described, options, names_alone=True)
     f = named.state.fit
     there = named.problem
     assert isinstance(there, TrackingProblem)

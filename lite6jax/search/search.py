@@ -84,16 +84,10 @@ class Selection:
 
 
 def search(
-    problem: Problem,
-    options: EngineOptions,
-    training: Mask | None = None,
-    reference: Problem | None = None,
-    names_alone: bool = False,
-    start: Start = NO_TERMS,
+    problem: Problem, options: EngineOptions, training: Mask | None = None, start: Start = NO_TERMS
 ) -> Selection:
-    """Selects terms by evidence, with their alternatives but for names alone; arguments as of `select`."""
-    selection = select(problem, options, training, reference, names_alone, start)
-    return selection if names_alone else reviewed(selection, options)
+    """Selects terms by evidence, with the alternatives of each; arguments as of `select`."""
+    return reviewed(select(problem, options, training, start=start), options)
 
 
 def select(

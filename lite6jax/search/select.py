@@ -776,11 +776,12 @@ class Selector:
         term = state.tested[k].term
         if not (is_process(term) and kernel_of(term.kernel).any_sample):
             return {k}
-        numbered = [j for j, other in enumerate(state.tested) if other.term.site == term.site]
-        return {
-            k,
-            *(j for j in numbered if not state.tested[j].term.nonparametric and self._is_open(state.tested[j].term)),
-        }
+        replaced = {k}
+        for j, selected in enumerate(state.tested):
+            name = selected.term
+            if name.site == term.site and not name.nonparametric and self._is_open(name):
+                replaced.add(j)
+        return replaced
 
     def _names_for(self, state: State, k: int, replaced: set[int]) -> Iterator[tuple[list[Ranked], float]]:
         """Sets of names that may replace a process, each name the likeliest beside those before, and their log odds.

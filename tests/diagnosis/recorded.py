@@ -16,7 +16,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
 from lite6jax.recordings.settings import FactoryUncertainty
-from lite6jax.search.search import search
+from lite6jax.search.search import reviewed, select
 from tests.oracles.arms import perturbed
 from tests.oracles.effects import predicted_poses
 from tests.oracles.transforms import perturb_poses, quaternions
@@ -207,7 +207,7 @@ def fitted_to(problem, terms=NO_TERMS, values=None, nuisance=None, training=None
 def searched(problem, training=None):
     """The search of a problem that is not linearised yet, at the documented options."""
     late, reference = linearised(problem, OPTIONS, training)
-    return search(late, OPTIONS, training, reference)
+    return reviewed(select(late, OPTIONS, training, reference), OPTIONS)
 
 
 def found(selection):

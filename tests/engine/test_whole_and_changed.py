@@ -28,6 +28,13 @@ def computed_anew(test):
     return replace(test, span=span, whole=None, table={}, grams={})
 
 
+def noise_of(kind, problem):
+    """White noise, or another one in each group that is autocorrelated."""
+    if kind == "white":
+        return None
+    return NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+
+
 class WithMasses(LinearProblem):
     """A problem with two masses more, known by a prior, that act through what the name u2 and a wave give way."""
 
@@ -59,9 +66,7 @@ def with_masses(request):
     problem = WithMasses(**{field.name: getattr(plain, field.name) for field in fields(plain)})
     third = problem.quantities[2]
     process = Process("x", (third.driver,), third.bounds, "cubic", 1.0)
-    noise = None
-    if request.param != "white":
-        noise = NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+    noise = noise_of(request.param, problem)
     fitted = fit(problem, Terms((Column("u2"), Wave(2.0), process)), OPTIONS, noise=noise)
     return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
 
@@ -71,9 +76,9 @@ class Delayed(LinearProblem):
 
     def columns(self, terms, values=None, beside=None):
         columns = super().columns(terms, values, beside)
-        if beside is None:
+        if values is None and beside is None:
             return columns
-        model, numbers = beside
+        model, numbers = beside or (Terms(tuple(terms)), values)
         others = [term != Column("u4") for term in model.terms]
         rest, rest_numbers = model.part(numbers, others)
         done = np.tensordot(rest_numbers, super().columns(rest.terms, rest_numbers), 1) if rest.terms else 0.0
@@ -92,9 +97,7 @@ def delayed(request):
     problem = Delayed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
     third = problem.quantities[2]
     process = Process("x", (third.driver,), third.bounds, "cubic", 1.0)
-    noise = None
-    if request.param != "white":
-        noise = NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+    noise = noise_of(request.param, problem)
     fitted = fit(plain, Terms((Column("u2"), Column("u4"), process)), OPTIONS, noise=noise)
     return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
 
@@ -137,9 +140,7 @@ def whole(request):
     third = problem.quantities[2]
     process = Process("x", (third.driver,), third.bounds, "medium", 1.0)
     model = Terms((Column("u2"), Wave(2.0), process))
-    noise = None
-    if request.param != "white":
-        noise = NoiseModel((Autocorrelation(0.7, 0.8), Autocorrelation(0.5, 1.0)), problem.groups, (0, 50))
+    noise = noise_of(request.param, problem)
     fitted = fit(problem, model, OPTIONS, noise=noise)
     return problem, Scan(problem, OPTIONS), score_test(problem, fitted, OPTIONS)
 
@@ -250,18 +251,7 @@ def test_beside_a_model_without_what_a_column_follows_it_is_another(delayed, sta
     problem, scan, test = delayed
     part = test.beside(stay)
     assert part.whole is test
-    fitted = part.fit
-    columns = problem.columns(fitted.terms.terms, fitted.values, (fitted.terms, fitted.values))
-    columns = fitted.noise.whitened(np.concatenate([problem.levels, columns]))
-    columns = (columns * (part.scale[0] / part.scale)[:, None]).reshape(len(columns), -1)
-    precision = np.append(np.zeros(len(problem.levels)), prior_precision(problem, fitted.terms.terms))
-    with_prior = np.flatnonzero(precision)
-    prior = np.zeros((len(columns), len(with_prior)))
-    prior[with_prior, np.arange(len(with_prior))] = np.sqrt(precision[with_prior]) * fitted.scale[0]
-    rows = np.concatenate([columns, prior], 1)
-    projection = columns.T @ np.linalg.pinv(rows @ rows.T, hermitian=True) @ columns
-    read = columns.shape[1]
-    assert_close(part.basis[:, :read].T @ part.basis[:, :read], projection)
+    assert_close(part.basis.T @ part.basis, projection_on(problem, part))
     expected = all_weighed(scan, computed_anew(part))
     odds_by_name = all_weighed(scan, part)
     assert odds_by_name.keys() == expected.keys()
