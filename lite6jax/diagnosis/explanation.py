@@ -334,16 +334,19 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     fit = explanation.selection.state.fit
     models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(explanation.problem.groups)]
     odds, sigma = max(_odds_of_uncertainty(explanation, case, model) for model in models)
-    if odds <= -CLOSE:
+    cost = case.options.prior.cost("calibration_off")
+    # errors of the least size say nothing of the residuals: that file is the exact one, at a cost
+    if sigma <= _UNCERTAINTIES[0] or odds - cost <= -CLOSE:
         return explanation
     rival = case.search(explanation.screened, replace(explanation.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
-    gap = rival.evidence - explanation.evidence - case.options.prior.cost("calibration_off")
+    gap = rival.evidence - explanation.evidence - cost
     numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
+    if gap <= -CLOSE:
+        return explanation
     if gap <= 0:
-        likely = gap > -CLOSE
-        numbers |= {"reason": "physics" if likely else "unlikely", "log_likelihood_gap": -gap}
+        numbers |= {"reason": "physics", "log_likelihood_gap": -gap}
         ruled_out = DataFault("calibration_off", (), numbers)
         return replace(
             explanation, screened=replace(explanation.screened, ruled_out=(*explanation.screened.ruled_out, ruled_out))

@@ -108,7 +108,7 @@ class DataFault:
                                 log_likelihood_gap, rival_terms); samples, p_value
         unsettled_readouts      reason: "moving", "chance", "too_few_rows", "ordered_poses" or "physics"
                                 (log_likelihood_gap, rival_terms); samples, p_value
-        calibration_off         reason: "physics" or "unlikely" (sigma_m, sigma_rad, log_likelihood_gap, rival_terms)
+        calibration_off         reason: "physics" (sigma_m, sigma_rad, log_likelihood_gap, rival_terms)
         nominal_table           reason: "own_chain", "single_table", "indistinguishable" or "declared_fits"; declared,
                                 table, fitted, likelier, and shares or ratios as above
 

@@ -114,11 +114,6 @@ RULED_OUT = [
               rival_terms=["frame_offset:link3"]),
         "The calibration file may be off everywhere instead, by 0.01 mm and mrad (log evidence -1.5",
     ),
-    (
-        fault("calibration_off", reason="unlikely", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=40.0,
-              rival_terms=["frame_offset:link3"]),
-        "The calibration file is not off everywhere",
-    ),
     (fault("commanded_joints", reason="declared"), "declares commanded joint positions"),
 ]  # fmt: skip
 

@@ -578,8 +578,6 @@ def calibration_off_found(fault: DataFault) -> str:
 def calibration_off_ruled_out(fault: DataFault) -> str:
     """Says whether the file may be off instead of what was found."""
     numbers = fault.numbers
-    if numbers["reason"] != "physics":
-        return "The calibration file is not off everywhere: the findings explain the data better."
     return (
         f"The calibration file may be off everywhere instead, by {milli(numbers['sigma_m'], 2)} mm and mrad (log "
         f"evidence -{significant(numbers['log_likelihood_gap'], 2)} beside the findings); check it, or declare "
