@@ -16,8 +16,10 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.faults import Screened, SuspectedFault
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.following import (
+    AHEAD,
     Lag,
     fit_follower,
+    followed,
     likeliest_lag,
     past_commands,
     scan_lags,
@@ -50,14 +52,14 @@ _STUCK = 0.1
 """Of a command's standard deviation: a read-out that moves less while its command moves does not follow."""
 _EARLY = 0.05
 """s, or two samples, by which a read-out is ahead of its command at most: it is logged in the next row."""
-_CLOSER = float(np.log(3.0))
-"""By which the logarithm of the remaining variance falls at least at the lag of another clock."""
 _CERTAIN = 0.97
-"""Correlation, and likewise ten times less variance, from which one lag for all rows is that of another clock: a motion
-that is repeated follows itself at other lags."""
+"""Correlation of read-outs with followers of late commands, from which their lag is that of another clock."""
 _MUCH_CLOSER = float(np.log(10.0))
+"""By which the logarithm of the variance that followers leave falls at least at that lag."""
 _PIECES = (5.0, 60.0)
 """s, of the parts of a run whose lags are compared: short ones tell a drift, long ones long lags."""
+_SHORTEST = 2.0
+"""s of such a part at least: a follower has commands of half a second, and lags reach to half of the part."""
 _SAME_LAG = 0.1
 """s, by which lags of parts of one clock differ at most."""
 _DIFFERENT = 1e-3
@@ -173,19 +175,15 @@ def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
         edges = np.linspace(first, last, count + 1).astype(int)
         for begin, end in itertools.pairwise(edges):
             rows = slice(int(begin), int(end))
-            if len(joints) and end - begin > 10:
-                lags, squares = scan_lags(even, joints, rows)
-                usual = (lags >= least - 1e-9) & (lags <= LATEST + 1e-9)
-                middle = float(even.time[rows].mean())
-                all_lags = np.ones(len(lags), bool)
-                pieces.append(
-                    _Piece(
-                        middle,
-                        int(even.run[first]),
-                        likeliest_lag(lags, squares, all_lags),
-                        likeliest_lag(lags, squares, usual),
-                    )
-                )
+            if not len(joints) or (end - begin) * period < _SHORTEST:
+                continue
+            lags, squares = scan_lags(even, joints, rows)
+            usual = (lags >= least - 1e-9) & (lags <= LATEST + 1e-9)
+            middle = float(even.time[rows].mean())
+            any_lag, usual_lag = (likeliest_lag(lags, squares, within) for within in (np.full(len(lags), True), usual))
+            of_any = followed(even, joints, rows, any_lag, any_lag - AHEAD)
+            of_usual = followed(even, joints, rows, usual_lag, min(max(usual_lag - AHEAD, least), 0.0))
+            pieces.append(_Piece(middle, int(even.run[first]), of_any, of_usual))
     return pieces
 
 
@@ -197,12 +195,13 @@ def _clock_of(pieces: list[_Piece], least: float, drifts: bool) -> tuple[float, 
     closer = np.array([piece.usual.missed - piece.any.missed for piece in follows])
     lags = np.array([piece.any.lag for piece in follows])
     outside = (lags < least) | (lags > LATEST)
-    if not outside.any() or closer[outside].mean() < _CLOSER:
+    if not outside.any() or closer[outside].mean() < _MUCH_CLOSER:
+        return None
+    if min(piece.any.correlation for piece in follows) < _CERTAIN:
         return None
     constant = float(np.median(lags))
     if np.abs(lags - constant).max() <= _SAME_LAG:
-        certain = min(piece.any.correlation for piece in follows) > _CERTAIN and closer.mean() > _MUCH_CLOSER
-        return (0.0, constant) if certain and not drifts else None
+        return None if drifts else (0.0, constant)
     if not drifts or len(follows) < 3:
         return None
     middles = np.array([piece.middle for piece in follows])

@@ -24,6 +24,10 @@ _LONGEST = 20.0
 """s, of a lag that is looked for, of either sign."""
 _OVERLAP = 0.5
 """Share of a run that is compared at the longest lag."""
+AHEAD = 0.04
+"""s before the likeliest lag, at which the newest command of a follower is."""
+_ALIKE = 0.02
+"""By which squared correlations at two lags differ at most where a motion repeats itself."""
 _RIDGE = 1e-8
 """Of the mean square of a column of the follower, beside which it is no information."""
 
@@ -105,12 +109,12 @@ def weight_features(even: Recording, bodies: Bodies, joint: int, late: Array) ->
 
 
 class Lag(NamedTuple):
-    """The lag of read-outs behind commands, one for all joints.
+    """How read-outs follow commands that are so late, all joints together.
 
     Attributes:
-        lag: s.
-        missed: the mean over joints of the logarithm of one less the squared correlation, at that lag.
-        correlation: of the joints together, root of the mean square.
+        lag: s, at which commands and read-outs correlate best.
+        missed: the mean over joints of the logarithm of the share of variance that linear followers leave.
+        correlation: of followers and read-outs, root of the mean square over joints.
     """
 
     lag: float
@@ -146,8 +150,47 @@ def _squared_correlations(u: Array, y: Array) -> Array:
     return (u * y).sum(0) ** 2 / np.where(sizes > 0, sizes, 1.0)
 
 
-def likeliest_lag(lags: Array, squares: Array, within: Mask) -> Lag:
-    """Of lags `(lag,)` s that are within a range, the one at which joints together follow most closely."""
+def likeliest_lag(lags: Array, squares: Array, within: Mask) -> float:
+    """Of lags `(lag,)` s that are within a range, the one at which joints together correlate most.
+
+    A motion that repeats itself correlates at several: the shortest is taken.
+    """
+    allowed = lags[within]
     missed = np.log(np.maximum(1 - squares[within], 1e-9)).mean(1)
-    best = int(np.argmin(missed))
-    return Lag(float(lags[within][best]), float(missed[best]), float(np.sqrt(squares[within][best].mean())))
+    together = squares[within].mean(1)
+    beside = np.pad(missed, 1, constant_values=np.inf)
+    peaks = (missed <= beside[:-2]) & (missed <= beside[2:])
+    alike = np.flatnonzero(peaks & (together >= together[np.argmin(missed)] - _ALIKE))
+    return float(allowed[alike[np.argmin(np.abs(allowed[alike]))]])
+
+
+def followed(even: Recording, joints: NDArray[np.integer], rows: slice, lag: float, newest: float) -> Lag:
+    """How joints follow commands in some rows of one run.
+
+    Commands that repeat themselves after a time are followed as closely at two lags: that tells nothing of their clock.
+
+    Args:
+        even: an even recording with commands.
+        joints: from 0, those that move.
+        rows: of one run.
+        lag: s, of the likeliest lag in the range in question.
+        newest: s, by which the newest command is late that a follower has; it has those of the half second before.
+    """
+    assert even.time is not None
+    period = float(np.median(np.diff(even.time)))
+    shift = round(newest / period)
+    command = np.asarray(even.commanded_position)[rows][:, joints]
+    measured = even.joint_position[rows][:, joints]
+    count = len(command)
+    first = max(shift, 0)
+    last = count + min(shift, 0)
+    earlier = command[first - shift : last - shift]
+    later = measured[first:last]
+    run = np.zeros(last - first, int)
+    begun = np.arange(last - first) * period > _EDGES[-1]  # before that commands of the past are not all known
+    shares = []
+    for u, y in zip(earlier.T, later.T, strict=True):
+        remaining = fit_follower(past_commands(u, run, period), y, rows=begun).remaining[begun]
+        shares.append(np.var(remaining) / max(np.var(y[begun]), 1e-300))
+    missed = np.log(np.maximum(shares, 1e-12))
+    return Lag(lag, float(missed.mean()), float(np.sqrt(max(1 - np.mean(shares), 0.0))))

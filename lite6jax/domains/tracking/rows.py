@@ -51,6 +51,11 @@ FOLLOWS = 0.9
 """Correlation from which a read-out follows a command."""
 UNRELATED = 0.5
 """Correlation below which it does not."""
+_LAGS = 26
+"""Lags at which read-outs and commands are correlated."""
+_ALIKE = 0.03
+"""By which correlations at two lags differ at most where both suit alike: of a motion of 3 Hz, that of half the distance
+between lags."""
 LEAST_GEAR = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
 _UNITS = (0.5, np.pi / 180)
@@ -295,22 +300,28 @@ def _start(even: Recording, noise: Array) -> Array:
 def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
     """How read-outs follow commands, `(read-out, command)`, each at the lag of at most `LATEST` that suits it best.
 
+    A motion to and fro follows itself with either sign, half a period later: of lags that suit alike the sign is that
+    of the shortest.
+
     Args:
         command: `(sample, column)`.
         measured: `(sample, column)`.
         period: s between samples.
     """
     count = measured.shape[1]
-    lags = np.unique(np.linspace(0, min(LATEST / period, len(command) // 2), 26).astype(int))
-    best = np.zeros((count, count))
     if not count:
-        return best
-    for lag in lags:
+        return np.zeros((0, 0))
+    lags = np.unique(np.linspace(0, min(LATEST / period, len(command) // 2), _LAGS).astype(int))
+    correlations = np.zeros((len(lags), count, count))
+    for place, lag in enumerate(lags):
         with np.errstate(divide="ignore", invalid="ignore"):  # of a column that stands still
             both = np.corrcoef(measured[lag:].T, command[: len(command) - lag].T)
-        matrix = np.nan_to_num(np.atleast_2d(both)[:count, count:])
-        best = np.where(np.abs(matrix) > np.abs(best), matrix, best)
-    return best
+        correlations[place] = np.nan_to_num(np.atleast_2d(both)[:count, count:])
+    size = np.abs(correlations)
+    largest = size.max(0)
+    earliest = np.argmax(size >= largest - _ALIKE, axis=0)
+    sign = np.sign(np.take_along_axis(correlations, earliest[None], 0)[0])
+    return sign * largest
 
 
 def _check_commands(even: Recording) -> None:

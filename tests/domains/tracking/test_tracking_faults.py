@@ -102,6 +102,38 @@ def test_strong_physics_is_no_fault_of_the_data(effect, known):
     assert screened(simulated(effect, known=known, seed=1)).found == ()
 
 
+def repeated(motion, seconds, lag, joints=6, reversed_joints=()):
+    """A log of joints that repeat one motion over and over, each `lag` s behind its command."""
+    time = np.arange(0, seconds, PERIOD)
+    angle = {
+        "sine": lambda t: np.sin(3 * t),
+        "fast sine": lambda t: np.sin(8 * t),
+        "harmonics": lambda t: np.sin(3 * t) + 0.6 * np.sin(6 * t),
+        "strokes": lambda t: np.clip(3 * np.sin(1.7 * t), -1, 1),
+    }[motion]
+    size = np.linspace(0.2, 0.5, joints)
+    sign = np.where(np.isin(np.arange(joints), reversed_joints), -1.0, 1.0)
+    noise = np.random.default_rng(7).normal(scale=1e-4, size=(len(time), joints))
+    return Recording.assembled(
+        np.outer(angle(time - lag), size) + noise,
+        time=time,
+        commanded_position=np.outer(angle(time), size * sign),
+        settings=replace(simulated(known=False).settings, servo="unknown"),
+    )
+
+
+@pytest.mark.parametrize("motion", ["sine", "fast sine", "harmonics", "strokes"])
+@pytest.mark.parametrize("seconds", [6, 20, 60])
+@pytest.mark.parametrize("lag", [0.01, 0.03, 0.1])
+def test_a_motion_that_repeats_itself_tells_of_no_other_clock_and_no_sign(motion, seconds, lag):
+    assert screened(repeated(motion, seconds, lag)).found == ()
+
+
+def test_a_joint_that_moves_to_and_fro_against_its_command_is_reversed():
+    fault, _ = the_fault(repeated("fast sine", 20, 0.03, reversed_joints=[2]))
+    assert (fault.code, fault.numbers["joints"]) == ("joint_sign", [3])
+
+
 @pytest.mark.parametrize("side", ["measured", "commanded"])
 @pytest.mark.parametrize("joints", [[3], [1, 2, 3, 4, 5, 6]])
 def test_degrees_are_converted(unknown, side, joints):
