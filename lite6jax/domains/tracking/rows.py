@@ -54,7 +54,7 @@ UNRELATED = 0.5
 _LAGS = 26
 """Lags at which read-outs and commands are correlated."""
 _ALIKE = 0.03
-"""By which correlations at two lags differ at most where both suit alike: of a motion of 3 Hz, that of half the distance
+"""By which correlations at two lags differ at most where both suit alike: of a motion of 3 Hz, that of half the step
 between lags."""
 LEAST_GEAR = 1.7
 """Ratio of read-outs to commands beyond which they have other units or gears: the least gear is 2 : 1."""
