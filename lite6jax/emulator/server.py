@@ -19,7 +19,6 @@ from lite6jax.emulator.core import Core, Faults, answer, report
 from lite6jax.errors import InputError
 from lite6jax.simulation.motions import Path
 
-Array = NDArray[np.floating]
 _T = TypeVar("_T")
 _Writer = asyncio.StreamWriter
 _Handler = Callable[[asyncio.StreamReader, _Writer], Awaitable[None]]

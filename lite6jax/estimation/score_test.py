@@ -1,8 +1,9 @@
 """Rao's score test of every candidate at once: what each would explain of the residuals, without a refit.
 
 Names are tested here: `Score.p_value` is the larger of a test for white noise and Hotelling's T² of blocks of samples,
-which is robust to correlated and unequal noise. `Score.familywise` multiplies it by the number of candidates. Processes
-are not tested here: their p-value is the posterior odds against them (`search/search.py`).
+which is robust to correlated and unequal noise. `Score.familywise` multiplies it by what was searched: the number of
+names, or the inverse of a name's prior probability where that is larger (`chance_of` in `search/search.py`). Processes
+are not tested here: their p-value is the posterior odds against them.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -64,14 +65,6 @@ class Score(NamedTuple):
     def familywise(self, searched: float) -> float:
         """The p-value of the best of `searched` independent candidates (Bonferroni)."""
         return min(self.p_value * searched, 1.0)
-
-
-def gain_p_value(gain: float, size: int, time: float) -> float:
-    """The p-value of a gain in log-likelihood by `size` numbers, in noise of an autocorrelation time in samples.
-
-    The tail of χ². For terms of too many numbers for a test by blocks, and for those that are far from zero.
-    """
-    return float(chdtrc(size, 2 * max(gain, 0.0) / max(time, 1.0)))
 
 
 class Spanned(NamedTuple):
@@ -473,7 +466,6 @@ def block_test(
         per_block: `(number, block)`, the sums over blocks of projected columns times residuals.
         by_block: makes these sums of products `(number, reading)`.
         unit: of the residuals, in units of the columns.
-        options: thresholds.
     """
     size = len(projected)
     length = np.where(norms > 0, norms, 1.0)
@@ -593,7 +585,6 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, whitened: Whitened) -> Sp
         problem: the data.
         fit: of the model.
         scale: `(group,)`, of the noise.
-        options: thresholds.
         whitened: columns of other models.
     """
     if fit.noise.white:

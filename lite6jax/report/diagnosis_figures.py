@@ -8,7 +8,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMethodFormatter
-from numpy.typing import NDArray
 
 from lite6jax.diagnosis import evidence_map, partial_residuals
 from lite6jax.diagnosis.diagnose import Diagnosis
@@ -42,8 +41,6 @@ from lite6jax.report.figures import (
 from lite6jax.report.remedies import effect_name, spaced
 from lite6jax.report.reports import REPORTS
 from lite6jax.report.words import SCREEN, joint_units, torque_units
-
-Array = NDArray[np.floating]
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {

@@ -226,7 +226,7 @@ def _begun(problem: Problem, reference: Problem, training: Mask, options: Engine
         gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
         cost = np.log(3 * max(len(problem.candidates), 1))
         for k, term in enumerate(preset.terms):
-            tested[k] = SelectedTerm(term, gain, cost, p_value=min(float(np.exp(cost - gain)), 1.0))
+            tested[k] = SelectedTerm(term, gain, cost)
         state = State(baseline, fitted, tuple(tested), start.refused)
     return Selection(problem, reference, state)
 
@@ -287,15 +287,13 @@ def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
     state = selection.state
     at_once = replace(options, fit=replace(options.fit, may_relinearise=False))
     selector = Selector(problem, at_once)
+    preset = problem.preset[0].terms
     while state.tested:
-        tested = []
-        for k, selected in enumerate(state.tested):
-            if selected.term in problem.preset[0].terms:
-                tested.append(replace(selected, p_value=0.0))
-                continue
-            tested.append(replace(selected, p_value=chance_of(selector, state, k)))
-        k = int(np.argmax([selected.p_value for selected in tested]))
-        if tested[k].p_value < options.level:
+        chances = [chance_of(selector, state, k) for k in range(len(state.tested))]
+        tested = [replace(selected, p_value=p) for selected, p in zip(state.tested, chances, strict=True)]
+        refutable = [p if selected.term not in preset else 0.0 for selected, p in zip(tested, chances, strict=True)]
+        k = int(np.argmax(refutable))
+        if refutable[k] < options.level:
             state = refitted(problem, replace(state, tested=tuple(tested)), tested, at_once)
             break
         state = refitted(problem, state, [*tested[:k], *tested[k + 1 :]], options)

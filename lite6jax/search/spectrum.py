@@ -146,8 +146,8 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
         within: the log-likelihood by which another explains less at most.
 
     Returns:
-        up to `other_orders` of these with the log-likelihood by which each explains less, the nearest and, of equals,
-        the lowest first; none that the angles do not resolve from the one or from another of them.
+        at most `_OTHER_ORDERS` of these, with the log-likelihood by which each explains less, the nearest first and, of
+        equals, the lowest; none that the angles do not resolve from the one or from another of them.
     """
     orders, gains = spectrum(test, family)
     if not gains.any():

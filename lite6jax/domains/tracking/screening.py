@@ -1,7 +1,6 @@
 """Data faults of logs of commands and measured joints: what cannot be diagnosed, and what is located and corrected."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.faults import Screened
@@ -18,8 +17,6 @@ from lite6jax.domains.tracking.row_faults import (
 from lite6jax.domains.tracking.rows import MOVING, SAME, tracking_rows
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-
-Array = NDArray[np.floating]
 
 _SHIFTED = 5
 """Rows by which commands are compared with read-outs: logs of learned policies hold the next read-out as a command."""

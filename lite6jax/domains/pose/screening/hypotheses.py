@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
@@ -56,8 +55,6 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import frames_from_poses, median_distance
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import spread_rows
-
-Array = NDArray[np.floating]
 
 _SUSPECT_NOISE = 10.0
 """The suspect median error in standard deviations of the sensor; noise alone is below four."""

@@ -20,8 +20,6 @@ from lite6jax.recordings.alignment import flange_poses, frames_from_poses, media
 from lite6jax.recordings.columns.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.placeholders import Mark, possible_marks, without_marks
 
-Array = NDArray[np.floating]
-
 _MISSES = 10.0
 """Median errors by which the nominal arm misses a placeholder; outliers are nearer."""
 _APART = 0.1
