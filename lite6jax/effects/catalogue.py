@@ -48,12 +48,15 @@ _IN_BOTH = (
     *(dynamic.ViscousFriction, dynamic.CoulombFriction, dynamic.LoadFriction, dynamic.RotorInertia),
     dynamic.JointSpring,
 )
-"""Effects on torques that a servo follows worse for."""
+"""Effects on the torque of a joint that a servo follows worse for."""
+_OF_BODIES = (dynamic.LinkMass, dynamic.LinkCom)
+"""Effects on what a link weighs, likewise."""
 TRACKING_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
     kind.name: kind
     for kind in (
         *(servo.CommandTimeOffset, servo.ClockDrift, *servo.OF_JOINTS),
-        *(*_IN_BOTH, dynamic.StribeckFriction, dynamic.PayloadTorque, dynamic.BaseTilt, dynamic.UnnamedTorque),
+        *(*_IN_BOTH, dynamic.StribeckFriction, dynamic.TorqueRipple, *_OF_BODIES, dynamic.PayloadTorque),
+        *(dynamic.BaseTilt, dynamic.UnnamedTorque),
     )
 })  # fmt: skip
 """The classes of effects on how servos follow their commands, by name."""
@@ -182,12 +185,12 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[dynamic.T
 
 
 def tracking_catalogue(dof: int) -> tuple[Effect, ...]:
-    """Every named effect on how the servos of an arm follow their commands, without Stribeck friction.
+    """Every named effect on how the servos of an arm follow their commands, without Stribeck friction and ripple.
 
     Args:
         dof: number of joints, all revolute.
     """
-    kinds = (*servo.OF_JOINTS, *_IN_BOTH)
+    kinds = (*servo.OF_JOINTS, *_IN_BOTH, *_OF_BODIES)
     return (
         *(kind(joint) for kind in kinds for joint in range(1, dof + 1)),
         *(servo.CommandTimeOffset(), servo.ClockDrift(), dynamic.PayloadTorque(), dynamic.BaseTilt()),

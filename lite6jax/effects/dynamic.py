@@ -584,6 +584,30 @@ def displacement(arm: Arm, link: int) -> Array:
     return np.stack([inside.min(0) - around - center, inside.max(0) + around - center], 1)
 
 
+def inertial_limits(effect: Effect, arm: Arm, links: Array, lightest: float) -> list[tuple[float, float]] | None:
+    """The least and the most that each number of an effect on bodies can be; None of any other effect.
+
+    No payload or link is lighter than nothing or heavier than the arm, and a centre of mass is within its link.
+
+    Args:
+        effect: of a payload or of a link.
+        arm: that has it.
+        links: `(joint, 10)` inertial numbers, of the payload none.
+        lightest: kg, the least payload of the motion.
+    """
+    if isinstance(effect, PayloadTorque | PayloadBody):
+        heaviest_added = heaviest_payload(arm)
+        moment = heaviest_added * PAYLOAD_LENGTH
+        return [(-lightest, heaviest_added), *[(-moment, moment)] * (effect.size - 1)]
+    if isinstance(effect, LinkMass):
+        return [(-float(links[effect.link - 1, 0]), heaviest(arm, effect.link))]
+    if isinstance(effect, LinkCom):
+        return [(float(low), float(high)) for low, high in displacement(arm, effect.link)]
+    if isinstance(effect, LinkInertia):
+        return [turning_inertia(arm, effect.link, links)]
+    return None
+
+
 def first_moment(moment: Array, center: Array) -> Array:
     """`(10,)`, the change of inertial numbers by a first moment `(3,)` kg·m about a centre, to first order."""
     tensor = 2 * (moment @ center) * np.eye(3) - np.outer(moment, center) - np.outer(center, moment)

@@ -38,7 +38,10 @@ _MENTIONED = 0.001
 _MATTERS = 0.5
 """Of the difference of two rollouts, that is left with fine steps where those of the file make the difference."""
 _TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
-_LOAD = {"servo_stiffness", "payload_error", "base_tilt", "encoder_offset", "encoder_scale", "joint_spring"}
+_LOAD = {
+    *("servo_stiffness", "payload_error", "base_tilt", "link_mass", "link_com", "encoder_offset", "encoder_scale"),
+    "joint_spring",
+}
 _REVERSAL = {"dead_band", "coulomb_friction", "stribeck_friction", "load_friction", "backlash"}
 """Effects that the same kind of motion tells apart."""
 

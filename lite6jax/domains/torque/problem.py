@@ -26,7 +26,6 @@ from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_catal
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import (
     DIRECTION_SPEED,
-    PAYLOAD_LENGTH,
     CoulombFriction,
     Delaying,
     Dynamics,
@@ -42,11 +41,8 @@ from lite6jax.effects.dynamic import (
     TorqueRipple,
     UnnamedTorque,
     declared,
-    displacement,
-    heaviest,
-    heaviest_payload,
+    inertial_limits,
     point_mass,
-    turning_inertia,
 )
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
@@ -480,18 +476,12 @@ class TorqueProblem:
 
         Bodies are bounded by the arm: no link weighs more than the arm, and its centre of mass is within the link.
         """
+        assert isinstance(term, TorqueEffect)
         arm = self.data.arm
-        if isinstance(term, PayloadTorque | PayloadBody):
-            lightest = -float(np.min(np.asarray(self.data.motion.payload)))
-            heaviest_added = heaviest_payload(arm)
-            moment = heaviest_added * PAYLOAD_LENGTH
-            return [(lightest, heaviest_added), *[(-moment, moment)] * (term.size - 1)]
-        if isinstance(term, LinkMass):
-            return [(-float(self.links[term.link - 1, 0]), heaviest(arm, term.link))]
-        if isinstance(term, LinkCom):
-            return [(float(low), float(high)) for low, high in displacement(arm, term.link)]
-        if isinstance(term, LinkInertia):
-            return [turning_inertia(arm, term.link, self.links)]
+        lightest = float(np.min(np.asarray(self.data.motion.payload)))
+        of_bodies = inertial_limits(term, arm, self.links, lightest)
+        if of_bodies is not None:
+            return of_bodies
         less, *further_limits = [(number.lower, number.upper) for number in term.coordinates]
         of_arm = declared(self.data.arm, term) if term.chosen is None else 0.0  # another curve than the declared one
         if isinstance(term, StribeckFriction | CoulombFriction):  # whose other number is a speed

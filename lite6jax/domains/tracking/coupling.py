@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.domains.tracking.rollout import GRIP, Commands, Rolled, roll
-from lite6jax.effects.dynamic import point_mass
+from lite6jax.effects.dynamic import OfLink, point_mass
 from lite6jax.effects.servo import RIGID_GRIP, Servo
 
 Array = NDArray[np.floating]
@@ -57,6 +57,7 @@ class Bodies:
         links: `(joint, 10)` inertial numbers, with the payload's.
         payload_center: `(3,)` m, in the frame after the last joint.
         gravity: `(3,)` m/s² in the base frame.
+        payload: kg of the payload in `links`.
         added: `(sample,)` kg at the payload's centre beside `links`, in motions of so many samples, or of so many times
             as many steps; None where the payload is one.
     """
@@ -65,6 +66,7 @@ class Bodies:
     links: Array
     payload_center: Array
     gravity: Array
+    payload: float = 0.0
     added: Array | None = None
 
     @classmethod
@@ -73,7 +75,7 @@ class Bodies:
         at = arm.T_joint_flange[:3, :3] @ np.asarray(center, float) + arm.T_joint_flange[:3, 3]
         links = np.zeros((arm.dof, 10)) if arm.mass is None else np.array(link_parameters(arm))
         links[-1] += point_mass(payload, at)
-        return cls(np.asarray(arm.kinematics), links, at, np.asarray(gravity, float))
+        return cls(np.asarray(arm.kinematics), links, at, np.asarray(gravity, float), payload)
 
     @property
     def joints(self) -> int:
@@ -83,6 +85,14 @@ class Bodies:
         """With more kg at the payload's centre."""
         links = self.links.copy()
         links[-1] += point_mass(mass, self.payload_center)
+        return replace(self, links=links, payload=self.payload + mass)
+
+    def with_link(self, effect: OfLink, values: Array) -> "Bodies":
+        """With another link, by the numbers `(coordinate,)` of an effect on its inertia."""
+        bare = self.links.copy()
+        bare[-1] -= point_mass(self.payload, self.payload_center)
+        links = self.links.copy()
+        links[effect.link - 1] += effect.inertial(values, bare)
         return replace(self, links=links)
 
     def tilted(self, tilt: Array) -> "Bodies":

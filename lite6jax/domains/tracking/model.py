@@ -15,6 +15,7 @@ from lite6jax.effects.dynamic import (
     Dynamics,
     JointSpring,
     LoadFriction,
+    OfLink,
     PayloadTorque,
     RotorInertia,
     StribeckFriction,
@@ -113,7 +114,7 @@ def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bo
         model: without it.
         effect: of the catalogue of this domain.
         values: `(coordinate,)`.
-        coupled: whether payload and tilt change the bodies, and not what is exerted along the measured motion.
+        coupled: whether payload, links and tilt change the bodies, and not what is exerted along the measured motion.
     """
     if isinstance(effect, TrackingEffect):
         return replace(model, servo=effect.alter(values, model.servo))
@@ -127,6 +128,8 @@ def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bo
         return replace(model, servo=change(model.servo, effect.joint, dict(zip(fields, values, strict=False))))
     if coupled and isinstance(effect, PayloadTorque):
         return replace(model, bodies=model.bodies.with_payload(float(values[0])))
+    if coupled and isinstance(effect, OfLink):
+        return replace(model, bodies=model.bodies.with_link(effect, values))
     if coupled and isinstance(effect, BaseTilt):
         return replace(model, bodies=model.bodies.tilted(values))
     assert isinstance(effect, TorqueEffect)

@@ -7,6 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
+import scipy  # whose parts are imported where they are first used
 from numpy.typing import NDArray
 
 from lite6jax.arms.dynamics import link_parameters
@@ -22,13 +23,16 @@ from lite6jax.effects.dynamic import (
     BaseTilt,
     CoulombFriction,
     LoadFriction,
+    OfLink,
     PayloadTorque,
     RotorInertia,
     StribeckFriction,
     TorqueEffect,
+    TorqueRipple,
     UnnamedTorque,
     ViscousFriction,
     declared,
+    inertial_limits,
 )
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import (
@@ -328,12 +332,14 @@ class TrackingProblem:
         model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
         extra = self._exerted(model)
         joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
-        before = {joint: self._state(model.servo, extra, joint) for joint in joints}
         units = None
         acted_on = slice(None)
-        if isinstance(effect, TorqueEffect) and _exerts(effect):
+        if isinstance(effect, TorqueEffect) and effect.linear and _exerts(effect):
             units = units_along(effect, self.data.dynamics, self.known.units)
             acted_on = joints_of(effect)
+            if isinstance(effect, OfLink):  # joints beyond a link do not carry it
+                joints = joints[: effect.link]
+        before = {joint: self._state(model.servo, extra, joint) for joint in joints}
         numbers_by_joint = []
         for k in range(effect.size):
             over = self.step_of(effect, k, float(at[k]))
@@ -347,7 +353,10 @@ class TrackingProblem:
                 total = more if extra is None else extra + more
             else:
                 changed = at + over * np.eye(effect.size)[k]
-                servo = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed])).servo
+                altered = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed]))
+                servo = altered.servo
+                if not effect.linear and altered.torques:
+                    total = self._exerted(altered)
             name = effect, k, at.tobytes(), step
             after = {joint: self._state(servo, total, joint) for joint in joints}
             numbers_by_joint.append([_Difference(name, before[joint], after[joint], over) for joint in joints])
@@ -543,8 +552,12 @@ class TrackingProblem:
         return replace(self, servo=self.servo_at(nuisance), offset=self.offset + nuisance)
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
-        """Those of the effect; no friction or rotor is less than nothing."""
+        """Those of the effect; no friction or rotor is less than nothing, and bodies are bounded by the arm."""
         assert isinstance(term, Effect)
+        lightest = float(np.min(self.data.recording.payload))
+        of_bodies = inertial_limits(term, self.data.arm, self.data.dynamics.links, lightest)
+        if of_bodies is not None:
+            return of_bodies
         first, *others = [(number.lower, number.upper) for number in term.coordinates]
         less = declared(self.data.arm, term) if term.chosen is None else 0.0
         return [(first[0] - less, first[1]), *others]
@@ -553,8 +566,50 @@ class TrackingProblem:
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
-        """None: waves of one turn are candidates."""
-        return ()
+        """Ripple of the torque of each joint; waves of one turn of the read-out are candidates."""
+        families = []
+        for component in self.components:
+            joint = int(component.site.removeprefix("joint"))
+            (position,) = self._through_loop(joint, self.data.dynamics.position(joint)[None])
+            families.append(
+                PeriodicFamily(
+                    component.site,
+                    component.column,
+                    position[self.chosen],
+                    partial(TorqueRipple, joint),
+                    _order_of_ripple,
+                    partial(self._waves, joint),
+                )
+            )
+        return tuple(families)
+
+    def _waves(self, joint: int, orders: Array) -> Array:
+        """Sine and cosine `(order, 2, sample)` of the position of a joint, from 1, as they pass its servo."""
+        turned = np.multiply.outer(orders, self.data.dynamics.position(joint))
+        return self._through_loop(joint, np.stack([np.sin(turned), np.cos(turned)], 1))[..., self.chosen]
+
+    def _through_loop(self, joint: int, torques: Array) -> Array:
+        """How a joint, from 1, answers torques `(…, every sample)`, over that when they hardly change.
+
+        Linear: of the inertia at the middle of the motion, and without friction that holds it.
+        """
+        j = joint - 1
+        servo = self.servo
+        middle = np.median(self.data.dynamics.motion.joint_position, axis=1)
+        inertia = float(self.data.bodies.masses(middle[:, None])[j, 0] + servo.inertia[j])
+        drag = float(servo.damping[j] + servo.viscous[j])
+        stiffness = float(servo.stiffness[j])
+        numerator, denominator = scipy.signal.bilinear(
+            [stiffness], [max(inertia, 1e-9), drag, stiffness], 1 / self.data.commands.period
+        )
+        at_rest = scipy.signal.lfilter_zi(numerator, denominator)
+        answers = np.empty(torques.shape)
+        begins = np.flatnonzero(self.data.commands.reset)
+        for first, last in zip(begins, [*begins[1:], torques.shape[-1]], strict=True):
+            part = torques[..., first:last]
+            state = part[..., :1] * at_rest
+            answers[..., first:last], _ = scipy.signal.lfilter(numerator, denominator, part, zi=state)
+        return answers
 
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
@@ -633,6 +688,12 @@ class TrackingProblem:
         return ()
 
 
+def _order_of_ripple(term: Term) -> float | None:
+    """The order of a ripple, where it is fixed."""
+    assert isinstance(term, TorqueRipple)
+    return term.order
+
+
 def _exerts(effect: Effect) -> bool:
     """Whether columns of an effect are those of torques along the measured motion, and not of a servo's numbers."""
     bare = TrackingModel(Servo.ideal(np.ones(effect.joints_needed), np.ones(effect.joints_needed)), NO_BODIES)
@@ -700,7 +761,7 @@ def candidates_beside(data: TrackingRows, unknowns: Sequence[Unknown]) -> tuple[
     fitted = (ServoStiffness, ServoDamping, ViscousFriction) if unknowns else ()
     fitted += (CoulombFriction,) if any(one.field == "coulomb" for one in unknowns) else ()
     fitted += (RotorInertia,) if any(one.field == "inertia" for one in unknowns) else ()
-    fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction)
+    fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction, OfLink)
     return tuple(effect for effect in tracking_catalogue(data.arm.dof) if not isinstance(effect, fitted))
 
 
