@@ -90,6 +90,8 @@ BUILT = [
     (Hidden("payload_error", "payload", {"mass_kg": 0.2}),),
     (Hidden("base_tilt", "base", {"tilt_x_rad": 0.1, "tilt_y_rad": -0.05}),),
     (Hidden("encoder_offset", "joint2", {"offset_rad": 0.02}),),
+    (Hidden("link_mass", "link2", {"mass_kg": 0.3}),),
+    (Hidden("link_com", "link3", {"x_m": 0.02, "y_m": -0.01, "z_m": 0.01}),),
 ]
 
 

@@ -56,12 +56,17 @@ class Bodies(NamedTuple):
     inertia: Array  # `(3, 3, joint, lane)` kg·m²
 
     @classmethod
-    def of(cls, arm: Arm, payload: Array, at: Array) -> "Bodies":
-        """An arm that carries point masses `(lane,)` kg at a place `(3,)` m in its last frame."""
+    def of(
+        cls, arm: Arm, payload: Array, at: Array, heavier: Array | float = 0.0, shifted: Array | float = 0.0
+    ) -> "Bodies":
+        """An arm that carries point masses `(lane,)` kg at a place `(3,)` m in its last frame.
+
+        Its links are `heavier` by `(joint, lane)` kg, at their centres, which are `shifted` by `(3, joint, lane)` m.
+        """
         dof = arm.chain.dof
         lanes = len(payload)
-        mass = np.repeat(arm.chain.mass[:, None], lanes, 1)
-        center = np.repeat(arm.chain.center.T[:, :, None], lanes, 2)
+        mass = np.repeat(arm.chain.mass[:, None], lanes, 1) + heavier
+        center = np.repeat(arm.chain.center.T[:, :, None], lanes, 2) + shifted
         inertia = np.repeat(np.moveaxis(arm.inertia, 0, 2)[..., None], lanes, 3)
         whole = mass[-1] + payload
         middle = (mass[-1] * center[:, -1] + payload * at[:, None]) / whole

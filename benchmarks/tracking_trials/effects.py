@@ -24,17 +24,25 @@ START: Values = {
     **dict.fromkeys(("delay", "filter", "stribeck", "load_friction"), 0.0),
     "stribeck_speed": 0.1,
     **dict.fromkeys(("rate", "limit"), NEVER),
+    **dict.fromkeys(("droop", "ripple", "ripple_order", "ripple_phase"), 0.0),
+    **dict.fromkeys(("link_mass", "center_x", "center_y", "center_z"), 0.0),  # beyond the declared ones
     **dict.fromkeys(("play", "offset", "scale", "sine", "cosine"), 0.0),
     **dict.fromkeys(("clock", "payload", "tilt_x", "tilt_y"), 0.0),  # of the arm
     # of families; lengths that divide are one
-    **dict.fromkeys(("sticky", "sticky_centre", "one_way", "load_play", "warming", "sagging", "cogging"), 0.0),
-    **dict.fromkeys(("cogging_order", "cogging_phase", "cable", "cable_centre", "cable_by", "cable_other"), 0.0),
+    **dict.fromkeys(("sticky", "sticky_centre", "one_way", "load_play", "warming", "sagging"), 0.0),
+    **dict.fromkeys(("cable", "cable_centre", "cable_by", "cable_other"), 0.0),
     **dict.fromkeys(("compliance", "skipped", "rocking", "rocking_pulse", "rocking_way"), 0.0),
     "sticky_width": 1.0,
 }
 """Numbers of joints and of the arm where nothing is hidden, SI units."""
 SITES = {"time_offset": "clock", "clock_drift": "clock", "payload_error": "payload", "base_tilt": "base"}
 """Sites of effects that are of no joint."""
+_OF_LINKS = ("link_mass", "link_com")
+
+
+def site_of(name: str, joint: int) -> str:
+    """The site of an effect of the table at a joint, from 1, or at the link that it moves."""
+    return SITES.get(name, f"link{joint}" if name in _OF_LINKS else f"joint{joint}")
 
 
 @dataclass(frozen=True)
@@ -42,14 +50,14 @@ class Hidden:
     """An effect at a site."""
 
     name: str  # a key of `NAMED` or `FAMILIES`
-    site: str  # jointN, clock, payload or base
+    site: str  # jointN, linkN, clock, payload or base
     values: Values  # its numbers under the names that the library reports; of a family, its `size`
     fixed: Values = field(default_factory=dict)  # what else belongs to its form, that nobody asks for
 
     @property
     def joint(self) -> int:
-        """From 0; -1 where the site is none."""
-        return int(self.site[5:]) - 1 if self.site.startswith("joint") else -1
+        """From 0, of a link the one that moves it; -1 where the site is neither."""
+        return int("".join(filter(str.isdecimal, self.site)) or 0) - 1
 
     def moved(self, **values: float) -> "Hidden":
         """The same with some other numbers."""
@@ -104,6 +112,17 @@ def _spring(numbers: Numbers, i: Any, values: Values) -> None:
     numbers["spring_torque"][i] -= values["stiffness_Nm_per_rad"] * values["rest_rad"]
 
 
+def _ripple(numbers: Numbers, i: Any, values: Values) -> None:
+    numbers["ripple"][i] += values["amplitude_Nm"]
+    numbers["ripple_order"][i] = values["order"]
+    numbers["ripple_phase"][i] = values["phase_rad"]
+
+
+def _drooping(numbers: Numbers, i: Any, values: Values) -> None:
+    numbers["limit"][i] = np.minimum(numbers["limit"][i], values["torque_Nm"])
+    numbers["droop"][i] = values["droop_s_per_rad"]
+
+
 def _wave(numbers: Numbers, i: Any, values: Values) -> None:
     numbers["sine"][i] += values["amplitude_rad"] * np.cos(values["phase_rad"])
     numbers["cosine"][i] += values["amplitude_rad"] * np.sin(values["phase_rad"])
@@ -123,9 +142,22 @@ def _of(name: str, unit: str) -> Callable[[float, Values], dict[str, float]]:
     return lambda size, drawn: {name: size * drawn[unit]}
 
 
+def _side_of(name: str, unit: str) -> Callable[[float, Values], dict[str, float]]:
+    """A number of either sign that is so many times one of the joint's."""
+    return lambda size, drawn: {name: drawn["side"] * size * drawn[unit]}
+
+
 def _below(name: str, most: str) -> Callable[[float, Values], dict[str, float]]:
     """A limit that is below what is reached without it."""
     return lambda size, drawn: {name: drawn[most] / (1 + size)}
+
+
+def _shift(size: float, drawn: Values) -> dict[str, float]:
+    """A displacement by so many metres: of its direction, `phase` is about the third axis, `rise` from the plane."""
+    flat = size * float(np.cos(drawn["rise"]))
+    x = flat * float(np.cos(drawn["phase"]))
+    y = flat * float(np.sin(drawn["phase"]))
+    return {"x_m": x, "y_m": y, "z_m": size * float(np.sin(drawn["rise"]))}
 
 
 def _ratio(size: float, drawn: Values) -> dict[str, float]:
@@ -161,6 +193,12 @@ NAMED: dict[str, Named] = {
     "torque_limit": Named(
         (1e-3, 1.0), _below("torque_Nm", "strongest"), _least("limit", "torque_Nm"), {"torque_Nm": "torque"}
     ),
+    "torque_speed_limit": Named(
+        (1e-3, 1.0),
+        lambda size, drawn: {"torque_Nm": drawn["strongest"] / (1 + size), "droop_s_per_rad": drawn["droop"]},
+        _drooping,
+        *({"torque_Nm": "torque", "droop_s_per_rad": "droop"}, 2),
+    ),
     "viscous_friction": Named(
         (1e-5, 1.0),
         _of("viscous_Nm_s_per_rad", "damping"),
@@ -183,6 +221,22 @@ NAMED: dict[str, Named] = {
         (1e-5, 0.5),
         lambda size, drawn: {"stiffness_Nm_per_rad": size * drawn["stiffness"], "rest_rad": drawn["rest"]},
         *(_spring, {"stiffness_Nm_per_rad": "k", "rest_rad": "rest"}, 2),
+    ),
+    "torque_ripple": Named(
+        (1e-5, 0.5),
+        lambda size, drawn: {
+            "order": drawn["order"],
+            "amplitude_Nm": size * drawn["strongest"],
+            "phase_rad": drawn["phase"],
+        },
+        *(_ripple, {"order": "n", "amplitude_Nm": "A", "phase_rad": "phase"}, 2),
+    ),
+    "link_mass": Named((1e-5, 0.9), _side_of("mass_kg", "mass"), _add(link_mass="mass_kg"), {"mass_kg": "mass"}),
+    "link_com": Named(
+        (1e-6, 0.1),
+        _shift,
+        _add(center_x="x_m", center_y="y_m", center_z="z_m"),
+        *({"x_m": "x", "y_m": "y", "z_m": "z"}, 3),
     ),
     "payload_error": Named((1e-5, 1.5), _one("mass_kg"), _add(payload="mass_kg"), {"mass_kg": "mass"}),
     "base_tilt": Named(
@@ -281,13 +335,6 @@ FAMILIES: dict[str, Family] = {
     ),
     # an elastic gear between a motor and the link on which the encoder sits
     "flexible_drive": Family((0.01, 0.6), "one", _set("compliance"), "velocity", beside=_SERVO, nameless=True),
-    # cogging whose order is no whole number
-    "cogging": Family(
-        (1e-5, 0.5),
-        "strongest",
-        _set("cogging", cogging_order="order", cogging_phase="phase"),
-        *("position", ("order", "phase"), ("encoder_offset", "joint_spring")),
-    ),
     # a generator of commands that skips: the one before is sent again
     "skipping_commands": Family((1e-3, 0.5), "one", _set("skipped"), "", nameless=True, site="clock"),
     # a base that rocks to and fro, on a vehicle or a bench

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.campaigns import detection
 from benchmarks.campaigns.detection import Array, project_out
 from benchmarks.tracking_trials.arms import Bodies, Dynamics
-from benchmarks.tracking_trials.effects import AT_LEAST, FAMILIES, FREE_SERVO, NAMED, SITES, Hidden, Values
+from benchmarks.tracking_trials.effects import AT_LEAST, FAMILIES, FREE_SERVO, NAMED, SITES, Hidden, Values, site_of
 from benchmarks.tracking_trials.physics import Commands, Setup, roll
 from benchmarks.tracking_trials.plans import Plan
 
@@ -26,7 +26,10 @@ _SHARE = 0.02  # of a number, by which it is changed for a derivative
 _LEAST_SEEN = 0.05  # of what an effect does, that the servos' numbers cannot do
 _MOST_MOVED = 0.1  # rad RMS that an effect may do
 _SMOOTH = 0.05  # s, over which commands are smoothed to know what they ask for
-_ELSEWHERE = ("command_delay", "coulomb_friction", "servo_stiffness", "joint_spring", "encoder_offset")
+_ELSEWHERE = (
+    *("command_delay", "coulomb_friction", "servo_stiffness", "joint_spring", "encoder_offset", "link_mass"),
+    "link_com",
+)
 """What an effect of the whole arm may be taken for at each joint."""
 
 
@@ -160,7 +163,10 @@ def _draw(name: str, rng: np.random.Generator, view: View, limits: dict[str, Arr
         }
         values["speed"] = float(rng.uniform(0.05, 0.4)) * values["fastest"]
         values["rest"] = float(np.percentile(view.commands.u[..., joint - 1], rng.uniform(20, 80)))
-        site = SITES.get(name, f"joint{joint}")
+        values["droop"] = float(rng.uniform(0.1, 0.5)) / values["fastest"]
+        values["order"] = float(rng.choice([float(rng.integers(2, 40)), rng.uniform(2, 40)]))
+        values["rise"] = float(np.arcsin(rng.uniform(-1, 1)))
+        site = site_of(name, joint)
         return lambda size: Hidden(name, site, named.values(float(size), values))
     family = FAMILIES[name]
     fixed = _fixed(name, rng, view, joint)
@@ -176,6 +182,7 @@ def _of_joint(view: View, limits: dict[str, Array], joint: int) -> dict[str, flo
         **{name: float(getattr(joints, name)[joint - 1]) for name in ("stiffness", "damping", "rotor")},
         **{name: float(each[joint - 1]) for name, each in limits.items()},
         "per_load": 1 / max(float(limits["heaviest"][joint - 1]), 0.05),
+        "mass": float(view.setup.arm.chain.mass[joint - 1]),
     }
 
 
@@ -190,7 +197,6 @@ def _fixed(name: str, rng: np.random.Generator, view: View, joint: int) -> dict[
         "width": float(rng.uniform(0.1, 0.25) * np.ptp(q)),
         "by": float(by),
         "other": float(np.percentile(u[..., by - 1], rng.uniform(25, 75))),
-        "order": float(rng.integers(5, 40) + rng.uniform(0.25, 0.75)),
         "phase": float(rng.uniform(-np.pi, np.pi)),
         "pulse": float(2 * np.pi * rng.uniform(0.4, 2.0)),
     }
@@ -279,6 +285,10 @@ def _bounds(span: Array, columns: Sequence[Array], names: Sequence[Sequence[str]
     return [{name: float(next(deviations)) for name in each} for each in names]
 
 
+_FORM = {"side": 1.0, "speed": 0.1, "rest": 0.0, "droop": 0.1, "order": 1.0, "rise": 0.0}
+"""What of an effect that something may be taken for is not its size."""
+
+
 def _candidates(view: View, effect: Hidden) -> Iterator[tuple[str, list[Hidden]]]:
     """What an effect may be taken for: the table, at its joint and for the whole arm, in one or two ways each."""
     limits = asked(view.setup, view.commands)
@@ -290,13 +300,18 @@ def _candidates(view: View, effect: Hidden) -> Iterator[tuple[str, list[Hidden]]
         if effect.joint < 0 and name not in SITES and name not in _ELSEWHERE:
             continue
         for joint in [1] if name in SITES else joints:
-            site = SITES.get(name, f"joint{joint}")
+            site = site_of(name, joint)
             if (name, site) == (effect.name, effect.site):
                 continue
-            values = _of_joint(view, limits, joint) | {"side": 1.0, "speed": 0.1, "rest": 0.0}
+            values = _of_joint(view, limits, joint) | _FORM
             size = 0.1 * float(np.sqrt(np.prod(named.sizes)))
             phases: Sequence[Values] = [values | {"phase": phase} for phase in (0.0, np.pi / 2)[: named.linear]]
             effects = [Hidden(name, site, named.values(size, each)) for each in phases]
             if name == "joint_spring":
                 effects[1] = Hidden(name, site, {**effects[0].values, "rest_rad": 1.0})
+            if name == "link_com":
+                along_axis = values | {"phase": 0.0, "rise": np.pi / 2}
+                effects.append(Hidden(name, site, named.values(size, along_axis)))
+            if name == "torque_speed_limit":
+                effects[1] = Hidden(name, site, {**effects[0].values, "droop_s_per_rad": 0.0})
             yield name, effects

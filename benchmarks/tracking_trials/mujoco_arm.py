@@ -18,7 +18,7 @@ STEP = 5e-4  # s
 SIMULATED = (
     *("time_offset", "command_delay", "command_filter", "servo_stiffness", "servo_damping", "torque_limit"),
     *("viscous_friction", "coulomb_friction", "rotor_inertia", "joint_spring", "payload_error", "base_tilt"),
-    "encoder_offset",
+    *("encoder_offset", "link_mass", "link_com"),
 )
 """What MuJoCo can be given; a delay is of the command that it is given, an offset of what it shows."""
 GRIP = "0.999 0.999 0.001 0.5 2"
@@ -77,7 +77,9 @@ def model_text(setup: Setup, numbers: Numbers, grip: str) -> str:
     """
     arm = setup.arm
     tilt = rotation_from_vector(np.array([numbers["tilt_x"][0], numbers["tilt_y"][0], 0.0]))
-    bodies = Bodies.of(arm, np.array([setup.payload + numbers["payload"][0]]), setup.payload_center)
+    shifted = np.stack([numbers["center_x"], numbers["center_y"], numbers["center_z"]])[..., None]
+    payload = np.array([setup.payload + numbers["payload"][0]])
+    bodies = Bodies.of(arm, payload, setup.payload_center, numbers["link_mass"][:, None], shifted)
     root = Element("mujoco")
     SubElement(root, "compiler", angle="radian", autolimits="false")
     option = SubElement(root, "option", timestep=repr(STEP), gravity=_text(tilt.T @ setup.gravity), integrator="RK4")

@@ -97,7 +97,9 @@ class _Rollout:
         self.steps = self.lead + (commands.u.shape[1] - 1) * self.per_sample + 1
         variants = self.lanes // commands.runs
         self.begins = np.tile(commands.begins, variants)
-        self.dynamics = Dynamics(Bodies.of(setup.arm, setup.payload + wide["payload"], setup.payload_center))
+        shifted = np.stack([n["center_x"], n["center_y"], n["center_z"]])
+        payload = setup.payload + wide["payload"]
+        self.dynamics = Dynamics(Bodies.of(setup.arm, payload, setup.payload_center, n["link_mass"], shifted))
         tilts = np.stack([wide["tilt_x"], wide["tilt_y"], np.zeros(self.lanes)], 1)
         self.gravity = np.einsum("lji,j->il", rotation_from_vector(tilts), setup.gravity)
         self.rocking = wide["rocking"]
@@ -192,7 +194,9 @@ class _Rollout:
                 pull = pull + n["feedforward"] * (u - u_before) / h
                 u_before = u
             if limited:
-                pull = np.clip(pull, -n["limit"], n["limit"])
+                # towards its motion a joint that droops is given less
+                limit = n["limit"] * np.maximum(1 - n["droop"] * np.sign(pull) * (v + 0.5 * h * a), 0.0)
+                pull = np.clip(pull, -limit, limit)
             strongest = np.maximum(strongest, np.abs(pull))
             heaviest = np.maximum(heaviest, np.abs(load))
             drive = pull
@@ -209,8 +213,8 @@ class _Rollout:
                 force = force - n["spring"] * q - n["spring_torque"]
             if "warming" in present:
                 force = force + n["warming"] * (self.setup.warming / _WARMER) * self.aged(m) * v
-            if "cogging" in present:
-                force = force - n["cogging"] * np.sin(n["cogging_order"] * q + n["cogging_phase"])
+            if "ripple" in present:
+                force = force - n["ripple"] * np.sin(n["ripple_order"] * q + n["ripple_phase"])
             if "cable" in present:
                 by = np.maximum(n["cable_by"].astype(int) - 1, 0)
                 across = np.take_along_axis(q, by, 0) - n["cable_other"]

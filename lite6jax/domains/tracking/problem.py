@@ -566,7 +566,10 @@ class TrackingProblem:
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
-        """Ripple of the torque of each joint; waves of one turn of the read-out are candidates."""
+        """Ripple of the torque of each joint; waves of one turn of the read-out are candidates.
+
+        Scores before a fit say less of an order than the fit does: none is likelier there for being whole.
+        """
         families = []
         for component in self.components:
             joint = int(component.site.removeprefix("joint"))
@@ -579,6 +582,7 @@ class TrackingProblem:
                     partial(TorqueRipple, joint),
                     _order_of_ripple,
                     partial(self._waves, joint),
+                    whole=False,
                 )
             )
         return tuple(families)
