@@ -16,7 +16,6 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 import lite6jax
@@ -27,13 +26,16 @@ from lite6jax.cli.program import COMMANDS
 from lite6jax.controller import rows
 from lite6jax.effects import catalogue, drivers, user_effects
 from lite6jax.effects.effect import Effect
+from lite6jax.effects.resemblance import resemblances
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
 from lite6jax.recordings import RecordingSettings, settings
 from lite6jax.recordings.columns import column as columns
 from lite6jax.recordings.columns.documented import TEXTS
-from lite6jax.report import remedies
+from lite6jax.report import remedies, tracking
 from lite6jax.report.inspection import KEYS
+from lite6jax.report.sentences import listings
+from lite6jax.report.words import joined
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent
@@ -301,12 +303,18 @@ def diagnoses_table() -> str:
 
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
-    return _effects(catalogue.POSE_EFFECTS, _looks("poses"), remedies.OF_POSES)
+    return _effects("poses", catalogue.POSE_EFFECTS, _actions(remedies.OF_POSES))
 
 
 def torque_effects() -> str:
     """The catalogue of effects on torques."""
-    return _effects(catalogue.TORQUE_EFFECTS, _looks("torques"), remedies.OF_TORQUES)
+    return _effects("torques", catalogue.TORQUE_EFFECTS, _actions(remedies.OF_TORQUES))
+
+
+def tracking_effects() -> str:
+    """The catalogue of effects on how joints follow their commands."""
+    remedy_texts = {name: tracking.action_of({"effect": name}) for name in catalogue.TRACKING_EFFECTS}
+    return _effects("tracking", catalogue.TRACKING_EFFECTS, remedy_texts)
 
 
 def own_effect(place: int = 0) -> str:
@@ -350,23 +358,43 @@ def _first_sentence(docstring: str) -> str:
     return re.split(r"(?<=[.]) (?=[A-Z`])", paragraph)[0].replace("|", "\\|")
 
 
-def _effects(kinds: Mapping[str, type[Effect]], looks: Mapping[str, str], known: Mapping[str, remedies.Remedy]) -> str:
+def _actions(known: Mapping[str, remedies.Remedy]) -> dict[str, str]:
+    return {name: remedy.action for name, remedy in known.items()}
+
+
+def _effects(part: str, kinds: Mapping[str, type[Effect]], actions: Mapping[str, str]) -> str:
+    looks = _looks(part)
     _check("effects.yaml", looks, kinds)
-    _check("remedies", known, kinds)
-    return "\n\n".join(_effect(kind, looks[name], known[name].action) for name, kind in kinds.items())
+    _check("remedies", actions, kinds)
+    return "\n\n".join(_effect(part, kind, looks[name], actions[name]) for name, kind in kinds.items())
 
 
-def _effect(kind: type[Effect], looks: str, remedy: str) -> str:
+def _effect(part: str, kind: type[Effect], looks: str, remedy: str) -> str:
     told = [f"### {kind.name}", _formula(kind)]
     if not kind.nonparametric:
         made = _examples(kind)
         whole = made[-1]
         sites = " or ".join(dict.fromkeys(f"`{_general(effect.site)}`" for effect in made))
         driven = ", ".join(_driver(whole, driver.phrase) for driver in whole.drivers) or "nothing: it is constant"
-        told.append(f"**Where:** {sites}. **Depends on:** {driven}.")
+        place = f"**Where:** {sites}."
+        if part != "tracking" or whole.drivers:  # what a servo does depends on its command
+            place += f" **Depends on:** {driven}."
+        told.append(place)
         told.append(_table(("parameter", "physically possible"), list(_parameters(whole))))
-    told += [f"**What it looks like.** {looks}", f"**What to do.** {remedy}"]
+    if part != "poses":
+        parameters = listings.simulator_parameters(kind.in_simulators._asdict())
+        told.append(f"**In simulators.** {parameters or 'No parameter of MuJoCo, Isaac Lab or URDF'}.")
+    told.append(f"**What it looks like.** {looks}")
+    if part == "tracking":
+        alike = [_resemblance(group.describe(kind.name)) for group in resemblances(kind.name)]
+        told += ["**What looks alike.**\n\n" + "\n".join(alike)] if alike else []
+    told.append(f"**What to do.** {remedy}")
     return "\n\n".join(told)
+
+
+def _resemblance(group: Mapping[str, Any]) -> str:
+    names = joined((f"`{name}`" for name in group["effects"]), "or")
+    return f"- {names} {group['alike']}. Told apart by {group['told_apart']}."
 
 
 def _examples(kind: type[Effect]) -> list[Effect]:
@@ -386,13 +414,9 @@ def _formula(kind: type[Effect]) -> str:
 
 
 def _parameters(effect: Effect) -> Iterable[tuple[str, str]]:
-    bounds = {coordinate.name: coordinate for coordinate in effect.coordinates}
-    for name in effect.parameters:
-        limits = bounds.get(name)
-        if limits is None or not np.isfinite([limits.lower, limits.upper]).all():
-            yield f"`{name}`", ""
-        else:
-            yield f"`{name}`", f"{limits.lower:g} to {limits.upper:g}"
+    for name, (least, largest) in catalogue.possible_values(effect).items():
+        known = least is not None or largest is not None
+        yield f"`{name}`", listings.between(least, largest) if known else ""
 
 
 def _driver(effect: Effect, phrase: str) -> str:
@@ -446,6 +470,7 @@ MADE: Mapping[str, Callable[[], str]] = {
     "recorded": recorded_table,
     "sidecar": sidecar_table,
     "torque_effects": torque_effects,
+    "tracking_effects": tracking_effects,
 }
 
 

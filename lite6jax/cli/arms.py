@@ -118,18 +118,19 @@ class ConvertCommand:
 @final
 @dataclass(frozen=True)
 class EffectsCommand:
-    """List the effects that a diagnosis searches for: site, driver, unit and formula of each; or what each kind of
-    explanation costs before any data.
+    """List the effects that a diagnosis searches for: formula, site, driver and numbers of each, its parameter in
+    simulators and what looks like it; or what each kind of explanation costs before any data.
 
     For example:
 
         lite6jax effects
         lite6jax effects --domain dynamic --json
+        lite6jax effects --domain tracking
         lite6jax effects --prior
     """
 
-    domain: Literal["kinematic", "dynamic"] | None = None
-    """Only those on poses (kinematic) or on torques (dynamic)."""
+    domain: Literal["kinematic", "dynamic", "tracking"] | None = None
+    """Only those on poses (kinematic), on torques (dynamic), or on how joints follow their commands (tracking)."""
     prior: bool = False
     """The prior probabilities of explanations instead: effects, faults of the data, errors of what was declared."""
     json: command.Json = False
@@ -138,7 +139,7 @@ class EffectsCommand:
         """Prints."""
         if self.prior:
             if self.domain is not None:
-                raise InputError("--prior: holds for both domains; leave --domain out")
+                raise InputError("--prior: holds for all domains; leave --domain out")
             entries = priors.PRIOR.entries
             return command.present(self.json, lambda: _as_json(entries), listings.prior_report(entries))
         listed_effects = [effect for effect in catalogue.listed() if self.domain in (None, effect.domain)]

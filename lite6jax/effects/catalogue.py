@@ -18,6 +18,7 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.resemblance import resemblances
 from lite6jax.effects.statics import Loads
 
 POSE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
@@ -71,6 +72,8 @@ _SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of a joint's largest speed that the speeds of such friction are tried at."""
 _BLURRED = 3.0
 """Times the speed over which the direction of motion changes its sign, within which it is not ±1 to half a per cent."""
+_ENDLESS = 0.5 * servo.UNLIMITED
+"""A number of this size is as good as none: the reciprocal of a limit that is never reached is rounded."""
 _EXPONENTS = (0.4, 0.6, 0.8, 1.3, 1.7, 2.2)
 """Of viscous friction that are tried beside 1."""
 
@@ -246,13 +249,17 @@ class Listed:
     """One effect of a catalogue.
 
     Attributes:
-        domain: `kinematic` (moves the tool) or `dynamic` (adds to the motors' torques).
+        domain: `kinematic` (moves the tool), `dynamic` (adds to the motors' torques) or `tracking` (changes how servos
+            follow their commands). An effect of several catalogues is listed in each.
         name: as in files and with `simulate --effect`.
         sites: where it may act: `jointN`, `linkN`, `links`, `base`, `tool`, `sensor`, `clock`, `payload`.
         drivers: the quantities on which it depends; "any" of a function without a name.
         parameters: the numbers that a diagnosis reports, each with its unit in its name; none without a name.
+        possible: the least and the largest value of each of them, as `possible_values`.
         units: of the numbers that a fit moves.
-        description: the first line of its documentation.
+        description: its law, the first paragraph of its documentation.
+        in_simulators: the parameter that holds it in MuJoCo, in Isaac Lab and in URDF; "" where none does.
+        resembles: the effects of `tracking` that look like it, in which logs, and what tells them apart.
     """
 
     domain: str
@@ -260,8 +267,11 @@ class Listed:
     sites: tuple[str, ...]
     drivers: tuple[str, ...]
     parameters: tuple[str, ...]
+    possible: tuple[tuple[float | None, float | None], ...]
     units: tuple[str, ...]
     description: str
+    in_simulators: dict[str, str]
+    resembles: tuple[dict[str, Any], ...]
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -269,32 +279,76 @@ class Listed:
 
 
 def listed() -> list[Listed]:
-    """Every effect of both catalogues, in their order."""
-    made = [*catalogue(2), *torque_catalogue(2)]  # two joints are enough for an effect of one by another
+    """Every effect of the catalogues of poses, of torques and of commands, in their order."""
+    # two joints are enough for an effect of one by another
+    catalogues = (
+        ("kinematic", POSE_EFFECTS, catalogue(2)),
+        ("dynamic", TORQUE_EFFECTS, torque_catalogue(2)),
+        ("tracking", TRACKING_EFFECTS, tracking_catalogue(2)),
+    )
     return [
-        _listed(kind, [effect for effect in made if type(effect) is kind])
-        for built_in in (POSE_EFFECTS, TORQUE_EFFECTS)
+        _listed(domain, kind, [effect for effect in made if type(effect) is kind])
+        for domain, built_in, made in catalogues
         for kind in built_in.values()
     ]
 
 
-def _listed(kind: type[Effect], made: list[Effect]) -> Listed:
+def possible_values(effect: Effect) -> dict[str, tuple[float | None, float | None]]:
+    """The least and the largest value of each number that a diagnosis reports of an effect.
+
+    An end is None where there is none, or where it depends on the other numbers.
+    """
+    coordinates = effect.coordinates
+    typical = np.array([coordinate.typical for coordinate in coordinates])
+    derivatives = effect.to_parameters(typical)[1]
+    possible: dict[str, tuple[float | None, float | None]] = {}
+    for place, name in enumerate(effect.parameters):
+        moving = np.flatnonzero(derivatives[place])
+        if len(moving) != 1:
+            possible[name] = (None, None)
+            continue
+        ends = []
+        for end in (coordinates[moving[0]].lower, coordinates[moving[0]].upper):
+            values = typical.copy()
+            values[moving[0]] = end
+            ends.append(float(effect.to_parameters(values)[0][place]))
+        least, largest = sorted(ends)
+        possible[name] = (_end(least), _end(largest))
+    return possible
+
+
+def _end(value: float) -> float | None:
+    """A limit as it is printed; None of one that is never reached."""
+    if abs(value) >= _ENDLESS:
+        return None
+    return _short(value)
+
+
+def _listed(domain: str, kind: type[Effect], made: list[Effect]) -> Listed:
     description = " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
+    in_simulators = kind.in_simulators._asdict()
+    resembles: tuple[dict[str, Any], ...] = ()
+    if domain == "tracking":
+        resembles = tuple(group.describe(kind.name) for group in resemblances(kind.name))
     if kind.nonparametric:
-        sites = ("jointN",) if kind.domain == "dynamic" else ("jointN", "linkN", "base", "tool", "sensor")
-        return Listed(kind.domain, kind.name, sites, ("any",), (), (), description)
+        sites = ("jointN", "linkN", "base", "tool", "sensor") if domain == "kinematic" else ("jointN",)
+        return Listed(domain, kind.name, sites, ("any",), (), (), (), description, in_simulators, resembles)
     if not made:  # one that is tried at values that a recording shows
         made = [kind(**{field.name: 1 for field in fields(kind) if field.default is MISSING})]  # type: ignore[arg-type]
+    possible = {name: ends for effect in made for name, ends in possible_values(effect).items()}
 
     def once(values: Iterable[str]) -> tuple[str, ...]:
         return tuple(dict.fromkeys(values))
 
     return Listed(
-        domain=kind.domain,
+        domain=domain,
         name=kind.name,
         sites=once(re.sub(r"\d+", "N", effect.site) for effect in made),
         drivers=once(driver.quantity for effect in made for driver in effect.drivers),
-        parameters=once(name for effect in made for name in effect.parameters),
+        parameters=tuple(possible),
+        possible=tuple(possible.values()),
         units=once(number.unit for effect in made for number in effect.coordinates),
         description=description,
+        in_simulators=in_simulators,
+        resembles=resembles,
     )

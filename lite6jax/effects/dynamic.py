@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.effect import Coordinate, Effect, OfJoint, Wave, final_effect, positive, symmetric
+from lite6jax.effects.effect import (
+    Coordinate,
+    Effect,
+    OfJoint,
+    SimulatorParameters,
+    Wave,
+    final_effect,
+    positive,
+    symmetric,
+)
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Process
 from lite6jax.effects.statics import Loads
@@ -245,6 +254,11 @@ class ViscousFriction(Friction):
     name: ClassVar[str] = "viscous_friction"
     specificity: ClassVar[int] = 1
     common: ClassVar[bool] = True
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="damping",
+        isaac_lab="viscous_friction",
+        urdf="dynamics damping",
+    )
     fixed: ClassVar[str | None] = "exponent"
     plain: ClassVar[float | None] = LINEAR
     searched: ClassVar[bool] = True
@@ -276,6 +290,11 @@ class CoulombFriction(Friction):
     name: ClassVar[str] = "coulomb_friction"
     specificity: ClassVar[int] = 1
     common: ClassVar[bool] = True
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="frictionloss",
+        isaac_lab="friction",
+        urdf="dynamics friction",
+    )
     fixed: ClassVar[str | None] = "transition_rad_per_s"
     plain: ClassVar[float | None] = SHARP
     searched: ClassVar[bool] = True
@@ -305,6 +324,7 @@ class StribeckFriction(Friction):
 
     name: ClassVar[str] = "stribeck_friction"
     specificity: ClassVar[int] = 4
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(isaac_lab="friction above dynamic_friction")
     fixed: ClassVar[str | None] = "velocity_rad_per_s"
     searched: ClassVar[bool] = True
     quantities: ClassVar[tuple[str, ...]] = ("velocity", "direction of motion")
@@ -425,6 +445,7 @@ class RotorInertia(JointTorque):
 
     name: ClassVar[str] = "rotor_inertia"
     specificity: ClassVar[int] = 1
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="armature", isaac_lab="armature")
     quantities: ClassVar[tuple[str, ...]] = ("acceleration",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (positive("inertia_kg_m2", "kg·m²", 0.01, _INERTIA),)
 
@@ -447,6 +468,7 @@ class JointSpring(JointTorque):
 
     name: ClassVar[str] = "joint_spring"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="stiffness, springref")
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
         positive("stiffness_Nm_per_rad", "Nm/rad", 0.1, 1e4),
@@ -646,6 +668,11 @@ class LinkMass(OfLink):
 
     name: ClassVar[str] = "link_mass"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="mass of inertial",
+        isaac_lab="mass of the body",
+        urdf="mass of inertial",
+    )
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, _MASS),)
 
     def inertial(self, values: Array, links: Array) -> Array:
@@ -659,6 +686,11 @@ class LinkCom(OfLink):
 
     name: ClassVar[str] = "link_com"
     specificity: ClassVar[int] = 4
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="pos of inertial",
+        isaac_lab="centre of mass of the body",
+        urdf="origin of inertial",
+    )
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(symmetric(f"{axis}_m", "m", 1e-2, _LENGTH) for axis in "xyz")
 
     def inertial(self, values: Array, links: Array) -> Array:
@@ -677,6 +709,11 @@ class LinkInertia(OfLink):
 
     name: ClassVar[str] = "link_inertia"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="fullinertia",
+        isaac_lab="inertia of the body",
+        urdf="inertia of inertial",
+    )
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("inertia_kg_m2", "kg·m²", 0.01, _INERTIA),)
 
     @property
@@ -696,6 +733,11 @@ class PayloadTorque(TorqueEffect):
 
     name: ClassVar[str] = "payload_error"
     specificity: ClassVar[int] = 2
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="mass of the last body",
+        isaac_lab="mass of the last body",
+        urdf="mass of the last link",
+    )
     at: ClassVar[str] = "payload"
     quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, _MASS),)
@@ -715,6 +757,11 @@ class PayloadBody(TorqueEffect):
 
     name: ClassVar[str] = "payload"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="a body at the flange",
+        isaac_lab="a body at the flange",
+        urdf="a link at the flange",
+    )
     at: ClassVar[str] = "payload"
     quantities: ClassVar[tuple[str, ...]] = ("acceleration of joint 1",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
@@ -761,6 +808,11 @@ class BaseTilt(TorqueEffect):
 
     name: ClassVar[str] = "base_tilt"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="gravity",
+        isaac_lab="gravity of the scene",
+        urdf="origin of the joint from world to base",
+    )
     at: ClassVar[str] = "base"
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(symmetric(f"tilt_{a}_rad", "rad", 1e-2, TILT) for a in "xy")
 

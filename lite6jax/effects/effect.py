@@ -68,6 +68,20 @@ class Estimate(NamedTuple):
     std: float
 
 
+class SimulatorParameters(NamedTuple):
+    """What holds the number of an effect in simulators; empty where nothing does.
+
+    Attributes:
+        mujoco: attributes of MJCF.
+        isaac_lab: fields of actuators, of joints or of the scene in Isaac Lab.
+        urdf: elements of URDF.
+    """
+
+    mujoco: str = ""
+    isaac_lab: str = ""
+    urdf: str = ""
+
+
 @dataclass_transform(frozen_default=True)
 def final_effect(kind: Kind) -> Kind:
     """The class of an effect as a final and frozen dataclass."""
@@ -114,6 +128,8 @@ class Effect(ABC):
     """Whether `fixed` is a number that a search chooses; None in the field makes it the last coordinate."""
     may_be_zero: ClassVar[bool] = False
     """Whether that number may be zero; else it is positive."""
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters()
+    """Where simulators have it as a parameter."""
 
     def __post_init__(self) -> None:
         """Refuses a number that is chosen and not possible."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.effect import Coordinate, Effect, OfJoint, final_effect, symmetric
+from lite6jax.effects.effect import Coordinate, Effect, OfJoint, SimulatorParameters, final_effect, symmetric
 
 Array = NDArray[np.floating]
 
@@ -146,6 +146,10 @@ class CommandTimeOffset(TrackingEffect):
 
     name: ClassVar[str] = "time_offset"
     specificity: ClassVar[int] = 1
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="delay of each actuator",
+        isaac_lab="min_delay, max_delay",
+    )
     at: ClassVar[str] = "clock"
     quantities: ClassVar[tuple[str, ...]] = ("time",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("offset_s", "s", 5e-3, 0.5, -0.1),)
@@ -174,6 +178,10 @@ class CommandDelay(ServoEffect):
 
     name: ClassVar[str] = "command_delay"
     specificity: ClassVar[int] = 2
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="delay",
+        isaac_lab="min_delay, max_delay",
+    )
     fields: ClassVar[tuple[str, ...]] = ("delay",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("delay_s", "s", 5e-3, 0.3, -0.02),)
 
@@ -184,6 +192,7 @@ class CommandFilter(ServoEffect):
 
     name: ClassVar[str] = "command_filter"
     specificity: ClassVar[int] = 4
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="timeconst, or dyntype and dynprm")
     fields: ClassVar[tuple[str, ...]] = ("time_constant",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("time_constant_s", "s", 1e-2, 0.5),)
 
@@ -223,6 +232,10 @@ class RateLimit(Limit):
 
     name: ClassVar[str] = "rate_limit"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        isaac_lab="velocity_limit, of the joint",
+        urdf="limit velocity, of the joint",
+    )
     limited: ClassVar[str] = "rate_limit"
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("slowness_s_per_rad", "s/rad", 0.5, 1e3),)
@@ -237,10 +250,14 @@ class RateLimit(Limit):
 
 @final_effect
 class ServoStiffness(ServoEffect):
-    """The stiffness of a servo is ratio times the declared one; its coordinate is ln ratio."""
+    """kp ← ratio·kp: a servo is stiffer or softer than declared, or than a servo that was fitted.
+
+    Its coordinate is ln ratio.
+    """
 
     name: ClassVar[str] = "servo_stiffness"
     specificity: ClassVar[int] = 2
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="kp", isaac_lab="stiffness")
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("log_ratio", "1", 0.1, 2.303, -2.303),)
 
     def alter(self, values: Array, servo: Servo) -> Servo:
@@ -259,10 +276,14 @@ class ServoStiffness(ServoEffect):
 
 @final_effect
 class ServoDamping(ServoEffect):
-    """The damping of a servo is ratio times the declared one; its coordinate is ratio − 1."""
+    """kd ← ratio·kd: a servo damps more or less than declared, or than a servo that was fitted.
+
+    Its coordinate is ratio − 1.
+    """
 
     name: ClassVar[str] = "servo_damping"
     specificity: ClassVar[int] = 2
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="kv", isaac_lab="damping")
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("excess", "1", 0.1, 9.0, -0.9),)
 
     def alter(self, values: Array, servo: Servo) -> Servo:
@@ -301,7 +322,7 @@ class ServoFeedforward(ServoEffect):
 
 @final_effect
 class DeadBand(ServoEffect):
-    """A servo does not see errors within a dead band, e − clip(e, ±w)."""
+    """e ← e − clip(e, ±w): a servo does not see errors within a dead band."""
 
     name: ClassVar[str] = "dead_band"
     specificity: ClassVar[int] = 3
@@ -311,10 +332,15 @@ class DeadBand(ServoEffect):
 
 @final_effect
 class TorqueLimit(Limit):
-    """A servo exerts at most a torque, beside its damping."""
+    """|τ| ≤ τ₀: a servo exerts at most a torque, beside its damping."""
 
     name: ClassVar[str] = "torque_limit"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        mujoco="forcerange",
+        isaac_lab="effort_limit",
+        urdf="limit effort",
+    )
     limited: ClassVar[str] = "torque_limit"
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("inverse_per_Nm", "1/Nm", 0.05, 1e3),)
 
@@ -332,6 +358,9 @@ class TorqueSpeedLimit(Limit):
 
     name: ClassVar[str] = "torque_speed_limit"
     specificity: ClassVar[int] = 4
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
+        isaac_lab="saturation_effort, velocity_limit of DCMotorCfg"
+    )
     limited: ClassVar[str] = "torque_limit"
     quantities: ClassVar[tuple[str, ...]] = ("velocity",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (
@@ -356,10 +385,11 @@ class TorqueSpeedLimit(Limit):
 
 @final_effect
 class EncoderBacklash(ServoEffect):
-    """The read-out follows the drive by a play of a width to either side."""
+    """y = play(q): the read-out follows the drive with a play of half a width w to either side."""
 
     name: ClassVar[str] = "backlash"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="a second joint with a range")
     quantities: ClassVar[tuple[str, ...]] = ("direction of motion",)
     fields: ClassVar[tuple[str, ...]] = ("backlash",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (_number("half_width_rad", "rad", 1e-3, 0.05),)
@@ -367,20 +397,22 @@ class EncoderBacklash(ServoEffect):
 
 @final_effect
 class EncoderOffset(ServoEffect):
-    """The read-out is offset from the angle that the servo holds."""
+    """y = q + offset: the read-out is offset from the angle that the servo holds."""
 
     name: ClassVar[str] = "encoder_offset"
     specificity: ClassVar[int] = 1
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="ref", urdf="calibration")
     fields: ClassVar[tuple[str, ...]] = ("offset",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_rad", "rad", 1e-3, 1.0),)
 
 
 @final_effect
 class EncoderScale(ServoEffect):
-    """The read-out is 1 + scale times the angle that the servo holds."""
+    """y = (1 + scale)·q: the read-out grows by more or less than the angle that the servo holds."""
 
     name: ClassVar[str] = "encoder_scale"
     specificity: ClassVar[int] = 3
+    in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(mujoco="gear")
     quantities: ClassVar[tuple[str, ...]] = ("position",)
     fields: ClassVar[tuple[str, ...]] = ("scale",)
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("scale", "1", 1e-3, 0.1),)
@@ -388,7 +420,9 @@ class EncoderScale(ServoEffect):
 
 @final_effect
 class EncoderEccentricity(ServoEffect):
-    """The read-out errs by A·sin(q + φ); its coordinates are A cos φ and A sin φ.
+    """y = q + A·sin(q + φ): the read-out errs by a wave of one turn.
+
+    Its coordinates are A cos φ and A sin φ.
 
     Encoders that are off their axis err by some mrad. One degree is taken as the most: a larger wave stands for what
     the model of a real arm lacks.

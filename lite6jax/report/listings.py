@@ -45,7 +45,7 @@ def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
                 yield effect.name
                 yield from map(indented, sentences.listed_effect(effect))
             yield ""
-    yield from sentences.units_of_effects("dynamic" in domains)
+    yield from sentences.units_of_effects(domains)
 
 
 def prior_report(entries: Document) -> Iterator[RenderableType]:

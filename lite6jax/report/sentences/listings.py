@@ -1,39 +1,77 @@
 """What a terminal says of lists and of fleets, where a condition changes the words; the other texts are in
 `templates/screens.yaml`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import Conversion
 from lite6jax.report.remedies import effect_title
-from lite6jax.report.words import chance, counted, number, plural, quantity
+from lite6jax.report.words import chance, counted, joined, number, plural, quantity
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need
 
 Document = Mapping[str, Any]
 
+_SIMULATORS = {"mujoco": "MuJoCo", "isaac_lab": "Isaac Lab", "urdf": "URDF"}
+"""How simulators are called, by the fields of `SimulatorParameters`."""
 _DIFFERENT = 0.01
 """p-value below which the arms of a fleet differ from each other."""
 
 
 def listed_effect(effect: "Listed") -> list[str]:
-    """Says what an effect is, where it acts, on what it depends, and which numbers it has."""
+    """Says what an effect is, where it acts, which numbers it has, what it is in simulators, and what looks like it."""
     drivers = ", ".join(effect.drivers) or "none"
     lines = [effect.description, f"Site: {', '.join(effect.sites)}. Driver: {drivers}."]
     if effect.parameters:
-        lines.append(f"Numbers: {', '.join(effect.parameters)} ({', '.join(effect.units) or 'as fitted'}).")
+        numbers = zip(effect.parameters, effect.possible, strict=True)
+        lines.append(f"Numbers: {'; '.join(_number_with_ends(name, *ends) for name, ends in numbers)}.")
+    if effect.domain != "kinematic":
+        lines.append(_simulators(effect))
+    lines += [
+        f"Looks like {joined(group['effects'], 'or')} {group['alike']}. Told apart by {group['told_apart']}."
+        for group in effect.resembles
+    ]
     return lines
 
 
-def units_of_effects(dynamic: bool) -> list[str]:
-    """Says how sites and units of listed effects are read; `dynamic` where effects on torques are among them."""
-    lines = ["jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio."]
-    if dynamic:
+def _number_with_ends(name: str, least: float | None, largest: float | None) -> str:
+    if least is None and largest is None:
+        return name
+    return f"{name}, {between(least, largest)}"
+
+
+def between(least: float | None, largest: float | None) -> str:
+    """Says between which values a number is; an end that is None is open."""
+    if least is None:
+        return f"at most {largest:g}"
+    if largest is None:
+        return f"at least {least:g}"
+    return f"{least:g} to {largest:g}"
+
+
+def simulator_parameters(in_simulators: Mapping[str, str]) -> str:
+    """Says which parameter holds an effect in each simulator that has one, by the fields of `SimulatorParameters`."""
+    return "; ".join(f"{_SIMULATORS[key]}: {parameter}" for key, parameter in in_simulators.items() if parameter)
+
+
+def _simulators(effect: "Listed") -> str:
+    parameters = simulator_parameters(effect.in_simulators)
+    if parameters:
+        return f"{parameters}."
+    return "No parameter of MuJoCo, Isaac Lab or URDF."
+
+
+def units_of_effects(domains: Collection[str]) -> list[str]:
+    """Says how sites and units of listed effects of some domains are read."""
+    lines = ["jointN and linkN stand for every joint and link of an arm; a number without a unit is a ratio."]
+    if "dynamic" in domains:
         lines.append(
             "At a prismatic joint, effects on torques act on its force: read N for Nm, m for rad, kg for kg·m²."
         )
+    if "tracking" in domains:
+        lines.append("Effects on how joints follow their commands are of revolute joints.")
     return lines
 
 
