@@ -45,6 +45,17 @@ def test_the_links_of_a_document_lead_somewhere(document):
             assert anchor in anchors(path.read_text()), target
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_the_sidecars_that_a_document_shows_are_read(document, tmp_path):
+    from lite6jax.recordings.settings import read_settings
+
+    for block in re.findall(r"^```yaml[^\n]*\n(.*?)^```$", document.read_text(), re.MULTILINE | re.DOTALL):
+        if re.search("^recording:", block, re.MULTILINE):
+            sidecar = tmp_path / "log.yaml"
+            sidecar.write_text(block)
+            read_settings(sidecar)
+
+
 def test_the_faults_of_poses_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.screen import SCREENS
     from lite6jax.report.sentences.faults import FAULTS
@@ -83,6 +94,20 @@ def test_the_faults_of_commands_and_joints_are_documented():
     text = (ROOT / "docs/reference/tracking.md").read_text()
     section = text.partition("\n## Data faults\n")[2].partition("\n## ")[0]
     assert [row[0] for row in table_rows(section)[2:]] == list(FAULTS["tracking"])
+
+
+def test_the_effects_on_how_joints_follow_are_documented():
+    from lite6jax.effects.catalogue import TRACKING_EFFECTS
+
+    text = (ROOT / "docs/reference/tracking.md").read_text()
+    section = text.partition("\n## What is fitted\n")[2].partition("\n## ")[0]
+    named = {name for row in table_rows(section)[2:] for name in re.findall(r"[a-z]+(?:_[a-z]+)+|backlash", row[1])}
+    assert {*TRACKING_EFFECTS} - {"unnamed"} <= named
+    catalogue = (ROOT / "docs/reference/effects.md").read_text()
+    described = catalogue.partition("\n## Effects on how joints follow their commands\n")[2]
+    assert re.findall(r"^### (\w+)$", described, re.MULTILINE) == [*TRACKING_EFFECTS]
+    assert described.count("\n**In simulators.**") == described.count("\n**What to do.**") == len(TRACKING_EFFECTS)
+    assert described.count("\n**What looks alike.**") == len(TRACKING_EFFECTS) - 1  # nothing is like what has no name
 
 
 def test_the_effects_and_faults_of_torques_are_documented():
