@@ -40,7 +40,7 @@ IN_TRACKING = (
         "fast sines and steps",
     ),
     Resemblance(
-        ("servo_stiffness", "payload_error", "base_tilt"),
+        ("servo_stiffness", "payload_error", "link_mass", "link_com", "base_tilt"),
         "in one posture with one load: the arm sags",
         "runs with several loads or a known mass; friction and inertia, which a stiffness scales and a load does not",
     ),
@@ -94,6 +94,16 @@ IN_TRACKING = (
         ("clock_drift", "time_offset"),
         "in a short log",
         "a longer log, in which the times between commands and joints grow",
+    ),
+    Resemblance(
+        ("payload_error", "link_mass", "link_com"),
+        "while the joints beyond the link hardly turn: one mass at one distance",
+        "large moves of the joints near the flange, and a payload of known mass",
+    ),
+    Resemblance(
+        ("torque_ripple", "encoder_eccentricity"),
+        "in slow motion under one stiffness: a wave of the angle",
+        "the same angles passed quickly, where a torque no longer moves the joint and an encoder still errs",
     ),
     Resemblance(
         ("encoder_eccentricity", "encoder_scale", "servo_stiffness"),
