@@ -12,7 +12,7 @@ from lite6jax.arms import frames
 from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.domains.tracking.predict import CorrectedCommands
+from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_name
 from lite6jax.report.sentences import compensations as sentences
@@ -154,7 +154,7 @@ def corrected_sentences(found: CorrectedCommands) -> list[str]:
     """What corrected commands are worth by the model, and which rows it was not fitted to."""
     before, after = (float(1e3 * np.sqrt(np.mean(part**2))) for part in (found.error_before, found.error_after))
     gain = fill(_SAID["corrected"], {"found": found, "before": before, "after": after})
-    return [gain, sentences.corrected_rows_outside(found)]
+    return [gain, sentences.rolled_rows_outside(found.beyond)]
 
 
 def corrected_report(found: CorrectedCommands, source: str) -> Iterator[RenderableType]:
@@ -170,6 +170,11 @@ def corrected_report(found: CorrectedCommands, source: str) -> Iterator[Renderab
 def outside_sentence(outside: int, rows: int, noun: str) -> str:
     """How many rows are outside what was recorded; `noun` is what a row is called."""
     return sentences.rows_outside(outside, rows, noun)
+
+
+def rolled_sentence(tracked: TrackedMotion) -> str:
+    """How many rows of a rollout are outside what was recorded, and by what of which joints."""
+    return sentences.rolled_rows_outside(tracked.beyond)
 
 
 def frame_of_stations(document: Mapping[str, Any]) -> str:

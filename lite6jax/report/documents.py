@@ -85,7 +85,7 @@ _FIELDS: dict[type, tuple[str, str]] = {
     Compensation: ("compensation", "omitted notes"),
     CorrectedCommands: (
         "commands",
-        "rms_before_rad=error_before rms_after_rad=error_after rows outside=rows_outside",
+        "rms_before_rad=error_before rms_after_rad=error_after rows outside=rows_outside beyond=beyond.counts",
     ),
     Sensitivity: ("sensitivity", ""),
 }
@@ -222,16 +222,20 @@ def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def prediction_document(
     prediction: Prediction | TorquePrediction | TrackedMotion, registration: Registration | None
 ) -> dict[str, Any]:
-    """The document of a prediction: how many rows are outside what was recorded, and the frames that were fitted."""
+    """The document of a prediction: rows outside what was recorded, and the frames that were fitted."""
     fitted = None
     if registration is not None:
         frames = {"T_sensor_base": registration.T_sensor_base, "T_flange_tool": registration.T_flange_tool}
         fitted = {**frames, "position_rms_m": registration.rms, "outliers": int(np.sum(~registration.kept))}
+    beyond = {}
+    if isinstance(prediction, TrackedMotion):
+        beyond = {"beyond": prediction.beyond.counts}
     return {
         "schema": "lite6jax/prediction/1",
         "rows": len(prediction.empty),
         "empty_rows": int(prediction.empty.sum()),
         "outside": None if prediction.outside is None else int(prediction.outside.sum()),
+        **beyond,
         "registration": fitted,
     }
 

@@ -41,6 +41,7 @@ from lite6jax.report.compensations import (
     corrected_sentences,
     outside_sentence,
     registration_report,
+    rolled_sentence,
 )
 from lite6jax.report.documents import document, has_document, text
 from lite6jax.report.faults import fault_name
@@ -92,7 +93,7 @@ write = singledispatch(partial(_unregistered, "write"))
 _MOST_FINDINGS = 4
 
 
-def _outside(result: Prediction | TorquePrediction | TrackedMotion | Compensation) -> str:
+def _outside(result: Prediction | TorquePrediction | Compensation) -> str:
     outside = result.outside
     if outside is None:
         return NOT_SAID
@@ -180,7 +181,7 @@ def _tracked_motion(tracked: TrackedMotion) -> Description:
     sentence = (
         f"Joints {', '.join(map(str, range(1, joints + 1)))} in {counted(rows, 'row')}, rolled out from commands."
     )
-    return Description("Predicted joints", (sentence, _outside(tracked)))
+    return Description("Predicted joints", (sentence, rolled_sentence(tracked)))
 
 
 @describe.register

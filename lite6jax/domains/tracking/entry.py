@@ -9,11 +9,13 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from lite6jax.domains.entries import Document, JointModelEntry, Mass, Ranges, joint_fields, shared_fields
-from lite6jax.domains.tracking.predict import DiagnosedServos, FittedRange
+from lite6jax.domains.tracking.predict import DiagnosedServos
+from lite6jax.domains.tracking.ranges import FittedRange
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.servo import Servo
 from lite6jax.estimation.terms import Terms, join
+from lite6jax.storage import NonNegative
 
 Array = NDArray[np.floating]
 
@@ -28,6 +30,8 @@ class TrackingModelEntry(JointModelEntry, kw_only=True):
     interpolated: bool
     velocity_range_rad_per_s: Ranges
     weight_range_Nm: Ranges  # noqa: N815 (the key)
+    shortest_reversal_s: list[NonNegative | None] = msgspec.field(default_factory=list)
+    """The shortest time between two reversals of each joint, None of one that reverses less than twice."""
     friction_share: list[Annotated[float, Meta(ge=-1.0, le=1.0)]] = msgspec.field(default_factory=list)
     """Where friction held each joint as runs began, s of `resting_positions`."""
 
@@ -36,9 +40,8 @@ class TrackingModelEntry(JointModelEntry, kw_only=True):
         joints = self.joints
         if set(self.servo) != set(Servo._fields) or any(len(numbers) != joints for numbers in self.servo.values()):
             raise ValueError("servo does not have a number of each kind for each joint")
-        lists = (self.links, self.velocity_range_rad_per_s, self.weight_range_Nm)
-        if self.friction_share:
-            lists = (*lists, self.friction_share)
+        lists: tuple[Sequence[Any], ...] = (self.links, self.velocity_range_rad_per_s, self.weight_range_Nm)
+        lists += tuple(part for part in (self.shortest_reversal_s, self.friction_share) if part)
         if any(len(part) != joints for part in lists):
             raise ValueError(f"it has {joints} joints, but other numbers of links or ranges")
 
@@ -54,6 +57,9 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
         model_effects, numbers = self.restored_effects(effects)
         velocity = np.asarray(model.velocity_range_rad_per_s, float)
         weight = np.asarray(model.weight_range_Nm, float)
+        reversal = None
+        if model.shortest_reversal_s:
+            reversal = np.array([np.inf if time is None else time for time in model.shortest_reversal_s])
         return DiagnosedServos(
             arm=model.declared_arm(),
             servo=Servo(**{name: np.asarray(by_joint, float) for name, by_joint in model.servo.items()}),
@@ -66,7 +72,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
             values=join(numbers),
             step=model.step_s,
             interpolated=model.interpolated,
-            ranges=FittedRange(velocity, weight),
+            ranges=FittedRange(velocity, weight, reversal),
             friction_share=np.asarray(model.friction_share, float) if model.friction_share else None,
             reference_temperature=model.reference_temperature_degC,
         )
@@ -75,6 +81,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
 def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
     parts: list[tuple[Any, slice]] = list(zip(model.terms.terms, model.terms.slices, strict=True))
+    reversal = [] if model.ranges.reversal is None else model.ranges.reversal.tolist()
     return {
         **joint_fields(model),
         "payload_kg": model.payload,
@@ -84,6 +91,7 @@ def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[st
         "interpolated": model.interpolated,
         "velocity_range_rad_per_s": model.ranges.velocity.tolist(),
         "weight_range_Nm": model.ranges.weight.tolist(),
+        "shortest_reversal_s": [time if np.isfinite(time) else None for time in reversal],
         "friction_share": [] if model.friction_share is None else model.friction_share.tolist(),
         **shared_fields(model, parts, covariances),
     }

@@ -5,7 +5,7 @@ them where they are wanted.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
+from lite6jax.domains.tracking.ranges import Beyond, FittedRange, Runs, concatenate_beyond, find_beyond, run_ends
 from lite6jax.domains.tracking.rollout import (
     LONGEST_STEP,
     RETURN,
@@ -26,7 +27,7 @@ from lite6jax.domains.tracking.rollout import (
     read_out,
 )
 from lite6jax.domains.tracking.rows import declared_servo
-from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
+from lite6jax.domains.uncertainty import ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
@@ -39,14 +40,12 @@ from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
+Columns = dict[str, NDArray[Any]]
 
 _CREEPS_AT_LEAST = 100.0
 """s, the time constant of creeping from which friction holds a joint; MuJoCo's joints creep within some seconds."""
 _SETTLING = 2.0
 """s for which the first command is held before a predicted run begins."""
-_LEAST_RANGE = 1e-3
-"""rad/s or Nm, that a fitted range counts as at least."""
 _SWEEPS = 6
 """Rollouts at most, each with the torques along the one before."""
 _SETTLED = 1e-6
@@ -60,11 +59,16 @@ class TrackedMotion(PublicResult):
 
     Attributes:
         position: `(sample, joint)` rad, what encoders show.
-        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
+        beyond: the rows in which a joint's speed, load or reversals are beyond what was fitted.
     """
 
     position: Array
-    outside: Mask
+    beyond: Beyond
+
+    @property
+    def outside(self) -> Mask:
+        """`(sample,)`, rows in which anything is beyond what was fitted."""
+        return self.beyond.any_joint
 
     @property
     def shown(self) -> Array:
@@ -76,12 +80,10 @@ class TrackedMotion(PublicResult):
         """`(sample,)`, rows of which nothing is predicted: none."""
         return np.zeros(len(self.position), bool)
 
-    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
-        """Column name to values: `q1_rad` … and `outside`, 0 or 1."""
-        columns: dict[str, Array | NDArray[np.integer]] = {
-            f"q{joint}_rad": row for joint, row in enumerate(self.position.T, 1)
-        }
-        return columns | {"outside": self.outside.astype(int)}
+    def columns(self) -> Columns:
+        """Column name to values: `q1_rad` …, `outside`, 0 or 1, and `beyond`, what is, as text."""
+        columns: Columns = {f"q{joint}_rad": row for joint, row in enumerate(self.position.T, 1)}
+        return columns | _outside_columns(self.beyond)
 
 
 @final
@@ -96,7 +98,7 @@ class CorrectedCommands(PublicResult):
         command: `(sample, joint)` rad.
         before: `(sample, joint)` rad, where they show them if `wanted` is commanded.
         after: `(sample, joint)` rad, where they show them by `command`.
-        outside: `(sample,)` bool, rows in which a joint's velocity, or what it carries, is beyond what was fitted.
+        beyond: the rows in which a joint's speed, load or reversals by `command` are beyond what was fitted.
     """
 
     time: Array
@@ -105,7 +107,12 @@ class CorrectedCommands(PublicResult):
     command: Array
     before: Array
     after: Array
-    outside: Mask
+    beyond: Beyond
+
+    @property
+    def outside(self) -> Mask:
+        """`(sample,)`, rows in which anything is beyond what was fitted."""
+        return self.beyond.any_joint
 
     @property
     def rows(self) -> int:
@@ -127,27 +134,18 @@ class CorrectedCommands(PublicResult):
         """`(joint,)` rad RMS."""
         return np.sqrt(np.mean((self.after - self.wanted) ** 2, 0))
 
-    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
-        """Column name to values: `time_s`, `cmd1_rad` …, `run` where there are several, and `outside`, 0 or 1."""
-        columns: dict[str, Array | NDArray[np.integer]] = {"time_s": self.time}
+    def columns(self) -> Columns:
+        """Column name to values: `time_s`, `cmd1_rad` …, `run` where there are several, and as of `TrackedMotion`."""
+        columns: Columns = {"time_s": self.time}
         columns |= {f"cmd{joint}_rad": row for joint, row in enumerate(self.command.T, 1)}
         if np.any(np.diff(self.run)):
             columns["run"] = np.cumsum(np.r_[0, np.diff(self.run) != 0])
-        return columns | {"outside": self.outside.astype(int)}
+        return columns | _outside_columns(self.beyond)
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class FittedRange:
-    """What was in a recording, of each joint the least and the greatest, `(joint, 2)`.
-
-    Attributes:
-        velocity: rad/s.
-        weight: Nm, what the joint carries at rest.
-    """
-
-    velocity: Array
-    weight: Array
+def _outside_columns(beyond: Beyond) -> Columns:
+    """The columns that mark rows beyond what was fitted."""
+    return {"outside": beyond.any_joint.astype(int), "beyond": np.array(beyond.labels(), object)}
 
 
 def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
@@ -284,11 +282,12 @@ class DiagnosedServos(JointModel):
         """
         t, u, runs = _checked(time, command, run, self.dof)
         position = np.empty(u.shape)
-        outside = np.empty(len(t), bool)
+        beyond = list[Beyond]()
         for first, last in zip(*run_ends(runs), strict=True):
             rows = slice(first, last)
-            position[rows], outside[rows] = self._predict_run(t[rows], u[rows])
-        return TrackedMotion(position, outside)
+            position[rows], beyond_in_run = self._predict_run(t[rows], u[rows])
+            beyond.append(beyond_in_run)
+        return TrackedMotion(position, concatenate_beyond(beyond))
 
     def commands_for(self, time: ArrayLike, position: ArrayLike, run: ArrayLike | None = None) -> CorrectedCommands:
         """Commands by which encoders show the joints where they are wanted, at the times of the rows.
@@ -312,7 +311,7 @@ class DiagnosedServos(JointModel):
             command[rows] = self._correct_run(t[rows], wanted[rows])
         before = self.predict(t, wanted, runs).position
         after = self.predict(t, command, runs)
-        return CorrectedCommands(t, runs, wanted, command, before, after.position, after.outside)
+        return CorrectedCommands(t, runs, wanted, command, before, after.position, after.beyond)
 
     def _correct_run(self, time: Array, wanted: Array) -> Array:
         """`(sample, joint)` rad, the commands of one run."""
@@ -331,13 +330,13 @@ class DiagnosedServos(JointModel):
         command = correct(follow, even, response, period, self.joint_limits).command
         return np.stack([np.interp(time, grid, column) for column in command.T], 1)
 
-    def _predict_run(self, time: Array, command: Array) -> tuple[Array, Mask]:
-        """`(sample, joint)` rad, and `(sample,)`, of one run."""
+    def _predict_run(self, time: Array, command: Array) -> tuple[Array, Beyond]:
+        """`(sample, joint)` rad, and where it is beyond what was fitted, of one run."""
         if len(time) == 1:
             time = time[0] + np.array([0.0, self.step])
             command = np.vstack([command, command])
-            position, outside = self._predict_run(time, command)
-            return position[:1], outside[:1]
+            position, beyond = self._predict_run(time, command)
+            return position[:1], beyond.at([0])
         period = float(np.median(np.diff(time)))
         before = int(np.ceil(_SETTLING / period))
         samples = int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1
@@ -359,10 +358,11 @@ class DiagnosedServos(JointModel):
         readout = self._rolled_out(commands, u.T, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
-        outside = self._outside(readout, period)
-        position = np.stack([np.interp(time, grid[before:], row[before:]) for row in readout], 1)
-        rows = np.clip(np.searchsorted(grid, time + 1e-3 * period, side="right") - 1, 0, len(grid) - 1)
-        return position, outside[rows]
+        beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)
+        of_run = grid[before:]
+        position = np.stack([np.interp(time, of_run, row[before:]) for row in readout], 1)
+        rows = np.clip(np.searchsorted(of_run, time + 1e-3 * period, side="right") - 1, 0, len(of_run) - 1)
+        return position, beyond.at(rows)
 
     def _rolled_out(self, commands: Commands, command: Array, early: float) -> Array:
         """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
@@ -404,16 +404,6 @@ class DiagnosedServos(JointModel):
         bodies = RigidBodies(motion, self.links, self.payload_center, self.gravity, kinematics)
         return bodies.dynamics(self.links)
 
-    def _outside(self, readout: Array, period: float) -> Mask:
-        """`(sample,)`, where a joint is faster, or carries more, than what was recorded."""
-        quantities = slow_quantities(self.bodies, readout, period)
-        beyond = np.zeros(readout.shape[1], bool)
-        for values, limits in zip(quantities, (self.ranges.velocity, self.ranges.weight), strict=True):
-            lower, upper = limits.T
-            margin = MARGIN * np.maximum(upper - lower, _LEAST_RANGE)
-            beyond |= np.any((values < (lower - margin)[:, None]) | (values > (upper + margin)[:, None]), 0)
-        return beyond
-
 
 def describe_servos(
     arm: Arm, settings: RecordingSettings, payload: float, terms: Terms | None = None, values: Array | None = None
@@ -449,28 +439,9 @@ def describe_servos(
         values=np.zeros(0) if values is None else values,
         step=LONGEST_STEP,
         interpolated=servo_settings.hold == "interpolated",
-        ranges=FittedRange(none, none),
+        ranges=FittedRange(none, none, np.full(arm.dof, np.inf)),
         reference_temperature=settings.reference_temperature_degC,
     )
-
-
-def slow_quantities(bodies: Bodies, readout: Array, period: float) -> tuple[Array, Array]:
-    """`(joint, sample)` rad/s and Nm at rest, on which servos and friction depend."""
-    still = np.zeros_like(readout)
-    weight = bodies.torques(readout, still, still)
-    return np.gradient(readout, period, axis=1), weight
-
-
-def range_of(bodies: Bodies, readout: Array, period: float) -> FittedRange:
-    """The ranges of a rollout `(joint, sample)` rad."""
-    velocity, weight = slow_quantities(bodies, readout, period)
-    return FittedRange(*(np.stack([values.min(1), values.max(1)], 1) for values in (velocity, weight)))
-
-
-def run_ends(runs: Runs) -> tuple[list[int], list[int]]:
-    """Where each run begins, and where it has ended."""
-    begins = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
-    return begins.tolist(), [*begins[1:].tolist(), len(runs)]
 
 
 def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Runs]:

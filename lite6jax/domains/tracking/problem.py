@@ -14,7 +14,8 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import joints_of, read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
-from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of, range_of
+from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of
+from lite6jax.domains.tracking.ranges import range_of
 from lite6jax.domains.tracking.rollout import MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
@@ -744,7 +745,7 @@ def diagnosed_servos(
         values=np.asarray(values, float),
         step=data.commands.step,
         interpolated=declared_servos is not None and declared_servos.hold == "interpolated",
-        ranges=range_of(data.bodies, readout, data.commands.period),
+        ranges=range_of(data.bodies, readout, data.commands.period, data.recording.run),
         friction_share=share,
         reference_temperature=settings.reference_temperature_degC,
     )

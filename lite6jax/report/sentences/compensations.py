@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from lite6jax.domains.pose.compensate import Compensation, TargetFrame
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.domains.tracking.predict import CorrectedCommands
-from lite6jax.report.words import be, counted, number, plural, rows_named
+from lite6jax.domains.tracking.ranges import Beyond
+from lite6jax.report.words import be, counted, joined, joints_named, number, plural, rows_named
 
 
 def targets(compensation: Compensation, model: DiagnosedArm, frame: TargetFrame) -> str:
@@ -66,14 +66,20 @@ def rows_outside(outside: int, rows: int, noun: str) -> str:
     )
 
 
-def corrected_rows_outside(commands: CorrectedCommands) -> str:
-    """Says in how many rows of corrected commands the model extrapolates."""
-    outside = commands.rows_outside
+def rolled_rows_outside(beyond: Beyond) -> str:
+    """Says in how many rows of a rollout the model extrapolates, and by what of which joints."""
+    any_joint = beyond.any_joint
+    outside = int(any_joint.sum())
     if not outside:
         return "No row is outside what was recorded."
+    parts = []
+    for quantity, mask in zip(("speed", "load", "reversals"), beyond, strict=True):
+        joints = (1 + np.flatnonzero(mask.any(0))).tolist()
+        if joints:
+            parts.append(f"the {quantity} of {joints_named(joints)}")
     return (
-        f"{outside} of {counted(commands.rows, 'row')} {be(outside)} outside what was recorded: a joint is faster "
-        "there, or carries more."
+        f"{outside} of {counted(len(any_joint), 'row')} {be(outside)} outside what was recorded, by {joined(parts)}: "
+        "the column beyond says where."
     )
 
 

@@ -1,0 +1,183 @@
+"""What was in a log of commands and joints, of speeds, loads and reversals, and where another motion is beyond it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.tracking.coupling import Bodies
+from lite6jax.domains.uncertainty import MARGIN
+from lite6jax.estimation.problem import Mask
+
+Array = NDArray[np.floating]
+Runs = NDArray[np.integer]
+
+_LEAST_RANGE = 1e-3
+"""rad/s or Nm, that a fitted range counts as at least."""
+_TURNED_BACK = 5e-3
+"""rad, by which a joint turns back at least where it reverses. Ringing and creeping under friction are less."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FittedRange:
+    """What was in a recording, of each joint.
+
+    Attributes:
+        velocity: `(joint, 2)` rad/s, the least and the greatest.
+        weight: `(joint, 2)` Nm, likewise, what the joint carries at rest.
+        reversal: `(joint,)` s, the shortest time from one reversal to the next; infinite of a joint that reverses less
+            than twice. None where it is not known.
+    """
+
+    velocity: Array
+    weight: Array
+    reversal: Array | None = None
+
+
+class Beyond(NamedTuple):
+    """Where a motion is beyond what was fitted, each `(sample, joint)`.
+
+    Attributes:
+        speed: the joint is faster, in that direction.
+        load: it carries more at rest, or less.
+        reversal: it is between two reversals that follow each other sooner; where the recording has no two of the
+            joint, anywhere after the first one.
+    """
+
+    speed: Mask
+    load: Mask
+    reversal: Mask
+
+    @property
+    def any_joint(self) -> Mask:
+        """`(sample,)`, where any joint is beyond in any way."""
+        return np.any(np.hstack(self), axis=1)
+
+    def at(self, samples: Runs | Sequence[int]) -> "Beyond":
+        """That of some of the samples."""
+        return Beyond(*(mask[samples] for mask in self))
+
+    def labels(self) -> list[str]:
+        """For each sample what is beyond, such as `speed:joint2 load:joint3`; empty where nothing is."""
+        by_sample: list[list[str]] = [[] for _ in self.speed]
+        for quantity, beyond in zip(self._fields, self, strict=True):
+            for sample, joint in np.argwhere(beyond):
+                by_sample[sample].append(f"{quantity}:joint{joint + 1}")
+        return [" ".join(labels) for labels in by_sample]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """In how many samples each is beyond that is so in any, by the label."""
+        return dict(Counter(label for labels in self.labels() for label in labels.split()))
+
+
+def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> FittedRange:
+    """The range of a rollout.
+
+    Args:
+        bodies: of the arm.
+        position: `(joint, sample)` rad.
+        period: s, from sample to sample.
+        runs: `(sample,)`, which changes where a run begins.
+    """
+    velocity = np.empty_like(position)
+    reversal = np.full(len(position), np.inf)
+    for first, last in zip(*run_ends(runs), strict=True):
+        in_run = position[:, first:last]
+        velocity[:, first:last] = _velocity(in_run, period)
+        for joint, row in enumerate(in_run):
+            shortest = np.min(period * np.diff(reversals(row)), initial=np.inf)
+            reversal[joint] = min(reversal[joint], shortest)
+    return FittedRange(_ends(velocity), _ends(_weight(bodies, position)), reversal)
+
+
+def find_beyond(ranges: FittedRange, bodies: Bodies, position: Array, period: float) -> Beyond:
+    """Where a rollout is beyond what was fitted; arguments as of `range_of`, of one run."""
+    return Beyond(
+        _beyond_ends(_velocity(position, period), ranges.velocity),
+        _beyond_ends(_weight(bodies, position), ranges.weight),
+        _reverses_sooner(position, period, ranges.reversal),
+    )
+
+
+def reversals(position: Array) -> NDArray[np.integer]:
+    """The samples at which a joint reverses, of its positions `(sample,)` rad: it turns back from there clearly."""
+    steps = np.sign(np.diff(position))
+    moving = np.flatnonzero(steps)
+    turns = moving[1:][np.diff(steps[moving]) != 0]
+    found = list[int]()
+    corner = 0
+    direction = 0.0
+    for sample in (*turns.tolist(), len(position) - 1):
+        moved = float(position[sample] - position[corner])
+        if direction == 0:
+            if abs(moved) >= _TURNED_BACK:
+                direction = float(np.sign(moved))
+                corner = sample
+        elif direction * moved >= 0:
+            corner = sample
+        elif abs(moved) >= _TURNED_BACK:
+            found.append(corner)
+            direction = -direction
+            corner = sample
+    return np.array(found, int)
+
+
+def run_ends(runs: Runs) -> tuple[list[int], list[int]]:
+    """Where each run begins, and where it has ended."""
+    begins = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
+    return begins.tolist(), [*begins[1:].tolist(), len(runs)]
+
+
+def concatenate_beyond(parts: Sequence[Beyond]) -> Beyond:
+    """Those of several motions one after the other."""
+    return Beyond(*(np.concatenate(of_quantity) for of_quantity in zip(*parts, strict=True)))
+
+
+def _velocity(position: Array, period: float) -> Array:
+    """`(joint, sample)` rad/s."""
+    if position.shape[1] < 2:
+        return np.zeros_like(position)
+    return np.gradient(position, period, axis=1)
+
+
+def _weight(bodies: Bodies, position: Array) -> Array:
+    """`(joint, sample)` Nm, what joints carry at rest."""
+    still = np.zeros_like(position)
+    return bodies.torques(position, still, still)
+
+
+def _ends(values: Array) -> Array:
+    """`(joint, 2)`, the least and the greatest of values `(joint, sample)`."""
+    return np.stack([values.min(1), values.max(1)], 1)
+
+
+def _beyond_ends(values: Array, ends: Array) -> Mask:
+    """`(sample, joint)`, where values `(joint, sample)` are beyond ends `(joint, 2)`."""
+    lower, upper = ends.T
+    margin = MARGIN * np.maximum(upper - lower, _LEAST_RANGE)
+    by_sample = values.T
+    return (by_sample < lower - margin) | (by_sample > upper + margin)
+
+
+def _reverses_sooner(position: Array, period: float, shortest: Array | None) -> Mask:
+    """As `Beyond.reversal`, of positions `(joint, sample)` rad and shortest times `(joint,)` s; nowhere without these.
+
+    A reversal is known to a sample.
+    """
+    beyond = np.zeros(position.T.shape, bool)
+    if shortest is None:
+        return beyond
+    for joint, row in enumerate(position):
+        reversed_at = reversals(row)
+        if np.isinf(shortest[joint]) and len(reversed_at):
+            beyond[reversed_at[0] :, joint] = True
+        for begin, end in pairwise(reversed_at):
+            if period * (end - begin + 1) < (1 - MARGIN) * shortest[joint]:
+                beyond[begin:end, joint] = True
+    return beyond
