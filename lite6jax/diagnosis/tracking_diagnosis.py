@@ -159,9 +159,12 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @property
     def _servos(self) -> list[dict[str, float]]:
-        """Of each joint its servo's numbers with the effects: stiffness, lag and sag; without masses over a factor."""
+        """Of each joint its servo's numbers with the effects: stiffness, lag and sag; without masses over a factor.
+
+        The lag is how far, in time, a joint at constant velocity is behind its command, friction and delay apart.
+        """
         servo = self.model.model.servo
-        lag = (servo.damping + servo.viscous) / servo.stiffness
+        lag = (servo.damping + servo.viscous - servo.feedforward) / servo.stiffness
         return [
             {
                 "stiffness_Nm_per_rad": float(servo.stiffness[j]),

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from lite6jax.diagnosis import evidence_map, partial_residuals
+from lite6jax.diagnosis import evidence_map, partial_residuals, tracking_errors
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.partial_residuals import FindingCurve
@@ -449,23 +449,82 @@ def _at_motor(curve: FindingCurve) -> str:
 # ------------------------------------------------------------------ of commands and joints
 
 
-_SHOWN = 0.2
-"""Of a recording: the stretch that is drawn."""
+_QUANTITIES: Mapping[tracking_errors.Quantity, tuple[str, float]] = {
+    "speed": ("speed (deg/s)", 180 / np.pi),
+    "load": ("torque of the weight (Nm)", 1.0),
+    "since_reversal": ("time since the last reversal (s)", 1.0),
+}
+"""Over which errors are shown: the label of the axis, and the factor to its unit."""
 
 
 @rc_context(STYLE)
 def tracking_over_time(diagnosis: TrackingDiagnosis, title: str) -> Figure:
-    """Errors of held-out rollouts of each joint in a part of the recording, before and after."""
-    problem = diagnosis.problem
-    time = np.asarray(diagnosis.recording.time)
-    rows = np.arange(max(int(_SHOWN * len(time)), 2))
-    figure, axes = panels_in_rows(problem.rows)
-    for j, axis in enumerate(axes):
-        for (name, color), errors in zip(_STAGES, (diagnosis.before, diagnosis.after), strict=True):
-            axis.plot(time[rows], 1e3 * errors[j, rows], color=color, lw=1, label=name if not j else None)
-        axis.set(xlabel="time (s)", ylabel=f"joint {j + 1} (mrad)")
-    figure.legend(loc="outside lower center", frameon=False, ncols=2)
-    return titled(figure, f"{title}: errors of held-out rollouts")
+    """Command, log and rollouts of a few joints in a held-out stretch; below, the errors of the rollouts there."""
+    stretch = tracking_errors.held_out_stretch(diagnosis)
+    rollouts = (stretch.before, stretch.after)[: _stages_shown(diagnosis)]
+    columns = len(stretch.joints)
+    figure = blank(max(5.2 * columns, 7.5), 8.2)
+    panels = figure.subplots(2, columns, squeeze=False, sharex=True)
+    for k, (joint, upper, lower) in enumerate(zip(stretch.joints, *panels, strict=True)):
+        upper.plot(stretch.time, np.rad2deg(stretch.command[k]), ":", color="black", linewidth=1.6, label="command")
+        log = np.rad2deg(stretch.measured[k])
+        upper.plot(stretch.time, log, color="black", linewidth=4.0, alpha=0.35, label="log")
+        for (name, color), rollout, style in zip(_STAGES, rollouts, ("--", "-"), strict=False):
+            upper.plot(
+                stretch.time, np.rad2deg(rollout[k]), style, color=color, linewidth=1.6, label=f"{name}, held out"
+            )
+            lower.plot(stretch.time, 1e3 * (rollout[k] - stretch.measured[k]), style, color=color, linewidth=1.4)
+        upper.set_title(f"joint {joint + 1}")
+        lower.axhline(0, color="black", linewidth=1)
+        lower.set_xlabel("time (s)")
+        lower.xaxis.set_major_locator(MaxNLocator(5))
+    panels[0, 0].set_ylabel("position (deg)")
+    panels[1, 0].set_ylabel("rollout less log (mrad)")
+    legend_below(figure, panels[0, 0], 4)
+    return titled(figure, f"{title}: commands, log and held-out rollouts")
+
+
+@rc_context(STYLE)
+def error_over_motion(diagnosis: TrackingDiagnosis, title: str) -> Figure:
+    """Held-out errors of each joint, in bins of its speed, of the torque of its weight, and of time from reversals."""
+    by_joint = tracking_errors.errors_over_motion(diagnosis)
+    names = list(by_joint[0])
+    figure = blank(4.8 * len(names), 2.6 * len(by_joint) + 1.4)
+    panels = figure.subplots(len(by_joint), len(names), squeeze=False, sharey="row")
+    for joint, (over, row) in enumerate(zip(by_joint, panels, strict=True)):
+        for name, panel in zip(names, row, strict=True):
+            label, scale = _QUANTITIES[name]
+            binned = over[name]
+            rms = (binned.before, binned.after)[: _stages_shown(diagnosis)]
+            for (stage, color), errors, marker in zip(_STAGES, rms, "os", strict=False):
+                of_stage = f"{stage}, held out"
+                panel.plot(scale * binned.at, 1e3 * errors, marker=marker, color=color, label=of_stage, clip_on=False)
+            if not len(binned.at):
+                place: dict[str, Any] = {"ha": "center", "va": "center", "transform": panel.transAxes}
+                panel.text(0.5, 0.5, "does not vary, or in too few rows", color="#5c5c5c", **place)
+                panel.set(xticks=[], xlabel=label)
+                continue
+            panel.set_xlabel(label)
+            panel.xaxis.set_major_locator(MaxNLocator(5))
+        row[0].set_yscale("log")
+        row[0].set_ylim(_decade_around(row[0].get_ylim()))
+        row[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        row[0].yaxis.set_minor_formatter(NullFormatter())
+        row[0].set_ylabel(f"joint {joint + 1} (mrad RMS)")
+    legend_below(figure, panels[0, 0], 2)
+    return titled(figure, f"{title}: held-out errors over speed, load and reversals")
+
+
+def _decade_around(limits: tuple[float, float]) -> tuple[float, float]:
+    """The limits of a logarithmic axis, a decade apart at least, so that it has a tick."""
+    lower, upper = limits
+    wider = max(np.sqrt(10 * lower / upper), 1.0)
+    return lower / wider, upper * wider
+
+
+def _stages_shown(diagnosis: TrackingDiagnosis) -> int:
+    """How many stages differ: without findings there is one."""
+    return 2 if diagnosis.findings else 1
 
 
 _DRAWN: Mapping[DomainName, Mapping[str, Callable[[Any, str], Figure]]] = {
@@ -476,6 +535,6 @@ _DRAWN: Mapping[DomainName, Mapping[str, Callable[[Any, str], Figure]]] = {
         "friction": friction,
         "spectra": spectra,
     },
-    "tracking": {"over_time": tracking_over_time},
+    "tracking": {"over_time": tracking_over_time, "error_over_motion": error_over_motion},
 }
 """By the name of a figure, how it is drawn, beside that of the findings; a recording at rest has no spectra."""

@@ -202,7 +202,8 @@ def _compensation(compensation: Compensation) -> Description:
 @describe.register
 def _tracking_diagnosis(diagnosis: TrackingDiagnosis) -> Description:
     document = diagnosis.to_dict()
-    sentences = [tracking.headline(document), tracking.verdict_statement(document), *tracking.cautions(document)]
+    sentences = [tracking.headline(document), tracking.following_statement(document)]
+    sentences += [tracking.verdict_statement(document), *tracking.cautions(document)]
     sentences += [tracking.finding_statement(finding) for finding in tracking.ranked(document)[:_MOST_FINDINGS]]
     title = f"Diagnosis of how a {document['model']['arm']} follows its commands"
     return Description(title, tuple(sentences), tuple(tracking.what_to_record(document)))

@@ -8,13 +8,25 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lite6jax.domains.base import DomainName
 from lite6jax.errors import command_line
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
-from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_title, place_of
+from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_name, effect_title, place_of
 from lite6jax.report.sentences import tracking as sentences
-from lite6jax.report.words import NAMED_OF_SERVOS, capital, fill, multiple, number, quantity, read_texts, row_ranges
+from lite6jax.report.words import (
+    NAMED_OF_SERVOS,
+    capital,
+    fill,
+    multiple,
+    number,
+    quantity,
+    read_texts,
+    row_ranges,
+    significant,
+)
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -26,6 +38,8 @@ _TEXTS = read_texts("tracking.yaml")
 _MRAD = 1e3
 _ERROR = "heldout_rollout_rms_rad"
 _BY_JOINT = "heldout_rollout_rms_by_joint_rad"
+_P95 = "heldout_rollout_p95_rad"
+_P95_BY_JOINT = "heldout_rollout_p95_by_joint_rad"
 _PEERS = {
     "commanded": "measured = commanded",
     "best_delay": "best delay",
@@ -35,8 +49,12 @@ _PEERS = {
 """What is compared with, by its key in the document, as it is called: without a model of the arm, and a simulator."""
 _MENTIONED = 0.001
 """Share of the samples, from which clipped commands, contacts and limits are said."""
+_LATE = 5e-5
+"""s of delay, from which it is said beside a lag."""
 _MATTERS = 0.5
 """Of the difference of two rollouts, that is left with fine steps where those of the file make the difference."""
+_RATIOS = {"servo_stiffness", "servo_damping"}
+"""Effects whose numbers are ratios to those of the model: what it has is another."""
 _TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
 _LOAD = {
     *("servo_stiffness", "payload_error", "base_tilt", "link_mass", "link_com", "encoder_offset", "encoder_scale"),
@@ -124,6 +142,57 @@ def headline(document: Document) -> str:
     return sentence
 
 
+def following_statement(document: Document) -> str:
+    """How the joint that improves most follows, what of its error is left, and what the model lacks there; a sentence.
+
+    Without findings it is the joint with the largest error.
+    """
+    joint = _most_improved(document)
+    servo = document["servos"][joint - 1]
+    delay = ""
+    if abs(servo["delay_s"]) > _LATE:
+        delay = significant(1e3 * servo["delay_s"])
+    sag = ""
+    if document["masses"]:
+        sag = significant(_MRAD * servo["sag_rad_per_Nm"])
+    commanded = document["peers"]["commanded"][_BY_JOINT][joint - 1]
+    after = document["after"][_BY_JOINT][joint - 1]
+    there = [finding for finding in ranked(document) if joint in finding["joints"]]
+    return sentences.joint_following(
+        joint,
+        lag=significant(1e3 * servo["lag_s"]),
+        delay=delay,
+        sag=sag,
+        error=significant(_MRAD * commanded),
+        remainder=significant(_MRAD * after),
+        lacking=[_first_number(finding, "of") for finding in there if finding["effect"] not in _RATIOS],
+        ratios=[_first_number(finding, "is") for finding in there if finding["effect"] in _RATIOS],
+        has_simulator="simulator" in document,
+    )
+
+
+def _most_improved(document: Document) -> int:
+    """The joint, from 1, whose held-out mean square falls most; where nothing was found, whose is largest."""
+    before = np.square(document["before"][_BY_JOINT])
+    if not document["findings"]:
+        return 1 + int(np.argmax(before))
+    return 1 + int(np.argmax(before - np.square(document["after"][_BY_JOINT])))
+
+
+def _first_number(finding: Entry, verb: str) -> str:
+    """The name of a finding and its first number, to three digits, with a word between them."""
+    name = effect_name(finding["effect"])
+    if finding["effect"] == "unnamed":
+        name = f"a torque over the {finding['driver']}"
+    estimates = finding.get("peak_to_peak", finding["parameters"])
+    if not estimates:
+        return name
+    parameter, estimate = next(iter(estimates.items()))
+    to_three_digits = float(f"{estimate['value']:.3g}")
+    shown = quantity(parameter, {"value": to_three_digits, "std": 0.0}, NAMED_OF_SERVOS)
+    return f"{name} {verb} {shown.value} {shown.unit}".rstrip()
+
+
 def verdict_statement(document: Document) -> str:
     """The verdict in a sentence or two."""
     sizes = [ratio for ratio in document["left"]["over_noise"].values() if ratio is not None]
@@ -207,24 +276,34 @@ def _motion_of(effects: set[str]) -> str:
 
 def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """The table of held-out errors in mrad RMS: headers, and a row for each joint and for all."""
+    return _error_table(document, "held-out error\n(mrad RMS)", _ERROR, _BY_JOINT)
+
+
+def percentile_rows(document: Document) -> tuple[list[str], list[list[str]]]:
+    """The same of what 95 % of the held-out errors of a joint, or of all, do not exceed, in mrad."""
+    return _error_table(document, "error\n(mrad)", _P95, _P95_BY_JOINT)
+
+
+def _error_table(document: Document, header: str, of_all: str, by_joint: str) -> tuple[list[str], list[list[str]]]:
+    """A table of errors in mrad, by their keys in the document."""
     peers = document["peers"]
     columns = {name: peers[key] for key, name in _PEERS.items() if key in peers}
     columns |= {"before": document["before"]}
     if document["findings"]:
         columns |= {"after": document["after"]}
     rows = [
-        [f"joint {joint}", *(number(_MRAD * column[_BY_JOINT][joint - 1]) for column in columns.values())]
-        for joint in range(1, len(document["before"][_BY_JOINT]) + 1)
+        [f"joint {joint}", *(number(_MRAD * column[by_joint][joint - 1]) for column in columns.values())]
+        for joint in range(1, len(document["before"][by_joint]) + 1)
     ]
-    rows.append(["all", *(number(_MRAD * column[_ERROR]) for column in columns.values())])
+    rows.append(["all", *(number(_MRAD * column[of_all]) for column in columns.values())])
     # a terminal may be 60 columns wide
-    headers = ["held-out error\n(mrad RMS)", *(name.replace(" ", "\n", 1) for name in columns)]
+    headers = [header, *(name.replace(" ", "\n", 1) for name in columns)]
     return headers, rows
 
 
 def servo_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     """The servos as they are with the findings: headers, and a row for each joint."""
-    headers = ["servo", "kp (Nm/rad)", "sag (mrad/Nm)", "lag (ms)", "delay (ms)", "friction (Nm)"]
+    headers = ["servo", "kp\n(Nm/rad)", "sag\n(mrad/Nm)", "lag\n(ms)", "delay\n(ms)", "friction\n(Nm)"]
     rows = [
         [
             f"joint {joint}",
@@ -259,12 +338,17 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
     faults = [
         (fault_name(fault["fault"]), fault["statement"], row_ranges(fault["rows"])) for fault in document["data_faults"]
     ]
-    lines = [verdict_statement(document), *cautions(document), sentences.setting(document)]
+    lines = [
+        following_statement(document),
+        verdict_statement(document),
+        *cautions(document),
+        sentences.setting(document),
+    ]
     ruled_out = [entry["statement"] for entry in document["ruled_out"]]
     commands = []
     if files is not None:
         commands = steps(document, files.recording, files.diagnosis)
-    drawn = [("picture", picture) for name, picture in pictures.items() if name == "over_time"]
+    drawn = [("picture", picture) for picture in pictures.values()]
     no_findings = [("text", "None: no effect of the catalogue, and no function of what was recorded, is significant.")]
     findings = [("bullets", _finding_lines(document, details))] if document["findings"] else no_findings
     return [
@@ -273,6 +357,8 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
             "Held-out rollouts from the commands alone",
             [
                 ("table", error_rows(document)),
+                ("heading", "95 % of rows err by no more than"),
+                ("table", percentile_rows(document)),
                 ("text", sentences.held_out(document)),
                 *(("text", line) for line in simulator_statements(document)),
                 *drawn,

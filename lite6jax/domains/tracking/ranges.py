@@ -89,18 +89,18 @@ def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> Fitt
     reversal = np.full(len(position), np.inf)
     for first, last in zip(*run_ends(runs), strict=True):
         in_run = position[:, first:last]
-        velocity[:, first:last] = _velocity(in_run, period)
+        velocity[:, first:last] = differentiate(in_run, period)
         for joint, row in enumerate(in_run):
             shortest = np.min(period * np.diff(reversals(row)), initial=np.inf)
             reversal[joint] = min(reversal[joint], shortest)
-    return FittedRange(_ends(velocity), _ends(_weight(bodies, position)), reversal)
+    return FittedRange(_ends(velocity), _ends(resting_loads(bodies, position)), reversal)
 
 
 def find_beyond(ranges: FittedRange, bodies: Bodies, position: Array, period: float) -> Beyond:
     """Where a rollout is beyond what was fitted; arguments as of `range_of`, of one run."""
     return Beyond(
-        _beyond_ends(_velocity(position, period), ranges.velocity),
-        _beyond_ends(_weight(bodies, position), ranges.weight),
+        _beyond_ends(differentiate(position, period), ranges.velocity),
+        _beyond_ends(resting_loads(bodies, position), ranges.weight),
         _reverses_sooner(position, period, ranges.reversal),
     )
 
@@ -139,14 +139,14 @@ def concatenate_beyond(parts: Sequence[Beyond]) -> Beyond:
     return Beyond(*(np.concatenate(of_quantity) for of_quantity in zip(*parts, strict=True)))
 
 
-def _velocity(position: Array, period: float) -> Array:
+def differentiate(position: Array, period: float) -> Array:
     """`(joint, sample)` rad/s."""
     if position.shape[1] < 2:
         return np.zeros_like(position)
     return np.gradient(position, period, axis=1)
 
 
-def _weight(bodies: Bodies, position: Array) -> Array:
+def resting_loads(bodies: Bodies, position: Array) -> Array:
     """`(joint, sample)` Nm, what joints carry at rest."""
     still = np.zeros_like(position)
     return bodies.torques(position, still, still)

@@ -4,7 +4,7 @@ in `templates/tracking.yaml`. All lengths of angles are in mrad."""
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lite6jax.report.words import capital, fill, joints_named, paragraph, plural, read_texts
+from lite6jax.report.words import capital, fill, joined, joints_named, paragraph, plural, read_texts
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -16,6 +16,37 @@ def headline_of_findings(cause: str, before: str, after: str, count: int) -> str
     """Says the cause, and what is left of the errors with so many findings."""
     model = plural(count, "with it", f"with all {count} findings")
     return f"{capital(cause)}: of {before} mrad RMS between the arm and its rollout, {after} mrad are left {model}."
+
+
+def joint_following(
+    joint: int,
+    lag: str,
+    delay: str,
+    sag: str,
+    error: str,
+    remainder: str,
+    lacking: Sequence[str],
+    ratios: Sequence[str],
+    has_simulator: bool,
+) -> str:
+    """Says how a joint follows its commands, what is left of its tracking error, and what is not so in its model.
+
+    Lag and delay are in ms, the sag in mrad per Nm, errors in mrad RMS; without a delay or a sag it is left out.
+    """
+    behind = f"Joint {joint} lags {lag} ms"
+    if delay:
+        behind += f" after a delay of {delay} ms"
+    if sag:
+        behind += f" and sags {sag} mrad per Nm"
+    model = "your model"
+    if has_simulator:
+        model = "your simulator"
+    parts = [behind, f"of {error} mrad RMS tracking error {remainder} is left"]
+    if lacking:
+        parts.append(f"{joined(lacking)}, which {model} lacks")
+    if ratios:
+        parts.append(f"its {joined(ratios)} times that of {model}")
+    return f"{'; '.join(parts)}."
 
 
 def headline_without_findings(verdict: str, after: str) -> str:
