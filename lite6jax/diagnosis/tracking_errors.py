@@ -2,14 +2,15 @@
 and time since the last reversal.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis, interleaved_folds
+from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
 from lite6jax.domains.tracking.ranges import differentiate, resting_loads, reversals, run_ends
+from lite6jax.estimation.problem import Mask
 
 Array = NDArray[np.floating]
 Quantity = Literal["speed", "load", "since_reversal"]
@@ -79,7 +80,7 @@ def held_out_stretch(found: TrackingDiagnosis) -> Stretch:
     def merit(rows: slice) -> tuple[bool, float]:
         return bool(reversed_at[rows].any()), float(np.sum(squares[rows]))
 
-    rows = max(_stretches(problem.run, length), key=merit)
+    rows = max(_stretches(problem.run, found.folds, length), key=merit)
     command = np.asarray(recording.commanded_position).T
     shown = np.array(joints)
     parts = (command, problem.measured, problem.measured + found.before, problem.measured + found.after)
@@ -126,17 +127,16 @@ def _most_improved(found: TrackingDiagnosis) -> tuple[int, ...]:
     return tuple(joint for joint in order.tolist() if gains[joint] >= _LEAST_GAIN * gains[order[0]])
 
 
-def _stretches(run: NDArray[np.integer], length: int) -> Iterator[slice]:
-    """Parts of `length` samples at most, each of one run and of one block that was held out."""
-    fold = interleaved_folds(run)[0]
-    blocks = 2 * run.astype(int) + fold
+def _stretches(run: NDArray[np.integer], folds: Sequence[Mask], length: int) -> Iterator[slice]:
+    """Parts of `length` samples at most, each of one run and of rows that were held out together."""
+    blocks = len(folds) * run.astype(int) + np.argmax(folds, axis=0)
     for first, last in zip(*run_ends(blocks), strict=True):
         step = max(length // _SHIFTS, 1)
         for begin in range(first, max(last - length, first) + 1, step):
             yield slice(begin, min(begin + length, last))
 
 
-def _reversed_rows(position: Array, run: NDArray[np.integer]) -> NDArray[np.bool_]:
+def _reversed_rows(position: Array, run: NDArray[np.integer]) -> Mask:
     """`(sample,)`, where a joint with these positions `(sample,)` rad reverses."""
     rows = np.zeros(len(position), bool)
     for first, last in zip(*run_ends(run), strict=True):
@@ -144,7 +144,7 @@ def _reversed_rows(position: Array, run: NDArray[np.integer]) -> NDArray[np.bool
     return rows
 
 
-def _samples_since(marked: NDArray[np.bool_], run: NDArray[np.integer]) -> Array:
+def _samples_since(marked: Mask, run: NDArray[np.integer]) -> Array:
     """`(sample,)`, how many samples ago the last marked row of the run was; NaN before its first one."""
     since = np.full(len(marked), np.nan)
     for first, last in zip(*run_ends(run), strict=True):
@@ -156,7 +156,7 @@ def _samples_since(marked: NDArray[np.bool_], run: NDArray[np.integer]) -> Array
     return since
 
 
-def _binned(values: Array, used: NDArray[np.bool_], before: Array, after: Array) -> BinnedErrors:
+def _binned(values: Array, used: Mask, before: Array, after: Array) -> BinnedErrors:
     """Errors `(sample,)` rad over values `(sample,)`; rows in which these are not known are left out."""
     rows = np.flatnonzero(used & np.isfinite(values))
     count = min(len(rows) // _LEAST_IN_BIN, _BINS)

@@ -494,17 +494,17 @@ def error_over_motion(diagnosis: TrackingDiagnosis, title: str) -> Figure:
     for joint, (over, row) in enumerate(zip(by_joint, panels, strict=True)):
         for name, panel in zip(names, row, strict=True):
             label, scale = _QUANTITIES[name]
+            panel.set_xlabel(label)
             binned = over[name]
+            if not len(binned.at):
+                place: dict[str, Any] = {"ha": "center", "va": "center", "transform": panel.transAxes}
+                panel.text(0.5, 0.5, "does not vary, or in too few rows", color="#5c5c5c", **place)
+                panel.set_xticks([])
+                continue
             rms = (binned.before, binned.after)[: _stages_shown(diagnosis)]
             for (stage, color), errors, marker in zip(_STAGES, rms, "os", strict=False):
                 of_stage = f"{stage}, held out"
                 panel.plot(scale * binned.at, 1e3 * errors, marker=marker, color=color, label=of_stage, clip_on=False)
-            if not len(binned.at):
-                place: dict[str, Any] = {"ha": "center", "va": "center", "transform": panel.transAxes}
-                panel.text(0.5, 0.5, "does not vary, or in too few rows", color="#5c5c5c", **place)
-                panel.set(xticks=[], xlabel=label)
-                continue
-            panel.set_xlabel(label)
             panel.xaxis.set_major_locator(MaxNLocator(5))
         row[0].set_yscale("log")
         row[0].set_ylim(_decade_around(row[0].get_ylim()))
