@@ -1,6 +1,5 @@
 """The rows of a tracking recording on an even grid: commands, read-outs, the declared servos and the rigid bodies."""
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
@@ -15,6 +14,7 @@ from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed, spect
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
+from lite6jax.domains.tracking.stamps import read_stamps
 from lite6jax.effects.dynamic import Dynamics, direction
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.servo import Servo
@@ -62,8 +62,6 @@ _UNITS = (0.5, np.pi / 180)
 """Gains of gears and units that are less than one."""
 _NEAR = 0.1
 """Share of such a gain within which a joint may have it."""
-_FEWEST = 50
-"""Samples of a recording at least."""
 _ROUNDING = 2e-9
 """rad, by which two values differ at most that are the same but for the digits of a file."""
 _LEAST_STEPS = 5
@@ -189,39 +187,31 @@ def _moved(recording: Recording, position: Array) -> Recording:
 def even_rows(recording: Recording) -> Recording:
     """The rows on an even grid: read-outs on lines between rows, commands held from the row before.
 
-    A gap of more than ten samples begins a run.
+    Of rows with one stamp the last one counts. A gap of more than ten samples, or a time that goes back, begins a run.
 
     Raises:
-        InputError: no times, or too few rows.
+        InputError: as `read_stamps`.
     """
-    if recording.time is None:
-        raise InputError(f"{recording.source}: commands need times; add time_s")
-    time = recording.time
-    run = recording.run
-    steps = np.diff(time)[(np.diff(run) == 0) & (np.diff(time) > 0)]
-    if len(steps) < _FEWEST:
-        raise InputError(f"{recording.source}: has {recording.samples} rows; record at least {_FEWEST + 1}")
-    period = float(np.median(steps))
-    begins = np.r_[True, (np.diff(run) != 0) | (np.diff(time) > 10 * period) | (np.diff(time) < 0)]
-    edges = np.r_[np.flatnonzero(begins), len(time)]
+    stamps = read_stamps(recording)
+    time = stamps.time
+    period = stamps.period
     parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", "commanded_position", "payload")}
     rows: list[NDArray[np.integer]] = []
     runs: list[NDArray[np.integer]] = []
-    for number, (first, last) in enumerate(itertools.pairwise(edges)):
-        t = time[first:last]
-        if last - first < 2:
-            continue
+    for number, piece in enumerate(stamps.pieces):
+        t = time[piece]
         grid = t[0] + period * np.arange(int(np.floor((t[-1] - t[0]) / period + 1e-6)) + 1)
-        at = np.clip(np.searchsorted(t, grid + 1e-3 * period, side="right") - 1, 0, len(t) - 1)
-        rows.append(recording.row[first:last][at])
+        place = np.clip(np.searchsorted(t, grid + 1e-3 * period, side="right") - 1, 0, len(t) - 1)
+        held = piece[place]
+        rows.append(recording.row[held])
         runs.append(np.full(len(grid), number))
         parts["time"].append(grid)
-        parts["payload"].append(recording.payload[first:last][at])
+        parts["payload"].append(recording.payload[held])
         parts["joint_position"].append(
-            np.stack([np.interp(grid, t, column) for column in recording.joint_position[first:last].T], 1)
+            np.stack([np.interp(grid, t, column) for column in recording.joint_position[piece].T], 1)
         )
         if recording.commanded_position is not None:
-            parts["commanded_position"].append(recording.commanded_position[first:last][at])
+            parts["commanded_position"].append(recording.commanded_position[held])
     arrays: dict[str, Any] = {name: np.concatenate(part) for name, part in parts.items() if part}
     return Recording.assembled(
         **arrays,

@@ -15,6 +15,7 @@ from lite6jax.domains.tracking.row_faults import (
     with_one_zero,
 )
 from lite6jax.domains.tracking.rows import MOVING, SAME, tracking_rows
+from lite6jax.domains.tracking.stamps import read_stamps
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 
@@ -45,7 +46,8 @@ def screen_tracking(recording: Recording, arm: Arm) -> ScreenedTracking:
         columns = correct_columns(recording, arm)
     data = tracking_rows(columns.data, arm)
     require_torque(data)
-    state = ScreenedTracking(data, columns.found, unusable=np.zeros(data.commands.samples, bool))
+    found = (*read_stamps(recording).faults(), *columns.found)
+    state = ScreenedTracking(data, found, unusable=np.zeros(data.commands.samples, bool))
     for screen in (drop_stale_rows, drop_saturated_rows, drop_rows_without_torque, with_one_zero):
         state = screen(state)
     several_runs = len(np.unique(data.recording.run)) > 1
