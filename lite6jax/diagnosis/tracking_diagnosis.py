@@ -35,6 +35,7 @@ from lite6jax.domains.tracking.problem import (
 from lite6jax.domains.tracking.rows import COARSE, INEXACT
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
+from lite6jax.domains.tracking.undetermined import undetermined
 from lite6jax.effects.dynamic import UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import fit, relinearise
@@ -184,6 +185,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
         return {
             "servo": "declared" if problem.data.declared else "unknown",
             "masses": problem.data.has_masses,
+            "undetermined": [reason.to_dict() for reason in undetermined(problem.data)],
             "servos": self._servos,
             "peers": {name: self._statistics(errors, kept) for name, errors in self.peers.items()},
             **({} if self.simulator is None else {"simulator": self.simulator.to_dict()}),

@@ -263,6 +263,14 @@ def what_to_record(document: Document) -> list[str]:
     return lines
 
 
+def undetermined(document: Document) -> list[str]:
+    """What the log does not determine, with what to record, a sentence for each reason."""
+    return [
+        fill(_TEXTS["undetermined"][entry["lacks"]], entry, names=[effect_name(name) for name in entry["effects"]])
+        for entry in document.get("undetermined", ())
+    ]
+
+
 def _motion_of(effects: set[str]) -> str:
     """The kind of motion in which some effects differ."""
     for kind, differing in (("reversal", _REVERSAL), ("timing", _TIMING), ("load", _LOAD)):
@@ -369,6 +377,7 @@ def parts_of(document: Document, files: Any, details: bool, pictures: Mapping[st
         ("Servos", [("table", servo_rows(document))]),
         ("What to do", [("bullets", list(dict.fromkeys(action_of(finding) for finding in ranked(document))))]),
         ("What to record next", [("bullets", what_to_record(document))]),
+        ("Not determined by this log", [("bullets", undetermined(document))]),
         ("Commands to copy", [("command", step) for step in commands]),
         ("Tested and ruled out", [("bullets", ruled_out)] if details and ruled_out else []),
     ]

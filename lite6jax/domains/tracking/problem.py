@@ -18,14 +18,12 @@ from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of
 from lite6jax.domains.tracking.ranges import range_of
 from lite6jax.domains.tracking.rollout import MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
+from lite6jax.domains.tracking.undetermined import LOADED, untestable_effects
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import joint_driver
 from lite6jax.effects.dynamic import (
-    BaseTilt,
     CoulombFriction,
-    LoadFriction,
     OfLink,
-    PayloadTorque,
     RotorInertia,
     StribeckFriction,
     TorqueEffect,
@@ -766,7 +764,7 @@ def candidates_beside(data: TrackingRows, unknowns: Sequence[Unknown]) -> tuple[
     fitted = (ServoStiffness, ServoDamping, ViscousFriction) if unknowns else ()
     fitted += (CoulombFriction,) if any(one.field == "coulomb" for one in unknowns) else ()
     fitted += (RotorInertia,) if any(one.field == "inertia" for one in unknowns) else ()
-    fitted += () if data.has_masses else (PayloadTorque, BaseTilt, LoadFriction, OfLink)
+    fitted += () if data.has_masses else LOADED
     return tuple(effect for effect in tracking_catalogue(data.arm.dof) if not isinstance(effect, fitted))
 
 
@@ -777,9 +775,19 @@ def tracking_problem(data: TrackingRows) -> TrackingProblem:
     """
     unknowns = unknowns_of(data)
     candidates = candidates_beside(data, unknowns)
+    missing = untestable_effects(data, candidates)
+    lacking = {item.effect for item in missing}
     chosen = np.arange(data.commands.samples)
-    valid = np.ones(len(chosen), bool)
-    problem = TrackingProblem(data, chosen, data.servo, unknowns, np.zeros(len(unknowns)), candidates, (), valid)
+    problem = TrackingProblem(
+        data=data,
+        chosen=chosen,
+        servo=data.servo,
+        unknowns=unknowns,
+        offset=np.zeros(len(unknowns)),
+        candidates=tuple(effect for effect in candidates if effect not in lacking),
+        untestable=missing,
+        valid=np.ones(len(chosen), bool),
+    )
     if not unknowns:
         return problem
     rigid = np.full(problem.rows, RIGID_GRIP)

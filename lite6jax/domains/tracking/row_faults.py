@@ -33,7 +33,7 @@ _BEYOND = 6.0
 _LEAST_BEYOND = 0.01
 """rad, likewise."""
 _FEWEST = 8
-"""Rows beyond its end that a read-out that is saturated has at least."""
+"""Rows that a read-out that is saturated has beyond its end, and in other places, at least."""
 _STAYS = 0.97
 """Share of the rows beyond the end in which the read-out is there."""
 _EDGE = 0.1
@@ -192,6 +192,8 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
     resting = _from_the_start(end, data.recording.run)
     end &= ~resting
     rows = rows & ~resting
+    if np.sum(rows & ~end) < _FEWEST:  # of a joint at rest
+        return None
     followed = _followed(data, joint, rows & ~end)
     position = sign * followed.position
     spread = float(np.sqrt(np.mean((position - y)[followed.usual & ~end] ** 2)))
