@@ -111,8 +111,8 @@ class TrackingRows:
 
     @property
     def has_masses(self) -> bool:
-        """Whether the arm's description has masses."""
-        return bool(self.bodies.links.any())
+        """Whether the masses of the arm's links are known."""
+        return self.arm.mass is not None and bool(self.bodies.links.any())
 
     @cached_property
     def coarse(self) -> "TrackingRows":
@@ -364,14 +364,32 @@ def usual_payload(recording: Recording) -> float:
     return float(np.quantile(recording.payload, 0.5, method="lower"))
 
 
+def with_known_masses(recording: Recording, arm: Arm) -> Arm:
+    """The arm, without its masses where the sidecar says that they are not known.
+
+    Raises:
+        InputError: masses that are uncertain by a share, which are not fitted.
+    """
+    inertial = recording.settings.inertial
+    if inertial == "declared":
+        return arm
+    if inertial != "unknown":
+        raise InputError(
+            f"{recording.source}: recording.inertial is {inertial:g}: beside commands masses are taken as exact or as "
+            "unknown; write inertial: declared, or inertial: unknown"
+        )
+    return replace(arm, mass=None, center_of_mass=None, inertia=None)
+
+
 def tracking_rows(recording: Recording, arm: Arm) -> TrackingRows:
     """The rows of a recording with commands.
 
     Raises:
-        InputError: no commands, no times, too few rows, joints of another kind or number, or commands that are the
-            read-outs again.
+        InputError: no commands, no times, too few rows, joints of another kind or number, commands that are the
+            read-outs again, or as `with_known_masses`.
     """
     require_joints(recording, arm)
+    arm = with_known_masses(recording, arm)
     if arm.sliding:
         raise InputError(f"{recording.source}: has prismatic joints, whose commands are not diagnosed; leave them out")
     if recording.commanded_position is None:

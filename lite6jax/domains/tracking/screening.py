@@ -14,7 +14,7 @@ from lite6jax.domains.tracking.row_faults import (
     require_torque,
     with_one_zero,
 )
-from lite6jax.domains.tracking.rows import MOVING, SAME, tracking_rows
+from lite6jax.domains.tracking.rows import MOVING, SAME, tracking_rows, with_known_masses
 from lite6jax.domains.tracking.stamps import read_stamps
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -40,6 +40,7 @@ def screen_tracking(recording: Recording, arm: Arm) -> ScreenedTracking:
             follow, as where the torque is off.
     """
     require_joints(recording, arm)
+    arm = with_known_masses(recording, arm)
     columns = Screened(recording)
     if recording.commanded_position is not None and recording.time is not None:
         _require_other_readouts(recording)

@@ -82,7 +82,7 @@ def setting(document: Document) -> str:
         servos = "not declared: stiffness and damping of each joint were fitted."
     masses = ""
     if not document["masses"]:
-        masses = "The description has no masses: stiffness is known up to a factor."
+        masses = "The masses are not known: stiffness is known up to a factor."
     return paragraph(
         f"{document['model']['arm']}, {document['samples']} samples of commands and joints on an even grid; the servos "
         f"are {servos}",
