@@ -452,20 +452,29 @@ def test_commands_that_no_joint_follows_are_said_and_can_be_given(tmp_path, caps
     is_tracked(path, -u, y, t)
 
 
-@pytest.mark.parametrize(
-    ("stem", "kind", "more"),
-    [
-        ("target_qd", "velocities", ""),
-        ("cmd_tau", "torques", ", or diagnose measured torques"),
-    ],
-)
-def test_commanded_velocities_and_torques_are_said(tmp_path, capsys, stem, kind, more):
+def test_commanded_velocities_are_recognised_where_no_positions_were_commanded(tmp_path, capsys):
+    t, u, y = motion(6)
+    rate = rates(6)
+    path = text(tmp_path / "log.csv", {"time": t} | numbered("target_qd", rate) | numbered("actual_q", y))
+    said = initiated(capsys, path, "--arm", "lite6")
+    assert "Commanded velocities: target_qd_0 … target_qd_5, rad/s" in said.replace("in rad/s", "rad/s")
+    assert "command: velocity" in path.with_suffix(".yaml").read_text()
+    travel = np.concatenate([np.zeros((1, 6)), np.cumsum(rate[:-1] * np.diff(t)[:, None], 0)])
+    assert read_recording(path).commanded_position == pytest.approx(y[0] + travel, abs=1e-6)
+    both = text(tmp_path / "both.csv", {"time": t} | numbered("target_qd", rate) | numbered("target_q", u)
+                | numbered("actual_q", y))  # fmt: skip
+    initiated(capsys, both, "--arm", "lite6")
+    assert "command: velocity" not in both.with_suffix(".yaml").read_text()
+    assert read_recording(both).commanded_position == pytest.approx(u, abs=1e-6)
+
+
+def test_commanded_torques_are_said(tmp_path, capsys):
     t, _, y = motion(6)
-    path = text(tmp_path / "log.csv", {"time": t} | numbered(stem, rates(6)) | numbered("actual_q", y))
+    path = text(tmp_path / "log.csv", {"time": t} | numbered("cmd_tau", rates(6)) | numbered("actual_q", y))
     said = initiated(capsys, path, "--arm", "lite6")
     assert (
-        f"Commanded {kind}: {stem}_0 … {stem}_5. Only commanded positions are diagnosed: log the positions that the "
-        f"controller makes of them{more}."
+        "Commanded torques: cmd_tau_0 … cmd_tau_5. Commands are diagnosed where they are positions or velocities: log "
+        "these, or diagnose the torques (--column NAME=tau1_Nm and so on)."
     ) in said
     assert read_recording(path).commanded_position is None
 

@@ -58,6 +58,7 @@ COLUMNS = {
     "current": "motor currents; torques with `torque_constant_Nm_per_A` in the sidecar",
     "temp": "temperatures of the joints",
     "cmd": "commanded joint positions beside the measured ones, to which servos are fitted",
+    "cmd_dq": "commanded joint velocities, which are integrated where no positions were commanded",
     "time": "time of the sample; without it the order of the rows is the sequence",
     **dict.fromkeys("xyz", "measured position of the tool point"),
     **dict.fromkeys(columns.DEVIATION, "deviation of the measured position from `x y z`, which are nominal beside it"),

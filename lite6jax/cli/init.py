@@ -188,6 +188,8 @@ class InitCommand:
         elif inspected.arm is not None:
             settings = {"arm": inspected.arm.name} | settings
         settings.setdefault("motion", inspected.motion[0])
+        if inspected.holds("cmd_dq") and not inspected.holds("cmd"):
+            settings.setdefault("command", "velocity")
         if inspected.computed:
             settings.setdefault("pose_source", "controller_fk")
         _check(inspected, table.content, file, notes)

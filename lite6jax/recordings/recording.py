@@ -187,7 +187,8 @@ class Recording(PublicResult):
         Raises:
             InputError: as `make_arrays` and `assembled`.
         """
-        arrays = make_arrays(table, source, notes)
+        arrays = make_arrays(table, source, notes, settings.command)
+        settings = replace(settings, command="position")  # velocities are integrated
         return cls.assembled(**arrays, settings=settings, source=source, notes=notes, spelling=table.spelling)
 
     @classmethod
@@ -223,6 +224,8 @@ class Recording(PublicResult):
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
         settings = (settings or RecordingSettings()).for_joints(dof, source)
+        if settings.command == "velocity" and optional.get("commanded_position") is not None:
+            raise InputError(f"{source}: commanded_position is given, and command: velocity; leave command out")
         if readings is not None and len(readings.group) != samples:
             raise InputError(f"{source}: {len(readings.group)} readings of {samples} samples; give one each")
         supplied = {"joint_position": q, "payload": np.zeros(samples)}

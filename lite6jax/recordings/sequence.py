@@ -9,6 +9,7 @@ from lite6jax.recordings.settings import Motion
 
 LONGEST_TRAJECTORY_STEP_S = 0.5  # samples further apart than this are taken as poses at which the arm stood still
 STANDSTILL_RAD_PER_S = 1e-3
+LONGEST_GAP = 10.0  # median steps of time; commands are not followed over longer ones
 MOVING_SHARE = 0.05  # of the rows; a static recording may hold a few taken before the arm came to rest
 
 
@@ -106,6 +107,32 @@ def differentiate(
         value[rows] = slope[near] + (slope[near] - slope[far]) * weight
     velocity[order] = value
     return velocity
+
+
+def integrate_commands(
+    commanded_velocity: Float[np.ndarray, "sample joint"],
+    joint_position: Float[np.ndarray, "sample joint"],
+    time: Float[np.ndarray, " sample"],
+    segment: Int[np.ndarray, " sample"],
+) -> Float[np.ndarray, "sample joint"]:
+    """Positions that velocities command, each held until the next, from the joint positions at the start of a segment.
+
+    A gap, and a time that goes back, begin a segment as well. Rows with NaN get NaN and are passed over.
+    """
+    position = np.full_like(joint_position, np.nan)
+    finite = np.isfinite(commanded_velocity).all(1) & np.isfinite(joint_position).all(1) & np.isfinite(time)
+    usable = np.flatnonzero(finite)
+    if not usable.size:
+        return position
+    step = np.diff(time[usable])
+    forward = step[step > 0]
+    longest = LONGEST_GAP * float(np.median(forward)) if forward.size else np.inf
+    begins = np.r_[True, (np.diff(segment[usable]) != 0) | (step < 0) | (step > longest)]
+    moved = np.where(begins[1:, None], 0.0, commanded_velocity[usable[:-1]] * step[:, None])
+    travel = np.cumsum(np.concatenate([np.zeros((1, joint_position.shape[1])), moved]), 0)
+    first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
+    position[usable] = joint_position[usable[first]] + travel - travel[first]
+    return position
 
 
 def directions(

@@ -229,7 +229,11 @@ class RecordingSettings:
         Annotated[tuple[Constant, ...], Meta(min_length=1)] | None,
         "a list with one number in N m per A for each joint, none zero",
     ] = None
-    command: Annotated[Literal["position"], "position, the only commands that are read"] = "position"
+    command: Annotated[
+        Literal["position", "velocity"],
+        "position or velocity; commands of torque are diagnosed as torques: name their columns tau1_Nm ..., and leave "
+        "this key out",
+    ] = "position"
     servo: Annotated[
         Unknown | ServoSettings,
         "unknown, or {stiffness_Nm_per_rad: [...], damping_Nm_s_per_rad: [...], delay_s: 0.0, hold: previous or "

@@ -12,10 +12,11 @@ import pyarrow as pa
 from pyarrow import types
 
 from lite6jax.errors import InputError, command_line
-from lite6jax.recordings.columns.column import LABELS, OF_ARRAY, Column, is_scalar, name_columns
+from lite6jax.recordings.columns.column import LABELS, OF_ARRAY, Column, is_scalar, name_columns, spelled
 from lite6jax.recordings.columns.documented import nearest_known, parse_columns, sliding_of
 from lite6jax.recordings.columns.orientations import add_deviations, with_quaternions
 from lite6jax.recordings.readings import with_readings
+from lite6jax.recordings.sequence import integrate_commands, run_segments
 from lite6jax.recordings.streams import hold_commands, merge
 from lite6jax.recordings.units import LARGEST_MISSING_SHARE, implausible
 from lite6jax.storage import exists
@@ -293,7 +294,8 @@ def tabulate(
             moved, places = name_columns("joint_position", joints), name_columns("position")
             if (merged := merge(values, moved, places, "time_s", notes)) is not None:
                 values, row = merged[0], merged[1] + 1
-            sent = [name for name in name_columns("commanded_position", joints) if name in values]
+            commands = [*name_columns("commanded_position", joints), *_velocity_commands(joints)]
+            sent = [name for name in commands if name in values]
             if (held := hold_commands(values, moved, sent, "time_s", notes)) is not None:
                 values = held[0]
                 row = held[1] + 1 if row is None else row[held[1]]
@@ -367,11 +369,53 @@ def _arrow(values: Any) -> Values:
         return f"holds {kind}, not numbers; give it as float64"
 
 
-def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
-    """The arguments of `Recording.assembled` that a table holds.
+def _velocity_commands(joints: int) -> list[str]:
+    """The columns of commanded velocities."""
+    return [spelled("cmd_dq", joint + 1) for joint in range(joints)]
+
+
+def _commanded_positions(arrays: Mapping[str, Any], table: Table, commanded: str, source: str, notes: list[str]) -> Any:
+    """`(sample, joint)` rad, as commanded or, of commanded velocities, integrated; None where there are no commands.
+
+    Args:
+        arrays: those of a recording.
+        table: where they are from.
+        commanded: what the sidecar says of commands.
+        source: what messages begin with.
+        notes: gets a sentence on the integration.
 
     Raises:
-        InputError: a run that is not a whole number.
+        InputError: velocities without times, or positions that are said to be velocities.
+    """
+    positions = arrays["commanded_position"]
+    velocities = [table.values[name] for name in _velocity_commands(table.joints) if name in table.values]
+    if not velocities:
+        if positions is not None and commanded == "velocity":
+            raise InputError(
+                f"{source}: the sidecar says command: velocity, but its commands are positions; name velocities "
+                f"{spelled('cmd_dq', 1)} ..., or leave command out"
+            )
+        return positions
+    if positions is not None and commanded == "position":
+        return positions
+    if arrays["time"] is None:
+        raise InputError(f"{source}: commands of velocity need times; add time_s")
+    notes.append(
+        "commands of velocity are taken as commands of position: they are integrated over time from the first joint "
+        "positions of each run, as controllers of velocity do"
+    )
+    joint_position = arrays["joint_position"]
+    run = np.zeros(len(joint_position), np.int64) if arrays["run"] is None else arrays["run"]
+    return integrate_commands(np.stack(velocities, 1), joint_position, arrays["time"], run_segments(run))
+
+
+def make_arrays(table: Table, source: str, notes: list[str], commanded: str = "position") -> dict[str, Any]:
+    """The arguments of `Recording.assembled` that a table holds.
+
+    Commanded velocities become positions, where no positions were commanded or `commanded` is "velocity".
+
+    Raises:
+        InputError: a run that is not a whole number, or commanded velocities without times.
     """
     values = with_quaternions(add_deviations(table.values, notes), source)
     arrays = {}
@@ -399,5 +443,6 @@ def make_arrays(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
             arrays["time"] = time - start
             name = table.columns["time_s"].name
             notes.append(f"{name} is a clock's: times are counted from the first, {start:.0f} s")
+    arrays["commanded_position"] = _commanded_positions(arrays, table, commanded, source, notes)
     arrays |= {"sliding": sliding_of(table.columns), "row": table.row}
     return with_readings(arrays, values, table.labels, source, notes)

@@ -19,6 +19,7 @@ from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns.cells import NamedColumns, Points
 from lite6jax.recordings.columns.column import (
+    COMMANDS,
     DEVIATION,
     FINE,
     IGNORED,
@@ -159,7 +160,7 @@ def statement(block: Block) -> str:
     shown_form = form and f"{sentences.form_of_rotation(form.choice, _order(block.columns))} ({_sure(form)})"
     meaning = [f"{_kind(block)}: {_columns(block.columns)}", shown_form or "", unit]
     rivals = _listed(block.rivals) if block.rivals else ""
-    return sentences.block_statement(meaning, block.kind == "cmd", _commanded(block), rivals)
+    return sentences.block_statement(meaning, block.kind in COMMANDS, _commanded(block), rivals)
 
 
 def _order(columns: Sequence[str]) -> str:
@@ -172,7 +173,7 @@ def _order(columns: Sequence[str]) -> str:
 
 def _commanded(block: Block) -> bool:
     """Whether joint columns are taken for measured ones that by name were commanded or computed."""
-    return block.rank == 2 and bool(block.joints) and block.kind != "cmd"
+    return block.rank == 2 and bool(block.joints) and block.kind not in COMMANDS
 
 
 def _kind(block: Block) -> str:
@@ -211,7 +212,7 @@ def sidecar_text(inspection: Inspection, settings: Mapping[str, Any], table: str
     of = {*inspection.readings, *(["readings"] if inspection.readings else ())}
     if inspection.of("tau") is not None or inspection.of("current") is not None:
         of.add("torques")
-    if inspection.of("cmd") is not None:
+    if any(inspection.of(kind) is not None for kind in COMMANDS):
         of.add("commands")
     if inspection.holds("x"):
         of.add("poses")
@@ -290,7 +291,7 @@ def next_steps(inspection: Inspection, settings: Mapping[str, Any], source: str)
     matrix = matrix if matrix and matrix.form and matrix.form[:2] == (MATRIX[0], "assumed") else None
     transposed = [f"r{name[2]}{name[1]}" for name in MATRIX]
     alone = position is None and tau is None and current is None and not inspection.given
-    commanded = q is not None and inspection.of("cmd") is not None
+    commanded = q is not None and any(inspection.of(kind) is not None for kind in COMMANDS)
     tracked = alone and commanded
     # torques and commands are diagnosed together, and poses without them
     commands_left_out = commanded and (position is not None or bool(inspection.given))

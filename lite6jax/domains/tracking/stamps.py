@@ -11,14 +11,12 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.sequence import LONGEST_GAP, run_segments
 
 Array = NDArray[np.floating]
 
 _FEWEST = 50
 """Steps of time of a recording at least."""
-_GAP = 10.0
-"""Periods, above which a step of time is a gap."""
 _OFF = 0.5
 """Of the period, by which a step of time differs that is uneven."""
 _UNEVEN = 0.05
@@ -67,7 +65,7 @@ class Stamps:
     @cached_property
     def after_gap(self) -> Mask:
         """`(sample,)`, rows after a gap."""
-        return np.r_[False, self.steps > _GAP * self.period]
+        return np.r_[False, self.steps > LONGEST_GAP * self.period]
 
     @cached_property
     def pieces(self) -> list[NDArray[np.integer]]:
@@ -89,7 +87,7 @@ class Stamps:
         if self.goes_back.any():
             largest = float(-self.steps[self.goes_back[1:]].min())
             faults.append(self._fault("time_goes_back", self.goes_back, largest_step_back_s=largest))
-        within = self.steps[(self.steps > 0) & (self.steps <= _GAP * self.period)]
+        within = self.steps[(self.steps > 0) & (self.steps <= LONGEST_GAP * self.period)]
         if np.mean(np.abs(within / self.period - 1) > _OFF) > _UNEVEN:
             shortest, longest = (float(np.quantile(within, level)) for level in _MOST)
             numbers = {"reason": "commands", "from_s": shortest, "to_s": longest, "rate_Hz": 1 / self.period}

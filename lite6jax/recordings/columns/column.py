@@ -104,6 +104,7 @@ QUANTITIES: Mapping[str, ColumnQuantity] = {
     "current": ColumnQuantity({"A": 1.0, "mA": 1e3}, {}, True, "motor_current", 1e5).called("current currents amps"),
     "temp": ColumnQuantity({"degC": 1.0}, {}, True, "joint_temperature", 1e4).called("temp temperature temperatures"),
     "cmd": ColumnQuantity(_ANGLE, _LENGTH, True, "commanded_position", 2000 * pi, common=False),
+    "cmd_dq": ColumnQuantity(*_per("s"), True, largest=1e4, common=False),
     "ambient": ColumnQuantity({"degC": 1.0}, array="ambient_temperature", largest=1e4).called(
         "ambient amb room air env environment"
     ),
@@ -191,9 +192,11 @@ def is_scalar(array: str) -> bool:
 Sureness = Literal["certain", "likely", "assumed"]
 """By name or by kinematics; by size; or the usual one, where neither tells."""
 KINDS = (
-    *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "position", "deviation", "rotation"),
+    *("q", "dq", "ddq", "tau", "current", "temp", "cmd", "cmd_dq", "position", "deviation", "rotation"),
     *("time", "payload", "ambient", "run"),
 )
+COMMANDS = ("cmd", "cmd_dq")
+"""Kinds that are commands of joints."""
 OF_POSES = {"position": PLACE, "deviation": DEVIATION, "rotation": VECTOR}
 """The quantities of kinds that are no quantities, of rotations in one of their forms."""
 

@@ -24,7 +24,11 @@ TEXTS = ("gap",)
 """Columns of words, for people."""
 _STD = re.compile(r"[a-z]+\d*_std_[a-zA-Z]+")
 """Standard deviations, as `predict` and `compensate` write them beside what can be read again."""
-_NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII)
+_NAME = re.compile(
+    r"(?P<quantity>(?:cmd_)?[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII
+)
+_TORQUE_COMMAND = re.compile(r"cmd_tau\d+_.*")
+"""A commanded torque of a joint, which is diagnosed as a torque where nothing else is."""
 _SHOWN = 8
 
 
@@ -180,6 +184,13 @@ def parse_columns(
         problems += _check_joints(recognised, highest_joint, joints, unclear)
     if joints and dof is not None and joints != dof:
         problems.append(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
+    quantities = {column.quantity for column in recognised.values()}
+    torques = [name for name in ignored if _TORQUE_COMMAND.fullmatch(name.strip())]
+    if torques and not quantities & {"cmd", "cmd_dq", "tau", "current"}:
+        problems.append(
+            f"columns {list_names(torques)}: commands of torque are diagnosed as torques; write tau1_Nm ... in place "
+            "of cmd_tau1_Nm ..."
+        )
     return recognised, joints, ignored, problems + _check_groups(recognised, unclear)
 
 

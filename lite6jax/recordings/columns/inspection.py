@@ -24,6 +24,7 @@ from lite6jax.recordings.alignment import computed_by_controller, digit_step, me
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.cells import Words, is_label, write_whole
 from lite6jax.recordings.columns.column import (
+    COMMANDS,
     DEVIATION,
     FORMS,
     IGNORED,
@@ -321,7 +322,7 @@ def inspect(
         agreed = agreed._replace(units=units, form=None)
     blocks += best_pose.blocks
     decided = decide(blocks, numbers, agreed, arm)
-    used = {name for block in blocks if block.kind != "cmd" for name in block.columns} | given.keys()
+    used = {name for block in blocks if block.kind not in COMMANDS for name in block.columns} | given.keys()
     used |= {name for block in decided for name in block.columns}
     announced: tuple[Block, ...] = ()
     likely: list[tuple[str, str, str]] = []
@@ -362,14 +363,13 @@ def _unread_commands(
     """Columns that are commands by name and are not read, with why, where no other commands are read."""
     joints = next((block.columns for block in decided if block.kind == "q"), ())
     declared = [known_column(name) for name in declared_names]
-    if not joints or any(block.kind == "cmd" for block in decided):
+    if not joints or any(block.kind in COMMANDS for block in decided):
         return ()
-    if any(column is not None and column.quantity == "cmd" for column in declared):
+    if any(column is not None and column.quantity in COMMANDS for column in declared):
         return ()
     unread = [("not_followed", block.columns) for block in chosen if block.kind == "cmd"]
-    for kind, why in (("dq", "velocities"), ("tau", "torques")):
-        groups = [block.columns for block in possible if block.kind == kind and block.rank == 2]
-        unread += [(why, columns) for columns in groups if len(columns) >= len(joints)]
+    groups = [block.columns for block in possible if block.kind == "tau" and block.rank == 2]
+    unread += [("torques", columns) for columns in groups if len(columns) >= len(joints)]
     return tuple(unread)
 
 
@@ -463,7 +463,8 @@ def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -
 
 def _with_held_commands(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with joints, where commands stand in other rows: each is held until the next."""
-    joints, commands, time, run = (list_columns(blocks, kind) for kind in ("q", "cmd", "time", "run"))
+    joints, time, run = (list_columns(blocks, kind) for kind in ("q", "time", "run"))
+    commands = [name for kind in COMMANDS for name in list_columns(blocks, kind)]
     if not time:
         return numbers
     of_run = {"run": numbers[run[0]]} if run else {}

@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import sizes
-from lite6jax.recordings.columns.column import ANGLES, KINDS, MATRIX, Block, Decision, Sureness, in_si, units_of
+from lite6jax.recordings.columns.column import (
+    ANGLES,
+    COMMANDS,
+    KINDS,
+    MATRIX,
+    Block,
+    Decision,
+    Sureness,
+    in_si,
+    units_of,
+)
 from lite6jax.recordings.columns.orientations import quaternions
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
 
@@ -206,7 +216,7 @@ def decide(
         unit = block.unit
         form = None
         q = decided.get(("q", block.slides))
-        if q is None and block.kind in ("dq", "ddq", "cmd"):
+        if q is None and block.kind in ("dq", "ddq", *COMMANDS):
             continue
         if block.kind == "rotation":
             unit, form = _of_rotation(block, values, agreed)
@@ -220,8 +230,8 @@ def decide(
             unit = places and Decision(places.choice, "assumed", "as_positions", {})
         elif unit is None and block.kind == "time":
             unit = sizes.time_unit(values[:, 0], in_si(decided.values(), "q", numbers))
-        elif q is not None and unit is None and block.kind in ("dq", "ddq"):
-            slower = q if block.kind == "dq" else decided.get(("dq", block.slides))
+        elif q is not None and unit is None and block.kind in ("dq", "ddq", "cmd_dq"):
+            slower = decided.get(("dq", block.slides)) if block.kind == "ddq" else q
             time = in_si(decided.values(), "time", numbers)
             unit = _of_rate(block, values, q, slower and slower.in_si(numbers), None if time is None else time[:, 0])
         decided[block.key] = replace(block, unit=unit or _unit(block, values, agreed, arm), form=form)
@@ -237,7 +247,7 @@ def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[st
 def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Array | None) -> Decision:
     """Of velocities or accelerations, by the positions or velocities of the same joints."""
     assert q.unit is not None
-    suffix = "_per_s" if block.kind == "dq" else "_per_s2"
+    suffix = "_per_s2" if block.kind == "ddq" else "_per_s"
     decided = sizes.rate_unit(rate, slower, q.unit.choice, time, q.units)
     return decided._replace(choice=f"{decided.choice}{suffix}")
 

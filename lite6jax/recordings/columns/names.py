@@ -16,6 +16,7 @@ import numpy as np
 
 from lite6jax.recordings.columns.column import (
     ANGLES,
+    COMMANDS,
     KINDS,
     MATRIX,
     OF_POSES,
@@ -217,7 +218,7 @@ def choose_blocks(blocks: Sequence[Block], dof: int | None = None, joints: Seque
     """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
 
     What was commanded or computed is taken only where nothing measured says the same. Positions that were commanded
-    beside measured ones are of the kind `cmd`.
+    beside measured ones are of the kind `cmd`, and velocities without such positions of the kind `cmd_dq`.
 
     Args:
         blocks: of `candidate_blocks`.
@@ -234,13 +235,18 @@ def choose_blocks(blocks: Sequence[Block], dof: int | None = None, joints: Seque
         if kind == "cmd":  # beside measured positions
             pool += [block for block in blocks if block.kind == "q" and block.rank == 2 and not used & {*block.columns}]
             pool = [replace(block, kind=kind) for block in pool if moved]
+        elif kind == "cmd_dq":
+            pool += [
+                block for block in blocks if block.kind == "dq" and block.rank == 2 and not used & {*block.columns}
+            ]
+            pool = [replace(block, kind=kind) for block in pool if moved and "cmd" not in chosen]
         elif (driven and kind in ("tau", "current")) or (moved and kind in ("dq", "ddq")):  # what was measured says it
             pool = [block for block in pool if block.rank < 2]
         side = {*q.source} if q is not None and is_per_joint(kind) else set()
         clear = {block.columns: (block.rank, -len(side & {*block.source}), block.weak) for block in pool}
         pool.sort(key=lambda block: clear[block.columns])
         if is_per_joint(kind):
-            of_all = dof or len(q.columns if q is not None and kind == "cmd" else ())
+            of_all = dof or len(q.columns if q is not None and kind in COMMANDS else ())
             pool.sort(key=lambda block: (len(block.columns) < of_all, block.rank == 2, len(block.columns) != of_all))
         if kind == "q" and joints:
             pool.sort(key=lambda block: not {*joints} <= {*block.columns})

@@ -99,7 +99,7 @@ def unread_commands(columns: str, why: str, ways: str) -> str:
 
     Args:
         columns: of the commands.
-        why: `not_followed` of positions, `velocities`, `torques`.
+        why: `not_followed` of positions, or `torques`.
         ways: how the first columns are said to be commands.
     """
     if why == "not_followed":
@@ -107,10 +107,10 @@ def unread_commands(columns: str, why: str, ways: str) -> str:
             f"Commanded by name: {columns}. The joints follow them in no unit, so they are not used; if they are the "
             f"positions that were commanded, say so for each: {ways}"
         )
-    remedy = "log the positions that the controller makes of them"
-    if why == "torques":
-        remedy = f"{remedy}, or diagnose measured torques"
-    return f"Commanded {why}: {columns}. Only commanded positions are diagnosed: {remedy}."
+    return (
+        f"Commanded torques: {columns}. Commands are diagnosed where they are positions or velocities: log these, or "
+        "diagnose the torques (--column NAME=tau1_Nm and so on)."
+    )
 
 
 def joints_without_angles(columns: str, wrong: str, unit: str, ways: Sequence[str], finer: Sequence[str]) -> str:
