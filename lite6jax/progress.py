@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from threading import RLock
 from typing import Literal, NamedTuple
 
-Code = Literal["screening", "linearising", "selecting", "naming", "estimating", "planning"]
+Code = Literal["screening", "linearising", "servos", "selecting", "naming", "estimating", "planning"]
 
 
 class Stage(NamedTuple):

@@ -495,7 +495,7 @@ def diagnose_tracking(
             if problem.unknowns:
                 memory = _MEMORY / problem.data.commands.period
                 engine = replace(engine, longest_memory=memory, damping=_DAMPING)
-                entered("linearising")
+                entered("servos")
                 selection = _with_servos(problem, engine)
                 is_described = _is_as_described(selection)
                 if is_described:

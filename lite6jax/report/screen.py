@@ -133,6 +133,7 @@ def progress(total: int | None, task: str) -> Iterator[Callable[..., None]]:
 _STAGES: dict[Code, str] = {
     "screening": "looking for data faults",
     "linearising": "fitting frames and clock offset",
+    "servos": "fitting stiffness and damping of the servos",
     "selecting": "searching for physics",
     "naming": "testing names",
     "estimating": "computing the final estimates",
