@@ -85,7 +85,7 @@ class DataFault:
         repeated_stamps         count
         time_gaps               count, longest_s
         time_goes_back          count, largest_step_back_s
-        uneven_times            reason "commands", from_s, to_s, rate_Hz
+        uneven_rate             from_s, to_s, rate_Hz
         other_clock             shift_s, drift_s_per_s, count (rows that have no command)
         joints_swapped          joints, side ("measured" or "commanded": the columns that were exchanged)
         joint_sign              joints, side

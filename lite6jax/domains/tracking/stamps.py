@@ -90,8 +90,8 @@ class Stamps:
         within = self.steps[(self.steps > 0) & (self.steps <= LONGEST_GAP * self.period)]
         if np.mean(np.abs(within / self.period - 1) > _OFF) > _UNEVEN:
             shortest, longest = (float(np.quantile(within, level)) for level in _MOST)
-            numbers = {"reason": "commands", "from_s": shortest, "to_s": longest, "rate_Hz": 1 / self.period}
-            faults.append(DataFault("uneven_times", (), numbers))
+            numbers = {"from_s": shortest, "to_s": longest, "rate_Hz": 1 / self.period}
+            faults.append(DataFault("uneven_rate", (), numbers))
         return faults
 
     def _fault(self, code: str, rows: Mask, **numbers: Any) -> DataFault:

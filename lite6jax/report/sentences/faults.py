@@ -718,11 +718,6 @@ def uneven_times_found(fault: DataFault) -> str:
             f"{start}, but the positions are smooth over the number of the row: the stamps jitter, not the samples. "
             f"The times were made even, {rate} a second."
         )
-    if numbers["reason"] == "commands":
-        return (
-            f"{start}. The log was made even, {rate} rows a second: read-outs on lines between rows, commands held "
-            "from the row before. Effects that are faster than such a step are not known. Record at a steady rate."
-        )
     gaps = ""
     if numbers["gaps"]:
         gaps = f"{numbers['gaps']} gaps were too long to interpolate and begin a new run."

@@ -66,7 +66,7 @@ def test_an_uneven_rate_is_said_and_a_little_jitter_is_not(tmp_path, log):
     assert screened(tmp_path, jitter).found == ()
     kept = np.sort(rng.choice(SAMPLES, SAMPLES * 3 // 4, replace=False))
     fault, said = the_fault(screened(tmp_path, {name: column[kept] for name, column in log.items()}))
-    assert fault.code == "uneven_times"
+    assert fault.code == "uneven_rate"
     assert "most of them from 10 to" in said
     assert "100 rows a second: read-outs on lines between rows, commands held" in said
 
