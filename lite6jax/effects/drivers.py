@@ -63,6 +63,7 @@ def _speed(motion: Motion, _: Loads | None) -> Array | None:
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _DIRECTIONS = "the directions of motion; keep the rows in the order of recording"
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
+_COMMANDS = "the commands of a moving arm; record a trajectory with time_s and cmd1_rad …"
 _ACCELERATIONS = "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …"
 _TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
 _WARMTH = "the temperature of each joint; record temp1_degC … or ambient_degC"
@@ -76,6 +77,7 @@ _SOURCES = {
     ),
     "direction of motion": _Source(lambda m, _: m.direction, "1", "joint", _DIRECTIONS),
     "velocity": _Source(lambda m, _: m.joint_velocity, "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"),
+    "command velocity": _Source(lambda m, _: m.command_velocity, "rad/s", "joint", _COMMANDS),
     "speed": _Source(_speed, "rad/s", "joint", _VELOCITIES, at_slide="slide speed"),
     "travel since reversal": _Source(
         lambda m, _: None if m.joint_velocity is None else since_reversal(m),

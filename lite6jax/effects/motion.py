@@ -54,6 +54,7 @@ class Motion(NamedTuple):
         sliding: the prismatic joints.
         sequence: `(sample,)` from 0 to 1, when each sample was recorded: by its time where that is known, one run after
             another.
+        command_velocity: `(joint, sample)` rad/s, at which the commands of a log change.
     """
 
     joint_position: Array
@@ -68,6 +69,7 @@ class Motion(NamedTuple):
     measured_position: Array | None = None
     sliding: Sliding = Sliding()
     sequence: Array | None = None
+    command_velocity: Array | None = None
 
     @property
     def dof(self) -> int:

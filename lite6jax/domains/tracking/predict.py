@@ -5,7 +5,7 @@ them where they are wanted.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,9 +26,9 @@ from lite6jax.domains.tracking.rollout import (
     invert_read_out,
     read_out,
 )
-from lite6jax.domains.tracking.rows import declared_servo
-from lite6jax.domains.uncertainty import ReferenceOrigin, Uncertainty
-from lite6jax.effects.dynamic import Dynamics, direction
+from lite6jax.domains.tracking.rows import command_velocity, declared_servo
+from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
+from lite6jax.effects.dynamic import Dynamics, UnnamedTorque, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
@@ -146,6 +146,22 @@ class CorrectedCommands(PublicResult):
 def _outside_columns(beyond: Beyond) -> Columns:
     """The columns that mark rows beyond what was fitted."""
     return {"outside": beyond.any_joint.astype(int), "beyond": np.array(beyond.labels(), object)}
+
+
+class _Given(NamedTuple):
+    """What is known of a motion before it is rolled out, on an even grid.
+
+    Attributes:
+        command: `(sample, joint)` rad.
+        time: `(sample,)` s.
+        period: s.
+        temperature: `(sample, joint)` °C, or None.
+    """
+
+    command: Array
+    time: Array
+    period: float
+    temperature: Array | None
 
 
 def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
@@ -266,7 +282,13 @@ class DiagnosedServos(JointModel):
         """With the effects."""
         return compose(TrackingModel(self.servo, self.bodies), self.terms, self.values)
 
-    def predict(self, time: ArrayLike, command: ArrayLike, run: ArrayLike | None = None) -> TrackedMotion:
+    def predict(
+        self,
+        time: ArrayLike,
+        command: ArrayLike,
+        run: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+    ) -> TrackedMotion:
         """Where the joints are in a motion, rolled out from rest under its first command.
 
         Joints that friction holds rigidly rest beside it, as far as in the recording; the others at it.
@@ -275,21 +297,29 @@ class DiagnosedServos(JointModel):
             time: `(sample,)` s.
             command: `(sample, joint)` rad.
             run: `(sample,)`, which changes where a run begins; one run where not given.
+            temperature: `(sample, joint)` °C of each joint, which only effects need that depend on it.
 
         Raises:
-            InputError: arrays of other shapes, numbers that are not finite, times that do not increase in a run, or a
-                motion along which the rollout is not finite.
+            InputError: arrays of other shapes, numbers that are not finite, times that do not increase in a run, no
+                temperatures where they are needed, or a motion along which the rollout is not finite.
         """
         t, u, runs = _checked(time, command, run, self.dof)
+        warmth = _checked_temperature(temperature, u.shape)
         position = np.empty(u.shape)
         beyond = list[Beyond]()
         for first, last in zip(*run_ends(runs), strict=True):
             rows = slice(first, last)
-            position[rows], beyond_in_run = self._predict_run(t[rows], u[rows])
+            position[rows], beyond_in_run = self._predict_run(t[rows], u[rows], _rows_of(warmth, rows))
             beyond.append(beyond_in_run)
         return TrackedMotion(position, concatenate_beyond(beyond))
 
-    def commands_for(self, time: ArrayLike, position: ArrayLike, run: ArrayLike | None = None) -> CorrectedCommands:
+    def commands_for(
+        self,
+        time: ArrayLike,
+        position: ArrayLike,
+        run: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+    ) -> CorrectedCommands:
         """Commands by which encoders show the joints where they are wanted, at the times of the rows.
 
         They look ahead of delay and lag, and add what sag and friction take. Where the arm moves before they can, or
@@ -300,29 +330,34 @@ class DiagnosedServos(JointModel):
             time: `(sample,)` s, of the commands.
             position: `(sample, joint)` rad, where the joints are wanted; the commands as they would be given.
             run: `(sample,)`, which changes where a run begins; one run where not given.
+            temperature: `(sample, joint)` °C, as of `predict`.
 
         Raises:
             InputError: as `predict`.
         """
         t, wanted, runs = _checked(time, position, run, self.dof)
+        warmth = _checked_temperature(temperature, wanted.shape)
         command = wanted.copy()
         for first, last in zip(*run_ends(runs), strict=True):
             rows = slice(first, last)
-            command[rows] = self._correct_run(t[rows], wanted[rows])
-        before = self.predict(t, wanted, runs).position
-        after = self.predict(t, command, runs)
+            command[rows] = self._correct_run(t[rows], wanted[rows], _rows_of(warmth, rows))
+        before = self.predict(t, wanted, runs, warmth).position
+        after = self.predict(t, command, runs, warmth)
         return CorrectedCommands(t, runs, wanted, command, before, after.position, after.beyond)
 
-    def _correct_run(self, time: Array, wanted: Array) -> Array:
+    def _correct_run(self, time: Array, wanted: Array, warmth: Array | None) -> Array:
         """`(sample, joint)` rad, the commands of one run."""
         if len(time) == 1:
-            return self._correct_run(time[0] + np.array([0.0, self.step]), np.vstack([wanted, wanted]))[:1]
+            twice = None if warmth is None else np.vstack([warmth, warmth])
+            return self._correct_run(time[0] + np.array([0.0, self.step]), np.vstack([wanted, wanted]), twice)[:1]
         period = float(np.median(np.diff(time)))
         grid = time[0] + period * np.arange(int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1)
         even = np.stack([np.interp(grid, time, column) for column in wanted.T], 1)
+        held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
+        even_warmth = None if warmth is None else warmth[held]
 
         def follow(command: Array) -> Array:
-            return self._predict_run(grid, command)[0]
+            return self._predict_run(grid, command, even_warmth)[0]
 
         model = self.model
         mass = model.bodies.masses(even.T).mean(1)
@@ -330,12 +365,13 @@ class DiagnosedServos(JointModel):
         command = correct(follow, even, response, period, self.joint_limits).command
         return np.stack([np.interp(time, grid, column) for column in command.T], 1)
 
-    def _predict_run(self, time: Array, command: Array) -> tuple[Array, Beyond]:
+    def _predict_run(self, time: Array, command: Array, warmth: Array | None) -> tuple[Array, Beyond]:
         """`(sample, joint)` rad, and where it is beyond what was fitted, of one run."""
         if len(time) == 1:
             time = time[0] + np.array([0.0, self.step])
             command = np.vstack([command, command])
-            position, beyond = self._predict_run(time, command)
+            twice = None if warmth is None else np.vstack([warmth, warmth])
+            position, beyond = self._predict_run(time, command, twice)
             return position[:1], beyond.at([0])
         period = float(np.median(np.diff(time)))
         before = int(np.ceil(_SETTLING / period))
@@ -355,54 +391,77 @@ class DiagnosedServos(JointModel):
             begun = np.vstack([resting_positions(self.model, u[:1].T, self.friction_share)[:, 0], u[1:]])
         shown = np.asarray(read_out(begun, servo))
         commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
-        readout = self._rolled_out(commands, u.T, before * period)
+        given = _Given(u, np.maximum(grid, time[0]), period, None if warmth is None else warmth[held])
+        readout = self._rolled_out(commands, given, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
-        beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)
+        of_driver = self._driver_beyond(readout, given)[before:]
+        beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)._replace(driver=of_driver)
         of_run = grid[before:]
         position = np.stack([np.interp(time, of_run, row[before:]) for row in readout], 1)
         rows = np.clip(np.searchsorted(of_run, time + 1e-3 * period, side="right") - 1, 0, len(of_run) - 1)
         return position, beyond.at(rows)
 
-    def _rolled_out(self, commands: Commands, command: Array, early: float) -> Array:
+    def _rolled_out(self, commands: Commands, given: "_Given", early: float) -> Array:
         """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
 
         The rollout begins some s before the run, at whose first row the two clocks agree.
+
+        Args:
+            commands: as they are rolled out.
+            given: the same, with what else is known of the motion.
+            early: s.
         """
-        still = np.zeros_like(command)
+        still = np.zeros_like(given.command.T)
         servo = self.model.servo
         model = replace(self.model, servo=servo._replace(delay=servo.delay + early * servo.clock_rate))
         coupled = bool(self.links.any())
-        loads = loads_along(model.bodies, commands, command, still, still)
+        loads = loads_along(model.bodies, commands, given.command.T, still, still)
         readout, loads = roll_out(model, commands, loads, None, coupled)
         if not model.torques:
             return readout
         for _ in range(_SWEEPS):
-            extra = model.exerted(self._dynamics_along(readout, commands.period))
+            extra = model.exerted(self._dynamics_along(readout, given))
             before = readout
             readout, loads = roll_out(model, commands, loads, extra, coupled)
             if not np.sqrt(np.mean((readout - before) ** 2)) > _SETTLED:
                 break
         return readout
 
-    def _dynamics_along(self, position: Array, period: float) -> Dynamics:
+    def _dynamics_along(self, position: Array, given: "_Given") -> Dynamics:
         """The arm along positions `(joint, sample)` rad."""
-        velocity = np.gradient(position, period, axis=1)
+        velocity = np.gradient(position, given.period, axis=1)
         motion = motion_of(
             position.T,
             joint_velocity=velocity.T,
-            time=period * np.arange(position.shape[1]),
+            time=given.time,
+            joint_temperature=given.temperature,
             payload=np.full(position.shape[1], self.payload),
             reference_temperature=self.reference_temperature,
         )._replace(
             joint_position=position,
             joint_velocity=velocity,
             direction=direction(velocity),
-            joint_acceleration=np.gradient(velocity, period, axis=1),
+            joint_acceleration=np.gradient(velocity, given.period, axis=1),
+            command_velocity=command_velocity(given.command, np.zeros(len(given.command), int), given.period),
         )
         kinematics = np.asarray(self.arm.kinematics)
         bodies = RigidBodies(motion, self.links, self.payload_center, self.gravity, kinematics)
         return bodies.dynamics(self.links)
+
+    def _driver_beyond(self, readout: Array, given: "_Given") -> Mask:
+        """`(sample, joint)`, where a quantity on which a process of the joint depends is beyond what was recorded."""
+        beyond = np.zeros(readout.T.shape, bool)
+        processes = [effect for effect, _ in self.model.torques if isinstance(effect, UnnamedTorque)]
+        if not processes:
+            return beyond
+        dynamics = self._dynamics_along(readout, given)
+        for process in processes:
+            lower, upper = np.reshape(process.bounds, (-1, 2)).T[..., None]
+            margin = MARGIN * (upper - lower)
+            values = process.values_in(dynamics)
+            beyond[:, process.joint - 1] |= np.any((values < lower - margin) | (values > upper + margin), 0)
+        return beyond
 
 
 def describe_servos(
@@ -462,6 +521,20 @@ def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints:
     return t, u, runs
 
 
+def _checked_temperature(temperature: ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
+    """Temperatures of each joint as an array of a shape; None where there are none."""
+    if temperature is None:
+        return None
+    degrees = np.asarray(temperature, float)
+    if degrees.shape != shape or not np.isfinite(degrees).all():
+        raise InputError(f"commands: temperature has the shape {degrees.shape}; give finite numbers {shape}")
+    return degrees
+
+
+def _rows_of(values: Array | None, rows: slice) -> Array | None:
+    return None if values is None else values[rows]
+
+
 def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCommands:
     """Commands by which the joints are where the commands of a motion want them.
 
@@ -471,12 +544,15 @@ def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCo
     return model.commands_for(*_commands_in(model, motion))
 
 
-def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Runs]:
-    """Times, commands and runs of a motion of the diagnosed arm."""
+def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Runs, Array | None]:
+    """Times, commands, runs and, where they are known, temperatures of joints of a motion of the diagnosed arm."""
     if motion.dof != model.dof:
         raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")
     if motion.commanded_position is None:
         raise InputError(f"{motion.source}: has no commands; add cmd1_rad ...")
     if motion.time is None:
         raise InputError(f"{motion.source}: commands need times; add time_s")
-    return motion.time, motion.commanded_position, motion.run
+    temperature = motion.joint_temperature
+    if temperature is None and motion.ambient_temperature is not None:
+        temperature = np.repeat(motion.ambient_temperature[:, None], motion.dof, 1)
+    return motion.time, motion.commanded_position, motion.run, temperature

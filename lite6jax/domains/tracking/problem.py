@@ -20,7 +20,7 @@ from lite6jax.domains.tracking.rollout import MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.domains.tracking.undetermined import LOADED, untestable_effects
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
-from lite6jax.effects.drivers import joint_driver
+from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import (
     CoulombFriction,
     OfLink,
@@ -65,8 +65,13 @@ _SIZES = (0.2, 1.0, 5.0, 25.0)
 _PRIOR = 1.5
 """Standard deviation of the prior of the logarithm of a servo's unknown number; columns differ by 0.02 of it."""
 NO_BODIES = Bodies(np.zeros((0, 6)), np.zeros((0, 10)), np.zeros(3), np.zeros(3))
-_QUANTITIES = ("position", "velocity", "direction of motion", "gravity torque")
-"""Of each joint; a function of the speed is one of the velocity and the direction of motion."""
+_OF_ANY_JOINT = ("position", "velocity")
+"""Of each joint, on which torques at other joints may depend as well: a cable is drawn along."""
+_OF_OWN_JOINT = ("command velocity", "direction of motion", "gravity torque")
+"""Of each joint, on which torques at other joints do not depend.
+
+What depends on |load| × direction, or on speed, is a function of load or velocity and the direction of motion.
+"""
 _LEAST_VARIED = 1e-3
 """Range of a driver below which it did not vary."""
 _FAR = 1e3
@@ -633,17 +638,22 @@ class TrackingProblem:
 
     @lazy
     def quantities(self) -> tuple[DriverValues, ...]:
-        """The drivers of each joint that vary; they act at their own joint alone, through its servo."""
-        varied = []
+        """The drivers that are known and vary, each with the joint whose own it is."""
+        rises = self.data.dynamics.motion.joint_temperature_rise
+        differ = rises is not None and bool(np.ptp(np.asarray(rises), 0).any())  # else that of the arm is the same
+        of_own_joint = (*_OF_OWN_JOINT, "temperature") if differ else _OF_OWN_JOINT
+        possible = [(Driver("time"), "", ""), (Driver("temperature rise"), "", "")]
         for j in range(1, self.rows + 1):
-            for quantity in _QUANTITIES:
-                driver = joint_driver(quantity, j, False)
-                values = read_driver(driver, self.data.dynamics)
-                if values is not None and driver.discrete:
-                    values = self._direction_of_friction(j)
-                if values is not None and np.ptp(values) > _LEAST_VARIED:
-                    site = f"joint{j}"
-                    varied.append(DriverValues(driver, np.asarray(values, float), frozenset({site}), site))
+            site = f"joint{j}"
+            possible += [(joint_driver(quantity, j, False), site, "") for quantity in _OF_ANY_JOINT]
+            possible += [(joint_driver(quantity, j, False), site, site) for quantity in of_own_joint]
+        varied = []
+        for driver, own, only in possible:
+            values = read_driver(driver, self.data.dynamics)
+            if values is not None and driver.discrete:
+                values = self._direction_of_friction(driver.place)
+            if values is not None and np.ptp(values) > _LEAST_VARIED:
+                varied.append(DriverValues(driver, np.asarray(values, float), frozenset({own}), only))
         return tuple(varied)
 
     def _direction_of_friction(self, joint: int) -> Array:

@@ -47,11 +47,13 @@ class Beyond(NamedTuple):
         load: it carries more at rest, or less.
         reversal: it is between two reversals that follow each other sooner; where the recording has no two of the
             joint, anywhere after the first one.
+        driver: a quantity on which a nonparametric torque of the joint depends is beyond what it was.
     """
 
     speed: Mask
     load: Mask
     reversal: Mask
+    driver: Mask
 
     @property
     def any_joint(self) -> Mask:
@@ -97,11 +99,12 @@ def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> Fitt
 
 
 def find_beyond(ranges: FittedRange, bodies: Bodies, position: Array, period: float) -> Beyond:
-    """Where a rollout is beyond what was fitted; arguments as of `range_of`, of one run."""
+    """Where a rollout is beyond what was fitted, but for drivers; arguments as of `range_of`, of one run."""
     return Beyond(
         _beyond_ends(differentiate(position, period), ranges.velocity),
         _beyond_ends(resting_loads(bodies, position), ranges.weight),
         _reverses_sooner(position, period, ranges.reversal),
+        np.zeros(position.T.shape, bool),
     )
 
 

@@ -169,7 +169,17 @@ def measured_motion(recording: Recording, rolled: Array | None = None, noise: Ar
         joint_velocity=smooth.velocity,
         direction=direction(smooth.velocity),
         joint_acceleration=smooth.acceleration,
+        command_velocity=command_velocity(np.asarray(recording.commanded_position), recording.run, 1 / rate),
     )
+
+
+def command_velocity(command: Array, run: NDArray[np.integer], period: float) -> Array:
+    """`(joint, sample)` rad/s of commands `(sample, joint)` rad on an even grid of so many s, run by run."""
+    velocity = np.zeros(command.T.shape)
+    for number in np.unique(run):
+        rows = run == number
+        velocity[:, rows] = np.gradient(command[rows], period, axis=0).T
+    return velocity
 
 
 def _moved(recording: Recording, position: Array) -> Recording:
@@ -185,7 +195,7 @@ def _moved(recording: Recording, position: Array) -> Recording:
 
 
 def even_rows(recording: Recording) -> Recording:
-    """The rows on an even grid: read-outs on lines between rows, commands held from the row before.
+    """The rows on an even grid: read-outs on lines between rows, all else held from the row before.
 
     Of rows with one stamp the last one counts. A gap of more than ten samples, or a time that goes back, begins a run.
 
@@ -195,7 +205,8 @@ def even_rows(recording: Recording) -> Recording:
     stamps = read_stamps(recording)
     time = stamps.time
     period = stamps.period
-    parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", "commanded_position", "payload")}
+    names = ("commanded_position", "payload", "joint_temperature", "ambient_temperature")
+    parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", *names)}
     rows: list[NDArray[np.integer]] = []
     runs: list[NDArray[np.integer]] = []
     for number, piece in enumerate(stamps.pieces):
@@ -206,12 +217,12 @@ def even_rows(recording: Recording) -> Recording:
         rows.append(recording.row[held])
         runs.append(np.full(len(grid), number))
         parts["time"].append(grid)
-        parts["payload"].append(recording.payload[held])
         parts["joint_position"].append(
             np.stack([np.interp(grid, t, column) for column in recording.joint_position[piece].T], 1)
         )
-        if recording.commanded_position is not None:
-            parts["commanded_position"].append(recording.commanded_position[held])
+        for name, values in zip(names, _held_columns(recording), strict=True):
+            if values is not None:
+                parts[name].append(values[held])
     arrays: dict[str, Any] = {name: np.concatenate(part) for name, part in parts.items() if part}
     return Recording.assembled(
         **arrays,
@@ -220,6 +231,16 @@ def even_rows(recording: Recording) -> Recording:
         settings=replace(recording.settings, motion="trajectory"),
         source=recording.source,
         sliding=recording.sliding,
+    )
+
+
+def _held_columns(recording: Recording) -> tuple[Array | None, ...]:
+    """What holds from a row to the next, `(sample, …)`: commands, payload and temperatures."""
+    return (
+        recording.commanded_position,
+        recording.payload,
+        recording.joint_temperature,
+        recording.ambient_temperature,
     )
 
 

@@ -13,7 +13,12 @@ from benchmarks.tracking_trials.physics import Setup, roll
 from lite6jax import diagnose
 from lite6jax.arms.description import read_description
 from lite6jax.domains.tracking.predict import describe_servos
+from lite6jax.domains.tracking.problem import along_rollout, diagnosed_servos, tracking_problem
+from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
+from lite6jax.errors import InputError
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import ServoSettings
@@ -115,3 +120,90 @@ def test_what_the_catalogue_names_is_found(setup, arm, hidden):
         assert estimate["value"] == pytest.approx(value, abs=max(0.05 * scale, 4 * estimate["std"])), name
     after = document["after"]["heldout_rollout_rms_rad"]
     assert after == pytest.approx(NOISE, rel=0.1)
+
+
+WARMING = Hidden("warming_friction", "joint2", {"size": 0.6})
+CABLE = Hidden("cable_drag", "joint2", {"size": 1.5}, {"centre": 0.2, "by": 3.0, "other": 0.1})
+
+
+def quantities_of(problem):
+    return {quantity.driver.phrase: quantity for quantity in problem.quantities}
+
+
+@pytest.fixture(scope="module")
+def warm(setup, arm):
+    """The problem of a log whose second joint warms; its temperatures are recorded."""
+    rise = np.linspace(0.0, 10.0, 800)
+    log = log_of(setup, [WARMING], joint_temperature=25.0 + rise[:, None] * np.array([0.5, 1.0, 0.2]))
+    return along_rollout(tracking_problem(tracking_rows(log, arm)), Terms(), np.zeros(0))
+
+
+def test_drivers_are_all_that_varies_each_where_it_may_act(warm):
+    by_phrase = quantities_of(warm)
+    assert {by_phrase[name].only for name in ("time", "temperature rise")} == {""}
+    for joint in (1, 2, 3):
+        site = f"joint{joint}"
+        own = {by_phrase[f"{name} of joint {joint}"].only for name in ("command velocity", "temperature")}
+        assert own == {site}
+        assert by_phrase[f"gravity torque of joint {joint}"].own == {site}
+        assert {by_phrase[f"{name} of joint {joint}"].only for name in ("position", "velocity")} == {""}
+    command = np.asarray(warm.data.recording.commanded_position)
+    assert np.cumsum(by_phrase["command velocity of joint 2"].values)[-2] * 0.01 == pytest.approx(
+        command[-1, 1] - command[0, 1], abs=0.02
+    )
+
+
+def test_temperatures_that_all_joints_share_are_one_driver(setup, arm):
+    log = log_of(setup, [], 200, ambient_temperature=np.linspace(20.0, 25.0, 200))
+    phrases = quantities_of(tracking_problem(tracking_rows(log, arm)))
+    assert "temperature rise" in phrases
+    assert "temperature of joint 2" not in phrases
+
+
+@pytest.mark.parametrize(
+    ("hidden", "phrases", "kernel"),
+    [
+        (WARMING, ("time", "velocity of joint 2"), "smooth*line"),
+        (CABLE, ("position of joint 2", "position of joint 3"), "cubic*cubic"),
+    ],
+    ids=["warming friction", "a cable that another joint draws"],
+)
+def test_what_no_name_describes_is_a_function_of_its_drivers(setup, arm, warm, hidden, phrases, kernel):
+    problem = warm
+    if hidden is CABLE:
+        problem = along_rollout(tracking_problem(tracking_rows(log_of(setup, [CABLE]), arm)), Terms(), np.zeros(0))
+    by_phrase = quantities_of(problem)
+    process = problem.process(problem.components[1], [by_phrase[phrase] for phrase in phrases], kernel, 2.0)
+    before, after = (fit(problem, Terms(terms), EngineOptions()) for terms in ((), (process,)))
+    assert before.scale[1] > 5 * after.scale[1]
+
+
+def test_a_prediction_later_than_the_log_is_outside(warm):
+    by_phrase = quantities_of(warm)
+    quantities = [by_phrase[phrase] for phrase in ("time", "velocity of joint 2")]
+    process = Terms((warm.process(warm.components[1], quantities, "smooth*line", 2.0),))
+    fitted = fit(warm, process, EngineOptions())
+    readout = warm.readouts(np.zeros(0), fitted.terms, fitted.values)
+    model = diagnosed_servos(warm, warm.servo, fitted.terms, fitted.values, readout)
+    recording = warm.data.recording
+    assert recording.time is not None
+    command = np.asarray(recording.commanded_position)
+    here = model.predict(recording.time, command)
+    assert not here.outside.any()
+    assert np.sqrt(np.mean((here.position - readout.T) ** 2)) < 1e-4
+    assert model.predict(recording.time + 60.0, command).outside.all()
+
+
+def test_what_depends_on_temperature_is_predicted_where_it_is_given(warm):
+    by_phrase = quantities_of(warm)
+    quantities = [by_phrase[phrase] for phrase in ("velocity of joint 2", "temperature of joint 2")]
+    process = Terms((warm.process(warm.components[1], quantities, "line*line", 2.0),))
+    fitted = fit(warm, process, EngineOptions())
+    readout = warm.readouts(np.zeros(0), fitted.terms, fitted.values)
+    model = diagnosed_servos(warm, warm.servo, fitted.terms, fitted.values, readout)
+    motion = warm.data.recording
+    assert np.sqrt(np.mean((model.predicted(motion).position - readout.T) ** 2)) < 1e-4
+    with pytest.raises(InputError, match="temperature of joint 2: is required but missing"):
+        model.predict(motion.time, motion.commanded_position)
+    with pytest.raises(InputError, match=r"temperature has the shape \(3,\)"):
+        model.predict(motion.time, motion.commanded_position, temperature=np.zeros(3))
