@@ -102,6 +102,7 @@ DRIVERS = {
     "slide travel since reversal": ("s", "the same of a prismatic joint", _SLIDE_SPEEDS),
     "acceleration": ("q̈", "the joint's acceleration", "`time_s`, or `ddq1_rad_per_s2` …"),
     "slide acceleration": ("q̈", "the same of a prismatic joint", "`time_s`, or `ddq1_m_per_s2` …"),
+    "command velocity": ("u̇", "how fast the joint's command changes, in logs of commands", "`time_s`, `cmd1_rad` …"),
     "gravity torque": ("τ", "the torque of gravity about +z of the joint, payload included", _LOADS),
     "gravity force": ("F", "the force of gravity along +z of a prismatic joint", _LOADS),
     "gravity moment x": ("M_x", "the moment of gravity about x of the link's frame", _LOADS),

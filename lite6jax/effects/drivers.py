@@ -77,7 +77,6 @@ _SOURCES = {
     ),
     "direction of motion": _Source(lambda m, _: m.direction, "1", "joint", _DIRECTIONS),
     "velocity": _Source(lambda m, _: m.joint_velocity, "rad/s", "joint", _VELOCITIES, at_slide="slide velocity"),
-    "command velocity": _Source(lambda m, _: m.command_velocity, "rad/s", "joint", _COMMANDS),
     "speed": _Source(_speed, "rad/s", "joint", _VELOCITIES, at_slide="slide speed"),
     "travel since reversal": _Source(
         lambda m, _: None if m.joint_velocity is None else since_reversal(m),
@@ -89,6 +88,7 @@ _SOURCES = {
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration, "rad/s²", "joint", _ACCELERATIONS, at_slide="slide acceleration"
     ),
+    "command velocity": _Source(lambda m, _: m.command_velocity, "rad/s", "joint", _COMMANDS),
     "gravity torque": _Source(
         lambda _, l: l.torque if l else None, "Nm", "joint", _MASSES, True, at_slide="gravity force"
     ),

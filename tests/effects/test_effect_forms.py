@@ -312,7 +312,10 @@ def test_drivers_are_read_and_said():
     np.testing.assert_allclose(distance * np.cos(elevation) * np.sin(azimuth), y, atol=1e-15)
     np.testing.assert_allclose(distance * np.sin(elevation), z, atol=1e-15)
     assert not Driver("measured position's elevation").known(motion._replace(measured_position=None), loads)
-    assert len(QUANTITIES) == 30
+    commanded = motion._replace(command_velocity=2 * motion.joint_position)
+    np.testing.assert_array_equal(Driver("command velocity", 2).values(commanded, None), 2 * motion.joint_position[1])
+    assert not Driver("command velocity", 2).known(motion, loads)
+    assert len(QUANTITIES) == 31
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def rolled_rows_outside(beyond: Beyond) -> str:
     if not outside:
         return "No row is outside what was recorded."
     parts = []
-    for quantity, mask in zip(("speed", "load", "reversals"), beyond, strict=True):
+    for quantity, mask in zip(("speed", "load", "reversals", "drivers"), beyond, strict=True):
         joints = (1 + np.flatnonzero(mask.any(0))).tolist()
         if joints:
             parts.append(f"the {quantity} of {joints_named(joints)}")
