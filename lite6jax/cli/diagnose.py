@@ -504,7 +504,7 @@ class PredictCommand:
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
     the recording does not support the row: it is beyond the recorded range, or in a gap of it. Beside joints that
-    follow commands `beyond` says which is beyond, the speed, the load or the reversals of which joint.
+    follow commands, columns as `outside_speed_joint2` say what is beyond: speed, load, reversals or a driver.
 
     For example:
 
@@ -607,7 +607,8 @@ class CompensateCommand:
     Of a diagnosis of commands FILE has time_s and cmd1_rad …, commands as they would be given, and run where a motion
     begins anew. The output has the commands with which encoders show the joints where these wanted them: ahead of delay
     and lag, with what sag and friction take. `outside` is 1 in rows where a joint is faster, carries more, or reverses
-    sooner than in what was recorded; `beyond` names it. The errors before and after are predicted.
+    sooner than in what was recorded; columns as `outside_load_joint2` say what. The errors before and after
+    are predicted.
 
     The targets are a table with x_m y_m z_m or x_mm y_mm z_mm (X, Y, Z are recognised; --column says what else a column
     is); with qw qx qy qz where orientation matters; with q1_rad … where the joints are to stay near given ones (such as

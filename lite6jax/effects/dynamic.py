@@ -602,7 +602,10 @@ def displacement(arm: Arm, link: int) -> Array:
     end = arm.kinematics[link, :3] if link < arm.dof else arm.T_joint_flange[:3, 3]
     center = arm.center_of_mass[link - 1]
     inside = np.stack([np.zeros(3), end, center])
-    around = _AROUND * arm.reach
+    extent = max(arm.reach, float(np.linalg.norm(inside, axis=1).max()))
+    if not extent:
+        extent = _LENGTH
+    around = _AROUND * extent
     return np.stack([inside.min(0) - around - center, inside.max(0) + around - center], 1)
 
 

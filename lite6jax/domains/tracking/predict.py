@@ -145,7 +145,8 @@ class CorrectedCommands(PublicResult):
 
 def _outside_columns(beyond: Beyond) -> Columns:
     """The columns that mark rows beyond what was fitted."""
-    return {"outside": beyond.any_joint.astype(int), "beyond": np.array(beyond.labels(), object)}
+    by_joint = {f"outside_{name}": mask.astype(int) for name, mask in beyond.by_joint.items()}
+    return {"outside": beyond.any_joint.astype(int)} | by_joint
 
 
 class _Given(NamedTuple):

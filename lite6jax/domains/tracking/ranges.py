@@ -1,6 +1,5 @@
 """What was in a log of commands and joints, of speeds, loads and reversals, and where another motion is beyond it."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -64,18 +63,19 @@ class Beyond(NamedTuple):
         """That of some of the samples."""
         return Beyond(*(mask[samples] for mask in self))
 
-    def labels(self) -> list[str]:
-        """For each sample what is beyond, such as `speed:joint2 load:joint3`; empty where nothing is."""
-        by_sample: list[list[str]] = [[] for _ in self.speed]
-        for quantity, beyond in zip(self._fields, self, strict=True):
-            for sample, joint in np.argwhere(beyond):
-                by_sample[sample].append(f"{quantity}:joint{joint + 1}")
-        return [" ".join(labels) for labels in by_sample]
+    @property
+    def by_joint(self) -> dict[str, Mask]:
+        """`(sample,)` by quantity and joint, such as `speed_joint2`, of those that are beyond in any sample."""
+        return {
+            f"{quantity}_joint{joint + 1}": mask[:, joint]
+            for quantity, mask in zip(self._fields, self, strict=True)
+            for joint in np.flatnonzero(mask.any(0)).tolist()
+        }
 
     @property
     def counts(self) -> dict[str, int]:
-        """In how many samples each is beyond that is so in any, by the label."""
-        return dict(Counter(label for labels in self.labels() for label in labels.split()))
+        """In how many samples each is beyond that is so in any, by quantity and joint."""
+        return {name: int(mask.sum()) for name, mask in self.by_joint.items()}
 
 
 def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> FittedRange:

@@ -79,7 +79,7 @@ def rolled_rows_outside(beyond: Beyond) -> str:
             parts.append(f"the {quantity} of {joints_named(joints)}")
     return (
         f"{outside} of {counted(len(any_joint), 'row')} {be(outside)} outside what was recorded, by {joined(parts)}: "
-        "the column beyond says where."
+        "the columns outside_… say where."
     )
 
 

@@ -38,7 +38,7 @@ def test_of_rows_with_one_stamp_the_last_counts(tmp_path, log):
     result = screened(tmp_path, doubled)
     fault, said = the_fault(result)
     assert (fault.code, fault.rows, fault.numbers) == ("repeated_stamps", (101,), {"count": 1})
-    assert "1 row has the time stamp of the next row" in said
+    assert "The time stamp of the next row stands in 1 row" in said
     assert result.data.measured[0] == pytest.approx(log["q1_rad"], abs=1e-8)
     assert result.data.recording.commanded_position[:, 0] == pytest.approx(log["cmd1_rad"], abs=1e-8)
 
