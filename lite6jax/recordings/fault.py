@@ -84,6 +84,7 @@ class DataFault:
 
         repeated_stamps         count
         time_gaps               count, longest_s
+        moving_start            count, of rows that were left out; runs
         time_goes_back          count, largest_step_back_s
         uneven_rate             from_s, to_s, rate_Hz
         other_clock             shift_s, drift_s_per_s, count (rows that have no command)

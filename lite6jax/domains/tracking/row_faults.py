@@ -11,6 +11,7 @@ from lite6jax.domains.faults import Screened
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
 from lite6jax.domains.tracking.problem import tracking_problem
+from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import FOLLOWS, SAME, TrackingRows, lagged_correlation, quantum, tracking_rows
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
@@ -20,6 +21,17 @@ from lite6jax.recordings.sequence import stretches
 
 Array = NDArray[np.floating]
 
+_BEGINNING = 0.02
+"""s, or one sample, of each of two steps with which a run begins."""
+_STEADY_START = 0.6
+"""Of the second step the first one at least, of an arm that moves already: from rest it is a third of it."""
+_LEAST_STEP = 2e-3
+_BEGUN_NOISES = 10.0
+"""rad, and standard deviations of the noise, of the first step."""
+_BEHIND = 0.5
+"""Of the first step, by which a joint that moves is at least behind its command: one that begins at rest is at it."""
+_UNKNOWN_PAST = 0.5
+"""s, by which servos have forgotten what they were commanded before a run begins."""
 _STALE_STEPS = 4.0
 """Quanta, or standard deviations of the noise, that an arm moves beyond a row that repeats the one before it."""
 _ROUNDING = 1e-9
@@ -94,6 +106,35 @@ class ScreenedTracking(Screened[TrackingRows]):
     def can_spare(self, rows: Mask) -> bool:
         """Whether enough rows remain without more of them."""
         return bool(np.mean(self.unusable | rows) <= 1 - _FEWEST_ROWS)
+
+
+def drop_moving_starts(state: ScreenedTracking) -> ScreenedTracking:
+    """Leaves the first rows of runs out that begin while the arm moves: what it was commanded before is not known.
+
+    A rollout begins at rest.
+    """
+    data = state.data
+    period = data.commands.period
+    command = np.asarray(data.recording.commanded_position)
+    step = max(round(_BEGINNING / period), 1)
+    past = round(_UNKNOWN_PAST / period)
+    left_out = np.zeros(data.commands.samples, bool)
+    runs = 0
+    for first, last in zip(*run_ends(data.recording.run), strict=True):
+        if last - first <= 2 * step:
+            continue
+        instants = [first, first + step, first + 2 * step]
+        sooner, later = np.diff(data.measured[:, instants]).T
+        size = np.abs(sooner)
+        moves = (size > np.maximum(_LEAST_STEP, _BEGUN_NOISES * data.noise)) & (size > _STEADY_START * np.abs(later))
+        behind = np.abs(command[first] - data.measured[:, first])
+        if np.any(moves & (behind > _BEHIND * size)):
+            left_out[first : min(first + past, last)] = True
+            runs = runs + 1
+    left_out &= ~state.unusable
+    if not left_out.any() or not state.can_spare(left_out):
+        return state
+    return state.without("moving_start", left_out, runs=runs)
 
 
 def drop_stale_rows(state: ScreenedTracking) -> ScreenedTracking:

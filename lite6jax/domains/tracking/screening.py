@@ -8,6 +8,7 @@ from lite6jax.domains.torque.rows import require_joints
 from lite6jax.domains.tracking.column_faults import correct_columns
 from lite6jax.domains.tracking.row_faults import (
     ScreenedTracking,
+    drop_moving_starts,
     drop_rows_without_torque,
     drop_saturated_rows,
     drop_stale_rows,
@@ -49,7 +50,8 @@ def screen_tracking(recording: Recording, arm: Arm) -> ScreenedTracking:
     require_torque(data)
     found = (*read_stamps(recording).faults(), *columns.found)
     state = ScreenedTracking(data, found, unusable=np.zeros(data.commands.samples, bool))
-    for screen in (drop_stale_rows, drop_saturated_rows, drop_rows_without_torque, with_one_zero):
+    screens = (drop_stale_rows, drop_saturated_rows, drop_rows_without_torque, drop_moving_starts, with_one_zero)
+    for screen in screens:
         state = screen(state)
     several_runs = len(np.unique(data.recording.run)) > 1
     return state.rule_out(*(code for code in _CODES if several_runs or code != "zero_per_run"))

@@ -52,8 +52,10 @@ def test_of_rows_with_one_stamp_the_last_counts(tmp_path, log):
 )
 def test_where_time_jumps_a_run_begins(tmp_path, log, code, shift, number, words):
     result = screened(tmp_path, log | {"time_s": log["time_s"] + shift * (np.arange(SAMPLES) >= 150)})
-    fault, said = the_fault(result)
+    fault, in_motion = result.found
+    said = fault_statement(fault)
     assert (fault.code, fault.rows) == (code, (151,))
+    assert (in_motion.code, in_motion.rows[0], in_motion.numbers["runs"]) == ("moving_start", 151, 1)
     assert fault.numbers == pytest.approx({"count": 1} | number)
     assert words in said
     assert result.data.recording.run.tolist() == [0] * 150 + [1] * (SAMPLES - 150)
