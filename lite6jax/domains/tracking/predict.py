@@ -149,7 +149,7 @@ def _outside_columns(beyond: Beyond) -> Columns:
     return {"outside": beyond.any_joint.astype(int)} | by_joint
 
 
-class _Given(NamedTuple):
+class _GivenMotion(NamedTuple):
     """What is known of a motion before it is rolled out, on an even grid.
 
     Attributes:
@@ -392,7 +392,7 @@ class DiagnosedServos(JointModel):
             begun = np.vstack([resting_positions(self.model, u[:1].T, self.friction_share)[:, 0], u[1:]])
         shown = np.asarray(read_out(begun, servo))
         commands = hold_commands(u, run, period, shown, interpolated=self.interpolated, longest=self.step)
-        given = _Given(u, np.maximum(grid, time[0]), period, None if warmth is None else warmth[held])
+        given = _GivenMotion(u, np.maximum(grid, time[0]), period, None if warmth is None else warmth[held])
         readout = self._rolled_out(commands, given, before * period)
         if not np.isfinite(readout).all():
             raise InputError("commands: the fitted servos cannot hold the arm along them; stay near what was fitted")
@@ -403,7 +403,7 @@ class DiagnosedServos(JointModel):
         rows = np.clip(np.searchsorted(of_run, time + 1e-3 * period, side="right") - 1, 0, len(of_run) - 1)
         return position, beyond.at(rows)
 
-    def _rolled_out(self, commands: Commands, given: "_Given", early: float) -> Array:
+    def _rolled_out(self, commands: Commands, given: "_GivenMotion", early: float) -> Array:
         """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
 
         The rollout begins some s before the run, at whose first row the two clocks agree.
@@ -429,7 +429,7 @@ class DiagnosedServos(JointModel):
                 break
         return readout
 
-    def _dynamics_along(self, position: Array, given: "_Given") -> Dynamics:
+    def _dynamics_along(self, position: Array, given: "_GivenMotion") -> Dynamics:
         """The arm along positions `(joint, sample)` rad."""
         velocity = np.gradient(position, given.period, axis=1)
         motion = motion_of(
@@ -450,7 +450,7 @@ class DiagnosedServos(JointModel):
         bodies = RigidBodies(motion, self.links, self.payload_center, self.gravity, kinematics)
         return bodies.dynamics(self.links)
 
-    def _driver_beyond(self, readout: Array, given: "_Given") -> Mask:
+    def _driver_beyond(self, readout: Array, given: "_GivenMotion") -> Mask:
         """`(sample, joint)`, where a quantity on which a process of the joint depends is beyond what was recorded."""
         beyond = np.zeros(readout.T.shape, bool)
         processes = [effect for effect, _ in self.model.torques if isinstance(effect, UnnamedTorque)]
