@@ -17,7 +17,7 @@ from docs.hooks.screens import difference
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-CELL_TIMEOUT_S = 300
+CELL_TIMEOUT_S = 600
 OF_REAL_ARMS = ("06_a_real_arm", "07_torques", "09_a_printed_socket", "10_a_follower")
 """Stored with the outputs of data that are not in the repository, without which they run too."""
 LARGEST = 155_000

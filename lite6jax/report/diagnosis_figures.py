@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
 from lite6jax.diagnosis import evidence_map, partial_residuals, tracking_errors
 from lite6jax.diagnosis.diagnose import Diagnosis
@@ -508,6 +508,7 @@ def error_over_motion(diagnosis: TrackingDiagnosis, title: str) -> Figure:
             panel.xaxis.set_major_locator(MaxNLocator(5))
         row[0].set_yscale("log")
         row[0].set_ylim(_decade_around(row[0].get_ylim()))
+        row[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         row[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         row[0].yaxis.set_minor_formatter(NullFormatter())
         row[0].set_ylabel(f"joint {joint + 1} (mrad RMS)")
