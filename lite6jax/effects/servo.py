@@ -233,7 +233,7 @@ class RateLimit(Limit):
     name: ClassVar[str] = "rate_limit"
     specificity: ClassVar[int] = 3
     in_simulators: ClassVar[SimulatorParameters] = SimulatorParameters(
-        isaac_lab="velocity_limit, of the joint",
+        isaac_lab="velocity_limit_sim, of the joint",
         urdf="limit velocity, of the joint",
     )
     limited: ClassVar[str] = "rate_limit"
@@ -302,7 +302,7 @@ class ServoDamping(ServoEffect):
 
 @final_effect
 class ServoIntegral(ServoEffect):
-    """A servo has an integral part, τ += ki·∫e dt."""
+    """A servo has an integral part, τₛ += ki·∫e dt."""
 
     name: ClassVar[str] = "servo_integral"
     specificity: ClassVar[int] = 3
@@ -312,7 +312,7 @@ class ServoIntegral(ServoEffect):
 
 @final_effect
 class ServoFeedforward(ServoEffect):
-    """A servo feeds the velocity of its command forward, τ += kf·u̇_c."""
+    """A servo feeds the velocity of its command forward, τₛ += kf·u̇_c."""
 
     name: ClassVar[str] = "servo_feedforward"
     specificity: ClassVar[int] = 4
@@ -332,7 +332,7 @@ class DeadBand(ServoEffect):
 
 @final_effect
 class TorqueLimit(Limit):
-    """|τ| ≤ τ₀: a servo exerts at most a torque, beside its damping."""
+    """|τₛ| ≤ τ₀: a servo exerts at most a torque, beside its damping."""
 
     name: ClassVar[str] = "torque_limit"
     specificity: ClassVar[int] = 3
@@ -351,7 +351,7 @@ class TorqueLimit(Limit):
 
 @final_effect
 class TorqueSpeedLimit(Limit):
-    """The torque of a servo is limited, and the limit falls with speed: |τ| ≤ τ₀·(1 − q̇·sign(τ)/v₀).
+    """The limit of a servo's torque falls with speed: |τₛ| ≤ τ₀·(1 − q̇·sign(τₛ)/v₀).
 
     Its coordinates are 1/τ₀ and 1/v₀.
     """

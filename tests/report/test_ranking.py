@@ -212,4 +212,4 @@ def test_what_moves_both_kinds_is_said_in_both_units():
     assert re.search(r"contributes \S+ Nm RMS to the torque and \S+ N RMS to the force\.", payload["statement"])
     assert " Nm and " in contribution(document, payload)
     assert contribution(document, friction).endswith(" N")
-    assert remedy_of(friction).action.startswith("Check the lubrication of the screw, the belt or the guide")
+    assert "check the lubrication of the screw, the belt or the guide" in remedy_of(friction).action

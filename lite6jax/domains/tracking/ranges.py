@@ -1,4 +1,4 @@
-"""What was in a log of commands and joints, of speeds, loads and reversals, and where another motion is beyond it."""
+"""The range of speeds, loads and reversals in the rollout of a log, and where another motion is beyond it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ class Beyond(NamedTuple):
 
     @property
     def counts(self) -> dict[str, int]:
-        """In how many samples each is beyond that is so in any, by quantity and joint."""
+        """The number of samples that are beyond, by quantity and joint, where there are any."""
         return {name: int(mask.sum()) for name, mask in self.by_joint.items()}
 
 
@@ -138,7 +138,7 @@ def run_ends(runs: Runs) -> tuple[list[int], list[int]]:
 
 
 def concatenate_beyond(parts: Sequence[Beyond]) -> Beyond:
-    """Those of several motions one after the other."""
+    """Joins those of several motions, one after the other."""
     return Beyond(*(np.concatenate(of_quantity) for of_quantity in zip(*parts, strict=True)))
 
 
