@@ -342,9 +342,9 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - explanation.evidence - cost
-    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if gap <= -CLOSE:
         return explanation
+    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if gap <= 0:
         numbers |= {"reason": "physics", "log_likelihood_gap": -gap}
         ruled_out = DataFault("calibration_off", (), numbers)

@@ -22,7 +22,7 @@ from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.entry import model_entry
 from lite6jax.domains.tracking.growth import grown
 from lite6jax.domains.tracking.peers import fit_peers
-from lite6jax.domains.tracking.predict import DiagnosedServos, run_ends
+from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.domains.tracking.problem import (
     RolloutCache,
     TrackingProblem,
@@ -32,6 +32,7 @@ from lite6jax.domains.tracking.problem import (
     tracking_problem,
     with_likely_grip,
 )
+from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import COARSE, INEXACT
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator

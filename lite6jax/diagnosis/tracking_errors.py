@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
-from lite6jax.domains.tracking.ranges import differentiate, resting_loads, reversals, run_ends
+from lite6jax.domains.tracking.ranges import differentiate_runs, resting_loads, reversals, run_ends
 from lite6jax.estimation.problem import Mask
 
 Array = NDArray[np.floating]
@@ -25,7 +25,7 @@ _LEAST_GAIN = 0.01
 _BINS = 12
 _LEAST_IN_BIN = 20
 _RESOLVED = 200
-"""Parts of a range that are told apart: all rows at rest are of one bin."""
+"""Parts of a range that are distinguished: all rows at rest are of one bin."""
 _LEAST_LOAD = 0.01
 """Nm, by which a load varies at least where errors are shown over it."""
 
@@ -95,9 +95,7 @@ def errors_over_motion(found: TrackingDiagnosis) -> list[dict[Quantity, BinnedEr
     problem = found.problem
     data = problem.data
     rollout = _rollout(found)
-    velocity = np.zeros_like(rollout)
-    for first, last in zip(*run_ends(problem.run), strict=True):
-        velocity[:, first:last] = differentiate(rollout[:, first:last], data.commands.period)
+    velocity = differentiate_runs(rollout, data.commands.period, problem.run)
     load = resting_loads(data.bodies, rollout)
     over_motion = []
     for joint, row in enumerate(rollout):

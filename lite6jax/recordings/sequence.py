@@ -135,6 +135,16 @@ def integrate_commands(
     return position
 
 
+def held_rows(
+    time: Float[np.ndarray, " sample"], instants: Float[np.ndarray, " instant"], period: float
+) -> Int[np.ndarray, " instant"]:
+    """The row that holds at each instant, the last one that is not later by over a thousandth of a period.
+
+    Before the first row it is the first.
+    """
+    return np.clip(np.searchsorted(time, instants + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
+
+
 def directions(
     joint_position: Float[np.ndarray, "sample joint"],
     velocity: Float[np.ndarray, "sample joint"] | None,

@@ -25,8 +25,8 @@ from lite6jax.domains.tracking.following import (
     scan_lags,
     weight_features,
 )
-from lite6jax.domains.tracking.predict import run_ends
 from lite6jax.domains.tracking.problem import tracking_problem
+from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import (
     FOLLOWS,
     LATEST,
@@ -35,6 +35,7 @@ from lite6jax.domains.tracking.rows import (
     UNRELATED,
     even_rows,
     lagged_correlation,
+    period_of,
     tracking_rows,
 )
 from lite6jax.errors import InputError
@@ -109,7 +110,7 @@ def require_motion(even: Recording) -> None:
     asked = np.std(command, 0)
     stuck = (asked > MOVING) & (np.std(even.joint_position, 0) < _STUCK * asked)
     for joint in np.flatnonzero(stuck).tolist():  # one in another unit follows, by less
-        follows = lagged_correlation(command[:, [joint]], even.joint_position[:, [joint]], _period(even))
+        follows = lagged_correlation(command[:, [joint]], even.joint_position[:, [joint]], period_of(even))
         stuck[joint] = abs(float(follows[0, 0])) < FOLLOWS
     if stuck.any():
         columns = ", ".join(f"q{joint + 1}_rad" for joint in np.flatnonzero(stuck))
@@ -123,12 +124,6 @@ def _moving(even: Recording) -> NDArray[np.integer]:
     """The joints, from 0, whose commands and read-outs move."""
     command = np.asarray(even.commanded_position)
     return np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(even.joint_position, 0) > _LEAST_MOVED))
-
-
-def _period(even: Recording) -> float:
-    """s between samples."""
-    assert even.time is not None
-    return float(np.median(np.diff(even.time)))
 
 
 # ------------------------------------------------------------------ clocks
@@ -151,7 +146,7 @@ def _with_clock(screened: Screened[Recording], arm: Arm) -> Screened[Recording]:
     """
     recording = screened.data
     even = even_rows(recording)
-    least = -max(_EARLY, 2 * _period(even))
+    least = -max(_EARLY, 2 * period_of(even))
     model = None
     for long in _PIECES:
         model = model or _clock_of(_pieces(even, long, least), least, drifts=long == min(_PIECES))
@@ -167,7 +162,7 @@ def _with_clock(screened: Screened[Recording], arm: Arm) -> Screened[Recording]:
 def _pieces(even: Recording, long: float, least: float) -> list[_Piece]:
     """The parts of runs, of about `long` s; a lag of at least `least` s is one that servos may have."""
     assert even.time is not None
-    period = _period(even)
+    period = period_of(even)
     joints = _moving(even)
     pieces = []
     for first, last in zip(*run_ends(even.run), strict=True):
@@ -215,7 +210,7 @@ def _remaining_lag(recording: Recording, arm: Arm, drift: float, constant: float
     """s, by which joints are left behind: that of the declared servos whose rollout is nearest."""
     if arm.mass is None or not isinstance(recording.settings.servo, ServoSettings):
         return _USUAL_LAG
-    period = _period(recording)
+    period = period_of(recording)
     step = _LAG_STEP
     errors: dict[float, float] = {}
     wanted = np.arange(*_LAGS, step)
@@ -235,7 +230,7 @@ def _at_times(recording: Recording, drift: float, constant: float) -> tuple[Reco
     assert recording.time is not None
     time = recording.time
     command = np.asarray(recording.commanded_position)
-    period = _period(recording)
+    period = period_of(recording)
     taken = np.zeros(len(time), int)
     has = np.zeros(len(time), bool)
     for first, last in zip(*run_ends(recording.run), strict=True):
@@ -255,7 +250,7 @@ def _correlations(recording: Recording) -> tuple[NDArray[np.integer], Array]:
     even = even_rows(recording)
     moving = _moving(even)
     command = np.asarray(even.commanded_position)
-    return moving, lagged_correlation(command[:, moving], even.joint_position[:, moving], _period(even))
+    return moving, lagged_correlation(command[:, moving], even.joint_position[:, moving], period_of(even))
 
 
 def _exchanged(recording: Recording, arm: Arm) -> list[SuspectedFault]:
@@ -317,7 +312,7 @@ def _ratio_of(even: Recording, bodies: Bodies, joint: int) -> SuspectedFault | N
 
     A soft servo moves less than commanded as well, by its sag: where that explains it nearly as well, nothing is said.
     """
-    period = _period(even)
+    period = period_of(even)
     command = np.asarray(even.commanded_position)[:, joint]
     measured = even.joint_position[:, joint]
     past = past_commands(command, even.run, period)

@@ -12,8 +12,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.calibration.source import declared_arm_of
 from lite6jax.domains.tracking.model import TrackingModel, compose
 from lite6jax.domains.tracking.peers import best_delay
-from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion, run_ends
+from lite6jax.domains.tracking.predict import DiagnosedServos, TrackedMotion
 from lite6jax.domains.tracking.problem import TrackingProblem, diagnosed_servos, tracking_problem
+from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import TrackingRows, tracking_rows
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
 from lite6jax.effects.dynamic import CoulombFriction, RotorInertia

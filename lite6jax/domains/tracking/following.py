@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.tracking.coupling import Bodies
-from lite6jax.domains.tracking.predict import run_ends
+from lite6jax.domains.tracking.ranges import resting_loads, run_ends
+from lite6jax.domains.tracking.rows import period_of
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
 
@@ -101,8 +102,7 @@ def weight_features(even: Recording, bodies: Bodies, joint: int, late: Array) ->
     With masses that is its torque; without, sines and cosines of each sum of consecutive angles with this joint's.
     """
     if bodies.links.any():
-        at_rest = np.zeros_like(late.T)
-        return np.asarray(bodies.torques(late.T, at_rest, at_rest))[[joint]]
+        return resting_loads(bodies, late.T)[[joint]]
     sums = np.concatenate([np.zeros((len(late), 1)), np.cumsum(late, 1)], 1)
     angles = [sums[:, last] - sums[:, first] for first in range(joint + 1) for last in range(joint + 1, even.dof + 1)]
     return np.concatenate([np.sin(angles), np.cos(angles)])
@@ -124,8 +124,7 @@ class Lag(NamedTuple):
 
 def scan_lags(even: Recording, joints: NDArray[np.integer], rows: slice) -> tuple[Array, Array]:
     """Lags `(lag,)` s of either sign, and squared correlations `(lag, joint)` of some rows of one run at each."""
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     every = max(1, round(_COARSE / period))
     command = np.asarray(even.commanded_position)[rows][::every][:, joints]
     measured = even.joint_position[rows][::every][:, joints]
@@ -176,8 +175,7 @@ def followed(even: Recording, joints: NDArray[np.integer], rows: slice, lag: flo
         lag: s, of the likeliest lag in the range in question.
         newest: s, by which the newest command is late that a follower has; it has those of the half second before.
     """
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     shift = round(newest / period)
     command = np.asarray(even.commanded_position)[rows][:, joints]
     measured = even.joint_position[rows][:, joints]

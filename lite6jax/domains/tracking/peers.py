@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
 from numpy.typing import NDArray
 
-from lite6jax.domains.tracking.predict import run_ends
+from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.estimation.problem import Mask
 
 Array = NDArray[np.floating]

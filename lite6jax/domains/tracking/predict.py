@@ -17,7 +17,15 @@ from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
 from lite6jax.domains.tracking.inverse import correct, responses
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
-from lite6jax.domains.tracking.ranges import Beyond, FittedRange, Runs, concatenate_beyond, find_beyond, run_ends
+from lite6jax.domains.tracking.ranges import (
+    Beyond,
+    FittedRange,
+    Runs,
+    concatenate_beyond,
+    differentiate,
+    find_beyond,
+    run_ends,
+)
 from lite6jax.domains.tracking.rollout import (
     LONGEST_STEP,
     RETURN,
@@ -26,7 +34,7 @@ from lite6jax.domains.tracking.rollout import (
     invert_read_out,
     read_out,
 )
-from lite6jax.domains.tracking.rows import command_velocity, declared_servo
+from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
 from lite6jax.effects.dynamic import Dynamics, UnnamedTorque, direction
 from lite6jax.effects.motion import motion_of
@@ -36,6 +44,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.files import read_commands
+from lite6jax.recordings.sequence import held_rows
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
@@ -59,7 +68,7 @@ class TrackedMotion(PublicResult):
 
     Attributes:
         position: `(sample, joint)` rad, what encoders show.
-        beyond: the rows in which a joint's speed, load or reversals are beyond what was fitted.
+        beyond: the rows in which a joint's speed, load, reversals or drivers are beyond what was fitted.
     """
 
     position: Array
@@ -81,7 +90,7 @@ class TrackedMotion(PublicResult):
         return np.zeros(len(self.position), bool)
 
     def columns(self) -> Columns:
-        """Column name to values: `q1_rad` …, `outside`, 0 or 1, and `beyond`, what is, as text."""
+        """Column name to values: `q1_rad` …, `outside` and, of what is beyond in any row, `outside_speed_joint1` …."""
         columns: Columns = {f"q{joint}_rad": row for joint, row in enumerate(self.position.T, 1)}
         return columns | _outside_columns(self.beyond)
 
@@ -98,7 +107,7 @@ class CorrectedCommands(PublicResult):
         command: `(sample, joint)` rad.
         before: `(sample, joint)` rad, where they show them if `wanted` is commanded.
         after: `(sample, joint)` rad, where they show them by `command`.
-        beyond: the rows in which a joint's speed, load or reversals by `command` are beyond what was fitted.
+        beyond: the rows in which these by `command` are beyond what was fitted.
     """
 
     time: Array
@@ -354,7 +363,7 @@ class DiagnosedServos(JointModel):
         period = float(np.median(np.diff(time)))
         grid = time[0] + period * np.arange(int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1)
         even = np.stack([np.interp(grid, time, column) for column in wanted.T], 1)
-        held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
+        held = held_rows(time, grid, period)
         even_warmth = None if warmth is None else warmth[held]
 
         def follow(command: Array) -> Array:
@@ -382,7 +391,7 @@ class DiagnosedServos(JointModel):
         ahead = np.max(servo.clock_rate) * (time[-1] - time[0]) - np.min(servo.delay)
         after = int(np.ceil(max(float(ahead), 0.0) / period))
         grid = time[0] + period * np.arange(-before, samples + after)
-        held = np.clip(np.searchsorted(time, grid + 1e-3 * period, side="right") - 1, 0, len(time) - 1)
+        held = held_rows(time, grid, period)
         u = command[held]
         if self.interpolated:
             u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
@@ -400,7 +409,7 @@ class DiagnosedServos(JointModel):
         beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)._replace(driver=of_driver)
         of_run = grid[before:]
         position = np.stack([np.interp(time, of_run, row[before:]) for row in readout], 1)
-        rows = np.clip(np.searchsorted(of_run, time + 1e-3 * period, side="right") - 1, 0, len(of_run) - 1)
+        rows = held_rows(of_run, time, period)
         return position, beyond.at(rows)
 
     def _rolled_out(self, commands: Commands, given: "_GivenMotion", early: float) -> Array:
@@ -444,7 +453,7 @@ class DiagnosedServos(JointModel):
             joint_velocity=velocity,
             direction=direction(velocity),
             joint_acceleration=np.gradient(velocity, given.period, axis=1),
-            command_velocity=command_velocity(given.command, np.zeros(len(given.command), int), given.period),
+            command_velocity=differentiate(given.command.T, given.period),
         )
         kinematics = np.asarray(self.arm.kinematics)
         bodies = RigidBodies(motion, self.links, self.payload_center, self.gravity, kinematics)

@@ -87,12 +87,10 @@ def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> Fitt
         period: s, from sample to sample.
         runs: `(sample,)`, which changes where a run begins.
     """
-    velocity = np.empty_like(position)
+    velocity = differentiate_runs(position, period, runs)
     reversal = np.full(len(position), np.inf)
     for first, last in zip(*run_ends(runs), strict=True):
-        in_run = position[:, first:last]
-        velocity[:, first:last] = differentiate(in_run, period)
-        for joint, row in enumerate(in_run):
+        for joint, row in enumerate(position[:, first:last]):
             shortest = np.min(period * np.diff(reversals(row)), initial=np.inf)
             reversal[joint] = min(reversal[joint], shortest)
     return FittedRange(_ends(velocity), _ends(resting_loads(bodies, position)), reversal)
@@ -147,6 +145,14 @@ def differentiate(position: Array, period: float) -> Array:
     if position.shape[1] < 2:
         return np.zeros_like(position)
     return np.gradient(position, period, axis=1)
+
+
+def differentiate_runs(position: Array, period: float, runs: Runs) -> Array:
+    """`(joint, sample)` rad/s, each run on its own; arguments as of `range_of`."""
+    velocity = np.empty(position.shape)
+    for first, last in zip(*run_ends(runs), strict=True):
+        velocity[:, first:last] = differentiate(position[:, first:last], period)
+    return velocity
 
 
 def resting_loads(bodies: Bodies, position: Array) -> Array:

@@ -13,6 +13,7 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed, spectra
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
+from lite6jax.domains.tracking.ranges import differentiate_runs
 from lite6jax.domains.tracking.rollout import LONGEST_STEP, Commands, hold_commands
 from lite6jax.domains.tracking.stamps import read_stamps
 from lite6jax.effects.dynamic import Dynamics, direction
@@ -21,6 +22,7 @@ from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.recordings.sequence import held_rows
 from lite6jax.recordings.settings import RecordingSettings, ServoSettings
 
 Array = NDArray[np.floating]
@@ -147,8 +149,7 @@ def measured_motion(recording: Recording, rolled: Array | None = None, noise: Ar
         rolled: `(joint, sample)` rad, where a rollout has the encoders; the motion is all measured where not given.
         noise: `(joint,)` rad, of the read-outs beside a rollout.
     """
-    assert recording.time is not None
-    rate = 1 / float(np.median(np.diff(recording.time)))
+    rate = 1 / period_of(recording)
     chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
     smooth = smoothed(recording, chosen)
     if rolled is not None and noise is not None:
@@ -169,17 +170,8 @@ def measured_motion(recording: Recording, rolled: Array | None = None, noise: Ar
         joint_velocity=smooth.velocity,
         direction=direction(smooth.velocity),
         joint_acceleration=smooth.acceleration,
-        command_velocity=command_velocity(np.asarray(recording.commanded_position), recording.run, 1 / rate),
+        command_velocity=differentiate_runs(np.asarray(recording.commanded_position).T, 1 / rate, recording.run),
     )
-
-
-def command_velocity(command: Array, run: NDArray[np.integer], period: float) -> Array:
-    """`(joint, sample)` rad/s of commands `(sample, joint)` rad on an even grid of so many s, run by run."""
-    velocity = np.zeros(command.T.shape)
-    for number in np.unique(run):
-        rows = run == number
-        velocity[:, rows] = np.gradient(command[rows], period, axis=0).T
-    return velocity
 
 
 def _moved(recording: Recording, position: Array) -> Recording:
@@ -192,6 +184,12 @@ def _moved(recording: Recording, position: Array) -> Recording:
         source=recording.source,
         sliding=recording.sliding,
     )
+
+
+def period_of(even: Recording) -> float:
+    """s between the samples of an even recording."""
+    assert even.time is not None
+    return float(np.median(np.diff(even.time)))
 
 
 def even_rows(recording: Recording) -> Recording:
@@ -212,8 +210,7 @@ def even_rows(recording: Recording) -> Recording:
     for number, piece in enumerate(stamps.pieces):
         t = time[piece]
         grid = t[0] + period * np.arange(int(np.floor((t[-1] - t[0]) / period + 1e-6)) + 1)
-        place = np.clip(np.searchsorted(t, grid + 1e-3 * period, side="right") - 1, 0, len(t) - 1)
-        held = piece[place]
+        held = piece[held_rows(t, grid, period)]
         rows.append(recording.row[held])
         runs.append(np.full(len(grid), number))
         parts["time"].append(grid)
@@ -284,8 +281,7 @@ def quantum(values: Array) -> float:
 
 def _beginnings(even: Recording) -> list[Array]:
     """Read-outs `(sample, joint)` rad of the first `_STILL` of each run."""
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     long = max(int(_STILL / period), 1)
     beginnings = []
     for first in np.flatnonzero(np.r_[True, np.diff(even.run) != 0]):
@@ -340,11 +336,10 @@ def _check_commands(even: Recording) -> None:
 
     Read-outs and commands are correlated at the lag of at most `LATEST` that suits each pair best.
     """
-    assert even.time is not None
     command = np.asarray(even.commanded_position)
     measured = even.joint_position
     moving = np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(measured, 0) > MOVING))
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     best = lagged_correlation(command[:, moving], measured[:, moving], period)
     for place, joint in enumerate(moving.tolist()):
         follows = best[place, place]
@@ -372,8 +367,7 @@ def _check_commands(even: Recording) -> None:
 
 def _held(even: Recording, noise: Array, longest: float) -> Commands:
     """The commands of an even recording, in integration steps of at most so many s."""
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     servo = even.settings.servo
     interpolated = isinstance(servo, ServoSettings) and servo.hold == "interpolated"
     command = np.asarray(even.commanded_position)

@@ -13,7 +13,7 @@ from lite6jax.domains.torque.rows import require_joints
 from lite6jax.domains.tracking.coupling import loads_along
 from lite6jax.domains.tracking.model import TrackingModel, roll_out
 from lite6jax.domains.tracking.rollout import RETURN, hold_commands
-from lite6jax.domains.tracking.rows import TrackingRows, even_rows
+from lite6jax.domains.tracking.rows import TrackingRows, even_rows, period_of
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import ServoSettings
@@ -128,8 +128,7 @@ def _reached_limits(simulator: Simulator, recording: Recording) -> Array:
     if not np.isfinite(limits).any() or recording.time is None or recording.commanded_position is None:
         return np.full_like(limits, np.inf)
     even = even_rows(recording)
-    assert even.time is not None
-    period = float(np.median(np.diff(even.time)))
+    period = period_of(even)
     motion = simulator.rolled_out(np.asarray(even.commanded_position), even.run, period, even.joint_position)
     return np.where(motion.at_torque_limit.mean(0) > _OFTEN, limits, np.inf)
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.tracking.predict import run_ends
+from lite6jax.domains.tracking.ranges import resting_loads, run_ends
 from lite6jax.domains.tracking.rows import SAME, TrackingRows
 from lite6jax.effects.catalogue import Untestable, tracking_catalogue
 from lite6jax.effects.drivers import Driver
@@ -96,10 +96,11 @@ def undetermined(data: TrackingRows) -> list[Undetermined]:
     held = _held(data)
     moving = np.setdiff1d(joints, held)
     reverses = np.array([_reverses(data, joint) for joint in moving.tolist()], bool)
-    constant = np.setdiff1d(_under_constant_load(data), resting)
+    weights = resting_loads(data.bodies, data.measured)
+    constant = np.setdiff1d(_under_constant_load(weights), resting)
     of_joint = [effect for effect in tracking_catalogue(1) if isinstance(effect, OfJoint)]
     of_load = [ServoStiffness.name, EncoderOffset.name]
-    if len(constant) and not len(np.setdiff1d(_weighed(data), constant)):
+    if len(constant) and not len(np.setdiff1d(_weighed(weights), constant)):
         of_load.append(PayloadTorque.name)
     friction = CoulombFriction.name
     reasons = [
@@ -158,19 +159,12 @@ def _restless(data: TrackingRows, joints: Joints) -> Joints:
     return joints[longest < steps]
 
 
-def _weights(data: TrackingRows) -> Array:
-    """`(joint, sample)` Nm, the weight on each joint."""
-    at_rest = np.zeros_like(data.measured)
-    return np.asarray(data.bodies.torques(data.measured, at_rest, at_rest))
+def _weighed(weights: Array) -> Joints:
+    """The joints, from 0, on which the arm's weight `(joint, sample)` Nm acts; none where masses are not known."""
+    return np.flatnonzero(np.sqrt(np.mean(weights**2, 1)) > _LEAST_WEIGHT)
 
 
-def _weighed(data: TrackingRows) -> Joints:
-    """The joints, from 0, on which the arm's weight acts; none where masses are not known."""
-    return np.flatnonzero(np.sqrt(np.mean(_weights(data) ** 2, 1)) > _LEAST_WEIGHT)
-
-
-def _under_constant_load(data: TrackingRows) -> Joints:
+def _under_constant_load(weights: Array) -> Joints:
     """Those of them on which the weight hardly varies."""
-    weights = _weights(data)
     constant = np.flatnonzero(np.std(weights, 1) < _CONSTANT * np.abs(np.mean(weights, 1)))
-    return np.intersect1d(constant, _weighed(data))
+    return np.intersect1d(constant, _weighed(weights))
