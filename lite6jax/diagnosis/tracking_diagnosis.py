@@ -419,7 +419,8 @@ def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Sele
 def _without_negligible(selection: Selection, options: EngineOptions) -> Selection:
     """The selection without effects that move no joint by more than rollouts, or descriptions of others, may be wrong.
 
-    Nor has it nonparametric effects that hardly change any joint beside what is left there.
+    Beside unknown servos that counts which these cannot do. Nor has the selection nonparametric effects that hardly
+    change any joint beside what is left there.
     """
     state = selection.state
     problem = selection.problem
@@ -433,10 +434,11 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     significant = []
     for tested in state.tested:
         others = fit.terms.part(fit.values, [term != tested.term for term in terms])
-        moved = np.mean((whole - problem.residual(fit.nuisance, *others))[:, valid] ** 2, 1)
+        change = (whole - problem.residual(fit.nuisance, *others))[:, valid]
+        moved = np.mean(change**2, 1)
         if np.all(np.sqrt(moved) * problem.noise < INEXACT):
             continue
-        if problem.unknowns and np.all(moved < _DISCREPANCY**2 * before):
+        if problem.unknowns and _is_of_servos(change, problem, others, before):
             continue
         if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:
             continue
@@ -444,6 +446,22 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     if len(significant) == len(terms):
         return selection
     return replace(selection, state=refitted(problem, state, significant, options))
+
+
+def _is_of_servos(change: Array, problem: TrackingProblem, others: tuple[Terms, Array], before: Array) -> bool:
+    """Whether unknown servos can do what an effect changes, but for what descriptions of other effects may be wrong.
+
+    Args:
+        change: `(joint, valid sample)`, over the noise.
+        problem: of the recording.
+        others: terms beside the effect, and their numbers.
+        before: `(joint,)`, mean squares over the noise without any effect.
+    """
+    by_servos = problem.nuisance_columns(*others)[:, :, problem.valid].reshape(len(problem.unknowns), -1).T
+    fitted = by_servos @ np.linalg.lstsq(by_servos, change.ravel(), rcond=None)[0]
+    left = change - fitted.reshape(change.shape)
+    allowed = np.maximum(_DISCREPANCY * np.sqrt(before), INEXACT / problem.noise)
+    return bool(np.all(np.sqrt(np.mean(left**2, 1)) < allowed))
 
 
 def _errors_of_refit(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:

@@ -30,6 +30,8 @@ _EXACT_STEPS = 8
 """Most steps of a fit with derivatives by differences, which starts at the solution."""
 _EXACT_SETTLED = 0.02
 """Length of its last step, in standard deviations, as each step is expensive."""
+_VISIBLE = 2.0
+"""Times `settled`, the length from which a step of a curved problem is tried: its residuals take the most time."""
 _HALVINGS = 6
 """Most halvings of a step that does not improve; a step of 1/64 is no progress."""
 _DIFFERENCE = 1e-6
@@ -380,6 +382,8 @@ def _fitted(
         rows = state.rows
         cost = np.inf
         for step, damping in _steps(H, gradient, full, rounding, damped, options, problem.curved):
+            if problem.curved and _predicted_gain(step, gradient, H) < (_VISIBLE * options.fit.settled) ** 2:
+                continue
             trial = at + step
             trial[k:] = np.clip(trial[k:], *bounds)
             rows = residual(problem, trial)
@@ -539,6 +543,11 @@ def _steps(
     count, part_of = scipy.sparse.csgraph.connected_components(H != 0, directed=False)
     if count > 1:
         yield from ((np.where(part_of == k, step, 0.0), damped) for step, _ in steps for k in range(count))
+
+
+def _predicted_gain(step: Array, gradient: Array, H: Array) -> float:
+    """The log-likelihood that a step gains where residuals are linear."""
+    return float(-step @ gradient - 0.5 * step @ H @ step)
 
 
 def weighed(rows: Array, noise: NoiseModel, training: Mask, least: float = 0.0) -> Residuals:

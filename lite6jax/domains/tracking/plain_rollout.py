@@ -125,11 +125,10 @@ def shaped(command, ends, h):
 def roll(target, rate, load, mass, extra, h):
     """Motion (step, joint) of joints, each alone under its load: leapfrog, with damping half implicit."""
     drag = DAMPING + VISCOUS
-    inertia = mass + INERTIA
-    late = 1 / (1 + (inertia / (4 * h * h * np.maximum(STIFFNESS, 1e-9))) ** 2)  # a light joint: implicit Euler
-    kept = inertia / h - 0.5 * (1 - late) * drag
-    resisted = inertia / h + 0.5 * (1 + late) * drag + 1e-12
-    yielding = late * h * STIFFNESS
+    inertia = mass + INERTIA + 0.25 * h * h * STIFFNESS  # a stiffness acts as its mean over neighbouring steps
+    inertia = np.maximum(inertia, h * drag / 6)  # a lighter joint would turn to and fro at every step
+    kept = inertia / h - 0.5 * drag
+    resisted = inertia / h + 0.5 * drag + 1e-12
     outer = FEEDFORWARD * rate, load + SPRING_TORQUE + extra
     held = GRIP * (1 / h + RETURN)
     bends = np.any(STRIBECK) or np.any(LOAD_FRICTION)
@@ -150,15 +149,13 @@ def roll(target, rate, load, mass, extra, h):
         pull = STIFFNESS * e + INTEGRAL * summed + outer[0][n]
         most = TORQUE_LIMIT * np.maximum(1 - TORQUE_DROOP * v * np.sign(pull), 0.0)
         size = np.abs(pull)
-        free = (size < most) & (e != 0)
         force = kept[n] * v + np.where(size < most, pull, np.sign(pull) * most) - SPRING * q - outer[1][n]
         if bends:
             stick = COULOMB + STRIBECK * np.exp(-((v / STRIBECK_SPEED) ** 2))
             stick = stick + LOAD_FRICTION * np.abs(load[n] + mass[n] * a)
-        m = resisted[n] + yielding[n] * free
-        creep = (force + GRIP / h * v) / (m + held)
+        creep = (force + GRIP / h * v) / (resisted[n] + held)
         grip = held * creep - GRIP / h * v
-        new = np.where(np.abs(grip) < stick, creep, (force - np.sign(grip) * stick) / m)
+        new = np.where(np.abs(grip) < stick, creep, (force - np.sign(grip) * stick) / resisted[n])
         a = (new - v) / h
         v = new
         places.append(q)

@@ -6,11 +6,14 @@ Of joint i with command u, true position q and read-out y:
     e = dead band(u_c − q),  u_c = rate limit(low pass(u(t(1 + r) − d))),  y = play(q)
 
 M is the joint's own inertia, and L what the rest of the arm and gravity exert, along a motion that is given: joints are
-decoupled, and `lite6jax.domains.tracking.coupling` iterates L. A lane is one joint with one set of numbers.
+decoupled. A lane is one joint with one set of numbers. Where the joints of one arm are rolled out together, L changes
+with their accelerations, by the mass matrix beside its diagonal, in every step (`Coupling`); what velocities and
+positions change of it `lite6jax.domains.tracking.coupling` iterates.
 
-A step is leapfrog, with damping half implicit and the command averaged over the step. A rate limit follows a command
-that switches within the step from the instant of the switch on. Where the inertia is less than about 4h²·kp the step
-passes into implicit Euler.
+A step is leapfrog, with damping half implicit and the command averaged over the step. The force of the stiffness is the
+mean of its values at the step and at both neighbours (N. M. Newmark, Journal of the Engineering Mechanics Division 85,
+1959), which acts as h²·kp / 4 more of inertia, and is stable for joints however light. A rate limit follows a command
+that switches within the step from the instant of the switch on.
 
 While a joint sticks, its friction is F = G·(q̈ + B·q̇) as in MuJoCo, with a grip G in kg·m² and B = `RETURN`: it creeps
 under load, by load / (G·B). It slides where F exceeds what friction allows. The force of a step is
@@ -42,16 +45,24 @@ A diagnosis looks for the grip of its recording, beginning with this one: `probl
 """
 _RESTED = 2.0
 """s, for which a joint has rested at least when a run begins."""
-_IMPLICIT = 4.0
-"""h²·kp over the inertia of a joint at which a step is half leapfrog, half implicit Euler."""
+_MOST_HALTED = 6.0
+"""Times h of damping over inertia at most: a lighter joint would turn to and fro at every step."""
 _LEAST_TIME = 1e-9
 """s, of a low pass, below which it passes all."""
+_HEAVIEST = 1e9
+"""kg·m², from which a joint does not answer loads; the least is one over it."""
+_WHOLE_STEPS = 4
+"""Steps of Newton's, after which halves are taken: a joint may stick after one of them and slide after the next."""
+_NEWTON_STEPS = 24
+"""Steps of Newton's at most, to the accelerations of joints that load each other."""
+_EQUAL_LOADS = 1e-8
+"""Nm, and share of a load, by which loads differ at most after the last one."""
 _INVERTED = 3
 """Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
-_LANES = (6, 24, 144)
-"""Numbers of lanes that are compiled for; others are filled up."""
+_LANES = (6, 24, 48, 144)
+"""Numbers of lanes that are compiled for, beside multiples of 48; others are filled up."""
 MOST_LANES = _LANES[-1]
-"""From which more at once save no time: multiples of it are compiled for each by itself, which takes seconds."""
+"""From which more at once save no time, and each number of them takes seconds to compile."""
 
 
 @final
@@ -170,6 +181,19 @@ class Rolled(NamedTuple):
     acceleration: Array
 
 
+@final
+class Coupling(NamedTuple):
+    """How the joints of one arm load each other while they accelerate otherwise than along the motion of a load.
+
+    Attributes:
+        matrix: `(sample, joint, joint)` kg·m², the mass matrix less its diagonal.
+        acceleration: `(joint, sample · steps)` rad/s², along that motion.
+    """
+
+    matrix: Array
+    acceleration: Array
+
+
 def roll(
     servo: Servo,
     commands: Commands,
@@ -180,6 +204,7 @@ def roll(
     extra: Array | None = None,
     weight: Array | None = None,
     fine: bool = False,
+    coupling: Coupling | None = None,
 ) -> Rolled:
     """Rolls lanes out.
 
@@ -193,10 +218,13 @@ def roll(
         extra: `(lane, 2, sample)` Nm, on lines from sample to sample: x, and what c is more; zero where not given.
         weight: `(column, sample)` Nm, what L is at rest where runs begin; that along the motion where not given.
         fine: whether to give positions and their derivatives at every step as well.
+        coupling: of lanes that are all joints of one arm; none where not given.
     """
     lanes = len(joints)
     columns = joints if columns is None else columns
-    size = next((size for size in _LANES if size >= lanes), -(-lanes // _LANES[-1]) * _LANES[-1])
+    size = lanes
+    if coupling is None:
+        size = next((size for size in _LANES if size >= lanes), -(-lanes // _LANES[-2]) * _LANES[-2])
     index = np.minimum(np.arange(size), lanes - 1)
     filled = Servo(*(np.asarray(field, float)[index] for field in servo))
     samples = commands.samples
@@ -205,9 +233,12 @@ def roll(
         return np.ascontiguousarray(np.asarray(values).T.reshape(samples, commands.steps, -1))
 
     at_rest = by_sample(load)[:, 0] if weight is None else np.ascontiguousarray(np.asarray(weight).T)
-    more = np.zeros((samples, 2, 1))
+    more = np.zeros((samples, 2, 1 if coupling is None else size))
     if extra is not None:
         more = np.ascontiguousarray(np.transpose(np.asarray(extra)[index], (2, 1, 0)))
+    by_joints = np.zeros((samples, 0, 0)), np.zeros((samples, commands.steps, 0))
+    if coupling is not None:
+        by_joints = coupling.matrix, by_sample(coupling.acceleration)
     readout, states = _roll(
         filled,
         commands.integral,
@@ -220,6 +251,7 @@ def roll(
         by_sample(mass),
         at_rest,
         more,
+        by_joints,
         joints[index],
         columns[index],
         commands.period,
@@ -245,8 +277,9 @@ class _LaneState(NamedTuple):
         summed: rad·s, ∫e.
         error: rad, e of the step before.
         y: rad, the read-out.
-        load: Nm, L of this step.
-        before: Nm, L of the step before.
+        load: Nm, L of this step along the motion that is given.
+        before: Nm, L of the step before, likewise.
+        strayed: rad/s², the acceleration of the step before less that along the motion that is given.
     """
 
     q: Any
@@ -260,6 +293,7 @@ class _LaneState(NamedTuple):
     y: Any
     load: Any
     before: Any
+    strayed: Any
 
 
 class _Joint(NamedTuple):
@@ -360,6 +394,17 @@ class _Joint(NamedTuple):
         return jnp.where(jnp.abs(grip) < friction, creep, slid)
 
 
+def _solve(A: Any, b: Any) -> Any:
+    """x of A x = b, of a few equations with positive definite A: a step takes a fifth of the time that LAPACK does."""
+    rows = jnp.concatenate([A, b[:, None]], 1)
+    for k in range(len(b)):
+        pivot = rows[k] / rows[k, k]
+        is_pivot = jnp.arange(len(b))[:, None] == k
+        rows = jnp.where(is_pivot, pivot, rows - rows[:, k, None] * pivot)
+        rows = jax.lax.optimization_barrier(rows)  # else the compiler computes each entry from all before it
+    return rows[:, -1]
+
+
 @partial(jax.jit, static_argnames=("steps", "fine"))
 def _roll(
     p: Servo,
@@ -373,6 +418,7 @@ def _roll(
     mass: Any,
     weight: Any,
     extra: Any,
+    coupling: Any,
     joints: Any,
     columns: Any,
     period: Any,
@@ -398,9 +444,28 @@ def _roll(
         more = flat[row + i + 1] - below
         return below + (s - i) * more, more
 
+    def settled_accelerations(accelerated: Any, L: Any, load: Any, m: Any, others: Any, given: Any) -> Any:
+        """Accelerations under the loads that joints exert on each other with them, from a guess of these."""
+
+        def follow(L: Any) -> Any:
+            a, per_load = jax.jvp(accelerated, (L,), (jnp.ones_like(L),))
+            return L, a, per_load, load + others @ (a - given) - L
+
+        def is_unequal(carried: Any) -> Any:
+            count, (L, _, _, left) = carried
+            return (count < _NEWTON_STEPS) & jnp.any(jnp.abs(left) > _EQUAL_LOADS * (1 + jnp.abs(L)))
+
+        def improve(carried: Any) -> Any:
+            count, (L, _, per_load, left) = carried
+            answering = 1 / jnp.clip(-per_load, 1 / _HEAVIEST, 1 / jnp.maximum(m, 1 / _HEAVIEST))
+            share = jnp.where(count < _WHOLE_STEPS, 1.0, 0.5)
+            return count + 1, follow(L + share * answering * _solve(others + jnp.diag(answering), left))
+
+        _, (_, a, _, _) = jax.lax.while_loop(is_unequal, improve, (0, follow(L)))
+        return a
+
     def advance(state: Any, inputs: Any) -> Any:
-        u, arriving, following_load, M, (x, rubbing) = inputs
-        L = state.load
+        u, arriving, following_load, M, (x, rubbing), (others, given) = inputs
         coulomb = jnp.maximum(p.coulomb + rubbing, 0.0)
         low = jnp.where(filtered, u + (state.low - u) * decay, arriving)
         mean_low = u + (state.low - u) * mean_decay
@@ -442,14 +507,14 @@ def _roll(
         drive = jnp.where(saturated, jnp.where(lost < 1, side * p.torque_limit, 0.0), pull)
         drag = D + jnp.where(saturated & (lost < 1), p.torque_limit * p.torque_droop, 0.0)
         yields = ~saturated & (jnp.abs(e) > 0)
-        m = M + p.inertia
-        late = 1 / (1 + (m / (_IMPLICIT * h * h * jnp.maximum(p.stiffness, 1e-9))) ** 2)
+        m = M + p.inertia + jnp.where(yields, 0.25 * h * h * p.stiffness, 0.0)
+        m = jnp.maximum(m, h * drag / _MOST_HALTED)
         joint = _Joint(
             mass=m,
-            force=drive - L - p.spring * state.q - p.spring_torque - x,
-            drag=drag + jnp.where(yields, late * h * p.stiffness, 0.0),
-            carried=m / h - 0.5 * (1 - late) * drag,
-            resisted=m / h + 0.5 * (1 + late) * drag + jnp.where(yields, late * h * p.stiffness, 0.0) + 1e-12,
+            force=drive - p.spring * state.q - p.spring_torque - x,
+            drag=drag,
+            carried=m / h - 0.5 * drag,
+            resisted=m / h + 0.5 * drag + 1e-12,
             grip=p.grip,
         )
         # of a command that switches within the step: Nm in the share of it before, and in that after it, of mean zero
@@ -458,26 +523,35 @@ def _roll(
         sooner = jnp.where(switches, p.stiffness * (state.arrived - u) + later * jump, 0.0)
         afterwards = jnp.where(switches, p.stiffness * (arriving - u) - early * jump, 0.0)
 
-        def bent_friction() -> Any:
+        def bent_friction(L: Any, loaded: _Joint) -> Any:
             constant = coulomb + p.stribeck * jnp.exp(-((v_here / p.stribeck_speed) ** 2))
             before = constant + p.load_friction * jnp.abs(L + M * state.a)
-            gripped = jnp.clip(joint.gripped(state.v), -before, before)
-            a = (joint.force - drag * v_here - gripped) / jnp.maximum(m, 1e-12)
+            gripped = jnp.clip(loaded.gripped(state.v), -before, before)
+            a = (loaded.force - drag * v_here - gripped) / jnp.maximum(m, 1e-12)
             share = M / jnp.maximum(m, 1e-12)
             sooner_load = jnp.abs(jnp.where(switches, state.before, L) + M * a + share * sooner)
             later_load = jnp.abs(jnp.where(switches, following_load, L) + M * a + share * afterwards)
             return constant + p.load_friction * (early * sooner_load + later * later_load)
 
-        friction = jax.lax.cond(bends, bent_friction, lambda: coulomb)
-        v = joint.step(state.v, friction, h, later, sooner, afterwards)
-        a = (v - state.v) / h
+        def accelerated(L: Any) -> Any:
+            loaded = joint._replace(force=joint.force - L)
+            friction = jax.lax.cond(bends, lambda: bent_friction(L, loaded), lambda: coulomb)
+            return (loaded.step(state.v, friction, h, later, sooner, afterwards) - state.v) / h
+
+        if others.size:
+            a = settled_accelerations(accelerated, state.load + others @ state.strayed, state.load, m, others, given)
+        else:
+            a = accelerated(state.load)
+        v = state.v + h * a
         q = state.q + h * v
         y = jnp.clip(state.y, q - p.backlash, q + p.backlash)
         shown = (state.q, 0.5 * (v + state.v), a) if fine else ()
-        return _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, L), shown
+        strayed = a - given if others.size else state.strayed
+        return _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, state.load, strayed), shown
 
     def sample(state: Any, inputs: Any) -> Any:
-        u, arriving, first_load, following_load, M, x, following, here, carried, q, v, first_command = inputs
+        u, arriving, first_load, following_load, M, x, following, here, carried, q, v, first_command, by_joints = inputs
+        others, given = by_joints
         zero = jnp.zeros(row.shape)
         share = (jnp.arange(steps) / steps)[:, None]
         between = tuple(
@@ -494,13 +568,19 @@ def _roll(
             balance = balance + jnp.clip(p.integral * error * _RESTED, -most, most)
             summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
             at_rest = first_command, first_command, first_command, summed, error
-            fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load)
-            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], tuple(part[0] for part in between)))
+            fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load, zero)
+            forces = tuple(part[0] for part in between)
+            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], forces, (others, given[0])))
             return fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
 
         state = jax.lax.cond(here, begin_run, lambda present: present, state)
         shown = read_out(state.y, p)
-        state, fine_states = jax.lax.scan(advance, state, (u, arriving, following_load, M, between))
+
+        def advance_here(state: Any, inputs: Any) -> Any:
+            *forces, acceleration = inputs
+            return advance(state, (*forces, (others, acceleration)))
+
+        state, fine_states = jax.lax.scan(advance_here, state, (u, arriving, following_load, M, between, given))
         return state, (shown, fine_states)
 
     begin = (first * steps)[:, None, None]
@@ -515,7 +595,7 @@ def _roll(
     of_next = jnp.where(jnp.append(reset[1:], True)[:, None, None], load[:, -1:], of_next)
     loads = jnp.concatenate([load[:, 1:], of_next], 1)[..., columns], mass[..., columns]
     begun = weight[:, columns], invert_read_out(start, p), start_velocity, initial[:, 0]
-    inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun)
+    inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun, coupling)
     zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))
     _, (readout, states) = jax.lax.scan(sample, state, inputs)
