@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,6 +32,9 @@ with import_lazily():
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+    from lite6jax.arms.arm import Arm
+    from lite6jax.domains.tracking.predict import DiagnosedServos
 
 PATIENCE_S = 10.0
 """The time after the first Ctrl-C in which another does not interrupt; the deadlines of all requests are shorter."""
@@ -170,6 +173,7 @@ class EmulateCommand:
         lite6jax emulate --motion sines
         lite6jax emulate --factory arm.yaml --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5
         lite6jax emulate --arms 3 --fault latency:0.2 --fault lose
+        lite6jax emulate --motion poses --tracking --effect command_delay:joint=2,delay_s=0.02
     """
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
@@ -188,6 +192,9 @@ class EmulateCommand:
     kinematics contain none."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """A file of your own effects for --effect. It is executed."""
+    tracking: bool = False
+    """Let the joints follow the commands as servos do. Effects are then those on how servos follow, as of `simulate
+    --tracking`; without it the joints are where they were commanded 8 ms before."""
     motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
     """Rest; a smooth motion; from pose to pose; or the motion in a recording."""
     torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
@@ -270,12 +277,6 @@ class EmulateCommand:
     def _body(self, index: int) -> "emulator.EmulatedArm":
         import numpy as np
 
-        kinds = {**catalogue.TORQUE_EFFECTS, **catalogue.kinds_of(command.load_own_effects(self.effects))}
-        hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
-        of_torques = dynamic.TorqueEffect
-        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
-        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
-        physics = composition.Physics(tuple(effect for effect, _ in parsed))
         nominal = None if self.arm is None else files.read_arm(self.arm)
         if self.factory:
             read = factory.read_factory(self.factory[index], nominal)
@@ -285,8 +286,30 @@ class EmulateCommand:
             arm = nominal or files.read_arm("lite6")
             kinematics = simulation.draw_calibration(arm, self.seed + index)
         noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
+        if self.tracking:
+            servos = self._servos(replace(arm, kinematics=kinematics, dh=None))
+            return emulator.EmulatedArm(arm, kinematics, warm_up=self.warm_up, torque_noise=noise, servos=servos)
+        kinds = {**catalogue.TORQUE_EFFECTS, **catalogue.kinds_of(command.load_own_effects(self.effects))}
+        for text in self.effect:
+            name = text.partition(":")[0]
+            if name in catalogue.TRACKING_EFFECTS and name not in kinds:
+                raise InputError(f"{name}: is of servos; add --tracking")
+        hidden = [serialization.parse_effect(text, kinds) for text in self.effect]
+        of_torques = dynamic.TorqueEffect
+        torque_effects = tuple((effect, values) for effect, values in hidden if isinstance(effect, of_torques))
+        parsed = [(effect, values) for effect, values in hidden if not isinstance(effect, of_torques)]
+        physics = composition.Physics(tuple(effect for effect, _ in parsed))
         values = physics.join([values for _, values in parsed])
         return emulator.EmulatedArm(arm, kinematics, physics, values, self.warm_up, torque_effects, noise)
+
+    def _servos(self, arm: "Arm") -> "DiagnosedServos":
+        """The arm as made with its servos, payload and effects on how it follows."""
+        if self.effects is not None:
+            raise InputError("--effects: is of poses, and --tracking of commands; keep one")
+        settings = recordings.RecordingSettings(
+            arm=arm.name, servo=simulation.usual_servo(arm), payload_com_m=command.metres(self.payload_at)
+        )
+        return simulation.servos_with_effects(arm, self.effect, settings, self.payload)
 
     def _page(self, controllers: "Sequence[emulator.Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""
@@ -305,6 +328,11 @@ class EmulateCommand:
         if of_torques:
             yield Text("Hidden effects, in the torques")
             yield from command.list_effects((effect, effect.reported(values)) for effect, values in of_torques)
+        if first.body.servos is not None:
+            yield screen.unbroken(sentences.emulated_servos(first.body.servos.servo))
+        if first.body.followed:
+            yield Text("Hidden effects, in how the joints follow their commands")
+            yield from command.list_effects((effect, effect.reported(values)) for effect, values in first.body.followed)
         yield from sentences.emulated_faults(first.body.torque_noise.tolist(), self.fault)
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
         arm_name = first.body.arm.name if self.arm is None else self.arm

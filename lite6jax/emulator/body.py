@@ -14,6 +14,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.controller import protocol
 from lite6jax.domains.torque.rows import RigidBodies
+from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.dynamic import (
     Delaying,
@@ -22,6 +23,7 @@ from lite6jax.effects.dynamic import (
     TorqueEffect,
     TorqueTimeOffset,
 )
+from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
@@ -74,6 +76,8 @@ class EmulatedArm:
         torque_effects: what adds to the torques of the motors, each with its values.
         torque_noise: `(joint,)` Nm, one sigma of torques as they are read; without noise they are what a controller
             computes from a model. Empty for none.
+        servos: the arm with its servos, the payload that the controller is given, and the effects on how it follows its
+            commands. None for joints that are where they were commanded a little before.
 
     Raises:
         InputError: an arm without such a controller or with prismatic joints, a chain, values or noise of the wrong
@@ -87,6 +91,7 @@ class EmulatedArm:
     warm_up: float = 12.0
     torque_effects: Sequence[tuple[TorqueEffect, Array]] = ()
     torque_noise: Array = field(default_factory=lambda: np.zeros(0))
+    servos: DiagnosedServos | None = None
 
     def __post_init__(self) -> None:
         name = self.arm.name
@@ -125,6 +130,8 @@ class EmulatedArm:
                 )
         if self.torque_effects and self.arm.mass is None:
             raise InputError(f"{name}: has no masses, which torques need; add `inertial` to its description")
+        if self.servos is not None and self.servos.dof != dof:
+            raise InputError(f"{name}: has {dof} joints, and servos of {self.servos.dof}; give those of this arm")
         if np.abs(self.torque_offset).max() > LONGEST_OFFSET_S:
             raise InputError(
                 f"{name}: an emulator's torques are at most {LONGEST_OFFSET_S:g} s late or early; give a smaller "
@@ -202,12 +209,22 @@ class EmulatedArm:
 
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
-        """The effects on torques, and those on poses of which the motors see the cause as well."""
+        """The effects on torques, and those on poses and on following of which the motors see the cause as well."""
         placed_effects = zip(self.physics.effects, self.physics.slices, strict=True)
         shared = (
             (_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in placed_effects if e.name in _CAUSES_OF_BOTH
         )
-        return [*self.torque_effects, *shared]
+        followed = ((effect, values) for effect, values in self.followed if isinstance(effect, TorqueEffect))
+        return [*self.torque_effects, *shared, *followed]
+
+    @property
+    def followed(self) -> list[tuple[Effect, Array]]:
+        """The effects on how the arm follows its commands, each with its values."""
+        if self.servos is None:
+            return []
+        terms = self.servos.terms
+        placed_terms = zip(terms.terms, terms.slices, strict=True)
+        return [(term, self.servos.values[part]) for term, part in placed_terms if isinstance(term, Effect)]
 
     @property
     def torque_offset(self) -> Array:

@@ -8,6 +8,7 @@ reports are such that an arm with hidden effects can be recorded and diagnosed:
 - 30000, `target_…`: the commanded joints and the controller's kinematics of them, without effects.
 - 30000, joints and velocities: the readings of encoders, 8 ms after the commands. They do not contain the effects,
   because compliance or backlash acts between encoder and link.
+  Those of an arm with servos are read-outs of the joints that follow the commands, each held until the next report.
 - Every port and the registers 42 and 55, torques: those of the rigid arm and its payload in the motion of the encoders.
   They contain the effects on torques and their noise. Currents follow them.
 - 30000, `pose`: the true pose of the tool *with* all effects, as measured by a perfect sensor. This is the only
@@ -30,6 +31,7 @@ from lite6jax.arms.entries import suggestion
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Message, Register, Status
 from lite6jax.emulator.body import SPACING_S, EmulatedArm, Load, Sample
+from lite6jax.emulator.follower import ServoedJoints
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
 from lite6jax.simulation.motions import MAX_ACCELERATION, MAX_SPEED, Path, rest
@@ -198,16 +200,21 @@ class Core:
     def __post_init__(self) -> None:
         self._motion = rest(np.zeros(self.body.arm.dof)) if self.path is None else self.path
         self.direction = np.zeros(self.body.arm.dof)
+        self._servoed: ServoedJoints | None = None
         self.set_faults(self.faults)
         T_flange = self.body.arm.T_joint_flange
         center = T_flange[:3, :3] @ self.payload[1:] / protocol.MM + T_flange[:3, 3]
         self.load = Load(protocol.read_pose(self.tool), float(self.payload[0]), center)
+        if self.body.servos is not None:
+            self._servoed = ServoedJoints(self.body.servos, lambda time: self.read_commands(time)[0])
 
     def set_faults(self, faults: Faults) -> None:
         """Replaces the faults; one with an error stops the arm for good."""
         self.faults = faults
         if faults.error:
             self.stopped = min(self.stopped, self.time)
+            if self._servoed is not None:
+                self._servoed.forget_after(self.stopped)
 
     def advance(self, time: float) -> None:
         """Advances the clock to `time` s."""
@@ -259,16 +266,24 @@ class Core:
         return position, np.where(((time > 0) & (time < end))[:, None], velocity, 0.0)
 
     def read_encoders(self, time: Array) -> tuple[Array, Array]:
-        """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
+        """The measured positions and velocities `(sample, joint)`: of servos, else the commands delayed by `LAG_S`."""
+        if self._servoed is not None:
+            return self._servoed.read_encoders(time)
         return self.read_commands(time - LAG_S)
+
+    def read_joints(self, time: Array) -> tuple[Array, Array]:
+        """The true positions and velocities `(sample, joint)`, which differ from the measured ones with servos only."""
+        if self._servoed is not None:
+            return self._servoed.read_joints(time)
+        return self.read_encoders(time)
 
     def compute_pose(self, q: ArrayLike) -> Array:
         """`(..., 4, 4)` the tool pose by the controller's kinematics: its calibration and the tool offset."""
         return self.body.flange(q, self.faults.nominal_kinematics) @ self.load.T_flange_tool
 
     def true_poses(self, time: Array) -> Array:
-        """`(sample, 4, 4)` the true tool poses with all effects, at the measured joints."""
-        position, velocity = self.read_encoders(time + self.body.clock_offset)
+        """`(sample, 4, 4)` the true tool poses with all effects."""
+        position, velocity = self.read_joints(time + self.body.clock_offset)
         sample = Sample(time, position, velocity, _directions(velocity, self.direction))
         return self.body.true_poses(sample, self.load)
 
@@ -277,9 +292,9 @@ class Core:
         offsets = self.body.torque_offset
         torque = self.body.draw_torque_noise(time)
         for offset in np.unique(offsets):
-            q, dq = self.read_encoders(time + offset)
+            q, dq = self.read_joints(time + offset)
             half = DIFFERENCE_S / 2
-            later, earlier = (self.read_encoders(time + offset + shift)[1] for shift in (half, -half))
+            later, earlier = (self.read_joints(time + offset + shift)[1] for shift in (half, -half))
             sample = Sample(time + offset, q, dq, np.sign(dq))
             exerted = self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.load)
             torque[:, offsets == offset] += exerted[:, offsets == offset]
@@ -428,7 +443,7 @@ def _fill_realtime(
     # accelerations are one-sided, so that a later error does not change earlier reports
     earlier = [read(time - DIFFERENCE_S)[1] for read in (core.read_commands, core.read_encoders)]
     T, speed = _pose_and_speed(core, *map(np.concatenate, zip(commanded, measured, strict=True)))
-    if core.body.physics.effects or core.faults.nominal_kinematics:
+    if core.body.physics.effects or core.body.servos is not None or core.faults.nominal_kinematics:
         T[len(time) :] = core.true_poses(time)
     records["target_pose"], records["pose"] = np.split(protocol.encode_pose(T), 2)
     records["target_pose_speed"], records["pose_speed"] = np.split(speed, 2)

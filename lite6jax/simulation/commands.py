@@ -247,8 +247,7 @@ def simulate_tracking(
         joint_noise_rad=joint_noise,
         servo=servo or usual,
     ).for_joints(arm.dof, "simulation")
-    terms, values = _terms_of(effects, arm)
-    model = describe_servos(arm, declared, payload, terms, values)
+    model = servos_with_effects(arm, effects, declared, payload)
     position = model.predict(times, commands, numbers).position
     position = position + joint_noise * make_generator(seed, "joints").standard_normal(position.shape)
     if joint_quantum:
@@ -263,6 +262,24 @@ def simulate_tracking(
         source="simulation",
     )
     return TrackingSimulation(recording, model)
+
+
+def servos_with_effects(
+    arm: Arm, effects: Iterable[str | tuple[Effect, ArrayLike]], settings: RecordingSettings, payload: float = 0.0
+) -> DiagnosedServos:
+    """An arm with its servos and chosen effects on how it follows commands.
+
+    Args:
+        arm: with masses.
+        effects: as of `simulate_tracking`.
+        settings: with declared servos, gravity and the payload's centre.
+        payload: kg at the flange.
+
+    Raises:
+        InputError: servos that are not declared, or effects as of `simulate_tracking`.
+    """
+    terms, values = _terms_of(effects, arm)
+    return describe_servos(arm, settings, payload, terms, values)
 
 
 def _terms_of(effects: Iterable[str | tuple[Effect, ArrayLike]], arm: Arm) -> tuple[Terms, Array]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lite6jax.effects.servo import Servo
 from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import RecordingSettings, ServoSettings
 from lite6jax.report.words import number
@@ -111,6 +112,13 @@ def emulated_motion(calibration: str, motion: str, speed: float) -> list[str]:
     if speed != 1:
         sentence += f" Its clock runs {speed:g} times as fast."
     return [f"Calibration: {calibration}.", sentence]
+
+
+def emulated_servos(servo: Servo) -> str:
+    """Says which servos the joints of an emulated arm follow their commands with, as a sidecar declares them."""
+    stiffness = ", ".join(f"{size:g}" for size in servo.stiffness)
+    damping = ", ".join(f"{size:g}" for size in servo.damping)
+    return f"servo: {{stiffness_Nm_per_rad: [{stiffness}], damping_Nm_s_per_rad: [{damping}]}}"
 
 
 def emulated_faults(torque_noise: Sequence[float], faults: Sequence[str]) -> list[str]:
