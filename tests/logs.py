@@ -47,12 +47,16 @@ trajectory_msgs/JointTrajectoryPoint error
 """The parts of the state of a trajectory controller that are written here; their names differ by version."""
 
 
-def _point(types, positions):
+def _point(types, positions, velocities=()):
     empty = np.zeros(0)
     name = "builtin_interfaces/msg/Duration"
     span = types[name](sec=0, nanosec=0)
     return types["trajectory_msgs/msg/JointTrajectoryPoint"](
-        positions=np.array(positions, float), velocities=empty, accelerations=empty, effort=empty, time_from_start=span
+        positions=np.array(positions, float),
+        velocities=np.array(velocities, float),
+        accelerations=empty,
+        effort=empty,
+        time_from_start=span,
     )
 
 
@@ -70,7 +74,7 @@ def _message(types, kind, stamp, said):
         layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         return types[kind](layout=layout, data=np.array(said["data"], float))
     if kind.endswith("JointTrajectory"):
-        points = [_point(types, positions) for positions in said["points"]]
+        points = [_point(types, *point) for point in said["points"]]
         return types[kind](header=headed, joint_names=said["joint_names"], points=points)
     if kind.endswith("ControllerState"):
         points = {name: _point(types, positions) for name, positions in said.items() if name != "joint_names"}

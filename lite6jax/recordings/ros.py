@@ -29,7 +29,13 @@ ARRAY = "std_msgs/Float64MultiArray"
 """Commands of a forward command controller, without names and stamps."""
 _SENT = re.compile(r"command|cmd|desired|target|setpoint|reference", re.IGNORECASE)
 """In names of topics of commands."""
-_NO_POSITIONS = re.compile(r"veloc|effort|torque|current", re.IGNORECASE)
+_POSITION = "position"
+_VELOCITY = "velocity"
+_IN_NAMES = {_POSITION: re.compile("position", re.IGNORECASE), _VELOCITY: re.compile("veloc", re.IGNORECASE)}
+"""What names of topics say that numbers are."""
+_PLURAL = {_POSITION: "positions", _VELOCITY: "velocities"}
+_NO_MOTION = re.compile(r"effort|torque|current", re.IGNORECASE)
+"""In names of topics whose numbers are neither."""
 _SAME_CLOCK = 100_000_000
 """ns, within which stamps of headers and of the log may be of one clock."""
 METADATA = "metadata.yaml"
@@ -59,14 +65,26 @@ class ArmJoints(NamedTuple):
 
 
 class _Topic(NamedTuple):
-    """A topic, and of transforms the frame whose poses are wanted; None where there is only one."""
+    """A topic as it is named.
+
+    Attributes:
+        topic: its name.
+        child: of transforms the frame whose poses are wanted; None where there is only one.
+        quantity: of commands, whether they are positions or velocities; None where their messages say it.
+    """
 
     topic: str
     child: str | None = None
+    quantity: str | None = None
 
     @property
     def name(self) -> str:
-        return self.topic + (f":{self.child}" if self.child else "")
+        chosen = self.child or self.quantity
+        return self.topic + (f":{chosen}" if chosen else "")
+
+    def names(self, quantity: str) -> bool:
+        """Whether the topic's name says that its numbers are positions or velocities."""
+        return _IN_NAMES[quantity].search(self.topic) is not None
 
 
 class _Series(NamedTuple):
@@ -102,7 +120,7 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
     """The table of a rosbag2 folder, a `.mcap` or `.db3` file, or a ROS 1 `.bag`: a row per pose, or per joint state.
 
     Where there are no poses and one topic has commands, these stand beside the joints as cmd1 … cmdN, each held until
-    the next.
+    the next. Commanded velocities are cmd_dq1 … cmd_dqN.
 
     The joints are interpolated to its stamp (`streams.join`). They are named q1 … qN by the names of the arm's joints,
     along Universal Robots' arm, by the numbers in their names, or in order of appearance. Positions of prismatic joints
@@ -112,7 +130,8 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
     Args:
         path: of the log.
         topics: of the joint states and of the poses or the commands, where there are several of a type; `/tf:tool0`
-            for the poses of a frame; of the joint states alone for a motion without poses; none where the types decide.
+            for the poses of a frame, `/commands:velocity` for numbers that are velocities; of the joint states alone
+            for a motion without poses; none where the types decide.
         of_arm: what is known of the arm's joints, to put them in order and to leave a gripper's out.
         notes: what was chosen, assumed and dropped is added here.
 
@@ -121,7 +140,8 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
 
     Raises:
         InputError: the package rosbags is missing, the log is damaged or of another kind, topics are missing or
-            several, or poses and joint states do not overlap in time.
+            several, commands are positions or velocities and nothing says which, or poses and joint states do not
+            overlap in time.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -174,7 +194,7 @@ def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[s
         clock_note += f", {sent.clock} of {commands.topic}"
     notes.append(clock_note)
     if commands is not None and sent is not None:
-        stamp, columns = _with_commands(path, commands.topic, sent, names, stamp, columns, of_arm, notes)
+        stamp, columns = _with_commands(path, commands, sent, names, stamp, columns, of_arm, notes)
     if poses is None or measured is None:
         if not topics and not any(name.startswith(("tau", "cmd")) for name in columns):
             raise InputError(
@@ -209,7 +229,13 @@ def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> _Cho
     chosen = []
     for name in topics:
         topic, mark, child = name.partition(":")  # a topic has no colon, and the name of a frame may
-        chosen.append(_Topic(topic, child) if mark and types.get(topic) == TF else _Topic(name))
+        kind = types.get(topic)
+        if mark and kind == TF:
+            chosen.append(_Topic(topic, child))
+        elif child in _IN_NAMES and kind in (JOINT_STATE, CONTROLLER_STATE, TRAJECTORY, ARRAY):
+            chosen.append(_Topic(topic, quantity=child))
+        else:
+            chosen.append(_Topic(name))
         if types.get(chosen[-1].topic) not in (
             *(JOINT_STATE, POSE_STAMPED, TRANSFORM, TF),
             *(CONTROLLER_STATE, TRAJECTORY, ARRAY),
@@ -219,7 +245,7 @@ def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> _Cho
             )
     candidates = chosen or [_Topic(topic) for topic in types]
     joints = [choice for choice in candidates if types[choice.topic] == JOINT_STATE]
-    commands = [choice for choice in joints if _SENT.search(choice.topic)]
+    commands = [choice for choice in joints if _SENT.search(choice.topic) or choice.quantity is not None]
     commands = commands if len(commands) < len(joints) else []
     joints = [choice for choice in joints if choice not in commands]
     commands = _commands_among(candidates, types, commands, bool(topics))
@@ -249,7 +275,7 @@ def _choose(path: Path, types: Mapping[str, str], topics: Sequence[str]) -> _Cho
 def _commands_among(
     candidates: Sequence[_Topic], types: Mapping[str, str], joint_states: Sequence[_Topic], named: bool
 ) -> list[_Topic]:
-    """The topics of commanded positions: of the kind that says most of them.
+    """The topics of commanded positions or velocities: of the kind that says most of them.
 
     Args:
         candidates: the topics.
@@ -260,9 +286,10 @@ def _commands_among(
     of_kind = {kind: [choice for choice in candidates if types[choice.topic] == kind] for kind in (ARRAY, TRAJECTORY)}
     states = [choice for choice in candidates if types[choice.topic] == CONTROLLER_STATE]
     if not named:
-        of_kind[ARRAY] = [
-            choice for choice in of_kind[ARRAY] if _SENT.search(choice.topic) and not _NO_POSITIONS.search(choice.topic)
+        sent = [
+            choice for choice in of_kind[ARRAY] if _SENT.search(choice.topic) and not _NO_MOTION.search(choice.topic)
         ]
+        of_kind[ARRAY] = [choice for choice in sent if not choice.names(_VELOCITY)] or sent
     return next(filter(None, (states, [*joint_states], of_kind[ARRAY], of_kind[TRAJECTORY])), [])
 
 
@@ -333,12 +360,40 @@ def _measured(message: Any) -> _Joints:
 def _commanded(message: Any) -> _Joints:
     """The commanded joints of a message; those of a trajectory of several points are none."""
     if hasattr(message, "name"):
-        return _Joints(message.name, message.position)
+        return _Joints(message.name, message.position, message.velocity)
     if hasattr(message, "data"):
-        return _Joints((), message.data)
+        return _Joints((), message.data, message.data)
     if hasattr(message, "points"):
-        return _Joints(message.joint_names, message.points[0].positions if len(message.points) == 1 else ())
-    return _Joints(message.joint_names, _point(message, "reference", "desired").positions)
+        if len(message.points) != 1:
+            return _Joints(message.joint_names, ())
+        point = message.points[0]
+    else:
+        point = _point(message, "reference", "desired")
+    return _Joints(message.joint_names, point.positions, point.velocities)
+
+
+def _commanded_quantity(path: Path, chosen: _Topic, messages: Sequence[_Joints]) -> str:
+    """Whether commands are positions or velocities: as the topic is named, or as their messages or its name say.
+
+    Raises:
+        InputError: they may be either.
+    """
+    if chosen.quantity is not None:
+        return chosen.quantity
+    has_positions = any(np.isfinite(message.position).any() for message in messages)
+    has_velocities = any(np.isfinite(message.velocity).any() for message in messages)
+    if has_positions != has_velocities:
+        return _POSITION if has_positions else _VELOCITY
+    by_name = [quantity for quantity in _IN_NAMES if chosen.names(quantity)]
+    labelled = any(len(message.name) for message in messages)
+    if len(by_name) == 1 and not (labelled and by_name == [_VELOCITY]):
+        return by_name[0]
+    if labelled and _VELOCITY not in by_name:
+        return _POSITION
+    raise InputError(
+        f"{path}: the commands of {chosen.topic} may be positions or velocities; name {chosen.topic}:{_POSITION} or "
+        f"{chosen.topic}:{_VELOCITY} beside the joint states"
+    )
 
 
 def _point(message: Any, *names: str) -> Any:
@@ -354,7 +409,7 @@ def _clock_ahead(messages: Sequence[tuple[Any, int, int]]) -> float:
 
 def _with_commands(
     path: Path,
-    topic: str,
+    chosen: _Topic,
     series: _Series,
     names: Sequence[str],
     stamp: NDArray[np.int64],
@@ -365,26 +420,30 @@ def _with_commands(
     """The joint states with a command in force: their stamps and columns, the commands beside them.
 
     Raises:
-        InputError: no message has the positions of all joints, or none was sent before a joint state.
+        InputError: no message has the positions or the velocities of all joints, it is not known which of them, or none
+            was sent before a joint state.
     """
+    topic = chosen.topic
+    quantity = _commanded_quantity(path, chosen, series.messages)
+    numbers = [message.velocity if quantity == _VELOCITY else message.position for message in series.messages]
     unnamed = not any(len(message.name) for message in series.messages)
     complete = []
     for k, message in enumerate(series.messages):
         listed = list(names) if unnamed else list(message.name)
-        if len(message.position) == len(listed) and {*names} <= {*listed}:
+        if len(numbers[k]) == len(listed) and {*names} <= {*listed}:
             complete.append(k)
     if not complete:
         raise InputError(
-            f"{path}: no message of {topic} has the positions of all of {', '.join(names)}, one for each; name a topic "
-            "that streams the commanded positions of these joints, as a controller's state does"
+            f"{path}: no message of {topic} has the {_PLURAL[quantity]} of all of {', '.join(names)}, one for each; "
+            f"name a topic that streams the commanded {_PLURAL[quantity]} of these joints, as a controller's state does"
         )
     if skipped := len(series.messages) - len(complete):
-        notes.append(f"passed over {skipped} messages of {topic} without one position of each of these joints")
+        notes.append(f"passed over {skipped} messages of {topic} without one {quantity} of each of these joints")
     complete = [complete[k] for k in np.unique(series.stamp[complete], return_index=True)[1]]
     messages = [series.messages[k] for k in complete]
     places = [[list(message.name).index(name) for name in names] for message in messages if not unnamed]
     places = places or [[*range(len(names))]] * len(messages)
-    sent = np.array([np.asarray(m.position, float)[at] for m, at in zip(messages, places, strict=True)])
+    sent = np.array([np.asarray(numbers[k], float)[at] for k, at in zip(complete, places, strict=True)])
     start = min(stamp[0], series.stamp[complete[0]])
     times = _seconds(series.stamp[complete], start)
     held = hold(times, _seconds(stamp, start))
@@ -394,13 +453,15 @@ def _with_commands(
             f"{path}: no joint state lies between commands (joints {moved}, commands {commanded}); stamp both by one "
             "clock"
         )
-    notes.append(f"the commands are those of {topic}, each held until the next")
+    kind = f"the velocities of {topic}" if quantity == _VELOCITY else f"those of {topic}"
+    notes.append(f"the commands are {kind}, each held until the next")
     if unnamed:
         notes.append(f"the numbers of {topic} are taken in the order of the joints: assumed, as they state no names")
     notes += said_of_commands(held)
     at_states = {name: column[held.usable] for name, column in columns.items()}
+    pattern = "cmd_dq{}_rad_per_s" if quantity == _VELOCITY else "cmd{}_rad"
     for joint, column in enumerate(sent[held.sent].T):
-        at_states[joint_unit(f"cmd{joint + 1}_rad", joint in of_arm.sliding)] = column
+        at_states[joint_unit(pattern.format(joint + 1), joint in of_arm.sliding)] = column
     return stamp[held.usable], at_states
 
 

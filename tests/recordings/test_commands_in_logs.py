@@ -50,7 +50,8 @@ def array(times=SENT, numbers=None):
 
 def trajectory(times=SENT, points=1, order=ALPHABETICAL):
     rows = [
-        {"joint_names": [NAMES[k] for k in order], "points": [list(row)] * points} for row in position(times)[:, order]
+        {"joint_names": [NAMES[k] for k in order], "points": [(list(row),)] * points}
+        for row in position(times)[:, order]
     ]
     return Topic("trajectory_msgs/msg/JointTrajectory", [round(t * SECOND) for t in times], rows)
 
@@ -154,10 +155,100 @@ def test_topics_of_commands_that_cannot_be_read(tmp_path):
     )
 
 
-def test_velocities_are_no_commands(tmp_path):
-    topics = {"/joint_states": states(), "/forward_velocity_controller/commands": array()}
+def velocity(times):
+    """`(sample, 6)` rad/s of the joints' motion."""
+    k = np.arange(6)
+    return 0.5 * (1 + k) * np.cos(np.multiply.outer(times, 1 + k) + k)
+
+
+def velocity_array(times=SENT):
+    return array(times, velocity(times))
+
+
+def velocity_trajectory(times=SENT):
+    rows = [
+        {"joint_names": [NAMES[k] for k in ALPHABETICAL], "points": [((), list(row))]}
+        for row in velocity(times)[:, ALPHABETICAL]
+    ]
+    return Topic("trajectory_msgs/msg/JointTrajectory", [round(t * SECOND) for t in times], rows)
+
+
+def velocity_states(times=SENT):
+    rows = [{"name": NAMES, "position": [], "velocity": list(row), "effort": []} for row in velocity(times)]
+    return Topic("sensor_msgs/msg/JointState", [round(t * SECOND) for t in times], rows)
+
+
+def is_integrated(recording):
+    """Whether the commands are the velocities in force, each held over a row, from the first measured joints."""
+    number = (SENT[None] <= STATES[:, None] + 1e-12).sum(1) - 1
+    _, usable = in_force(STATES)
+    held = velocity(SENT)[number[usable]]
+    moved = np.cumsum(held[:-1] * np.diff(STATES[usable])[:, None], 0)
+    first = position(STATES, 0.03)[usable][0]
+    np.testing.assert_allclose(recording.commanded_position, first + np.vstack([np.zeros(6), moved]), atol=1e-9)
+    assert domains_of(recording) == ("tracking",)
+    assert any(note.startswith("commands of velocity are taken as commands of position") for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("topic", "commands"),
+    [
+        ("/forward_velocity_controller/commands", velocity_array()),
+        ("/joint_group_velocity_controller/command", velocity_array()),
+        ("/joint_trajectory", velocity_trajectory()),
+        ("/joint_commands", velocity_states()),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".mcap", ".bag"])
+def test_commanded_velocities_are_integrated(tmp_path, topic, commands, suffix):
+    path = write(tmp_path / f"run{suffix}", {"/joint_states": states(), topic: commands})
+    recording = read_recording(path)
+    is_integrated(recording)
+    assert f"the commands are the velocities of {topic}, each held until the next" in recording.notes
+    is_integrated(read_recording(f"{path}#/joint_states,{topic}"))
+    is_integrated(read_recording(f"{path}#/joint_states,{topic}:velocity"))
+
+
+def test_numbers_that_may_be_positions_or_velocities_are_asked_for(tmp_path):
+    ask = "the commands of {0} may be positions or velocities; name {0}:position or {0}:velocity beside the joint "
+    ask += "states"
+    path = write(tmp_path / "plain.mcap", {"/joint_states": states(), "/arm_controller/commands": velocity_array()})
+    assert unread(path) == ask.format("/arm_controller/commands")
+    is_integrated(read_recording(f"{path}#/joint_states,/arm_controller/commands:velocity"))
+    as_positions = read_recording(f"{path}#/joint_states,/arm_controller/commands:position")
+    np.testing.assert_allclose(as_positions.commanded_position[0], velocity(SENT)[0], atol=1e-12)
+    full = velocity_trajectory()
+    for message, place in zip(full.messages, position(SENT)[:, ALPHABETICAL], strict=True):
+        ((_, speed),) = message["points"]
+        message["points"] = [(list(place), speed)]
+    is_the_motion(read_recording(write(tmp_path / "full.mcap", {"/joint_states": states(), "/joint_trajectory": full})))
+    path = write(tmp_path / "named.mcap", {"/joint_states": states(), "/velocity_controller/joint_trajectory": full})
+    assert unread(path) == ask.format("/velocity_controller/joint_trajectory")
+
+
+def test_commands_of_position_go_before_those_of_velocity(tmp_path):
+    topics = {
+        "/joint_states": states(),
+        "/forward_position_controller/commands": array(),
+        "/forward_velocity_controller/commands": velocity_array(),
+    }
     path = write(tmp_path / "run.mcap", topics)
-    assert unread(path).startswith("has no topic of geometry_msgs/PoseStamped; it has /forward_velocity_controller/")
+    is_the_motion(read_recording(path))
+    is_integrated(read_recording(f"{path}#/joint_states,/forward_velocity_controller/commands"))
+
+
+def test_efforts_are_no_commands(tmp_path):
+    path = write(tmp_path / "run.mcap", {"/joint_states": states(), "/forward_effort_controller/commands": array()})
+    assert unread(path).startswith("has no topic of geometry_msgs/PoseStamped; it has /forward_effort_controller/")
+
+
+def test_velocities_of_few_joints(tmp_path):
+    few = array(numbers=velocity(SENT)[:, :5])
+    path = write(tmp_path / "run.mcap", {"/joint_states": states(), "/velocity_controller/commands": few})
+    assert unread(path) == (
+        f"no message of /velocity_controller/commands has the velocities of all of {', '.join(NAMES)}, one for each; "
+        "name a topic that streams the commanded velocities of these joints, as a controller's state does"
+    )
 
 
 def test_messages_that_the_log_does_not_define(tmp_path, monkeypatch):
