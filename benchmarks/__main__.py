@@ -18,7 +18,7 @@ MODULES = (
     ("fits", ("one", "fleet", "samples", "devices", "ceres")),
     ("study", ("study", "models", "regressor")),
     ("commands", ("command", "folders", "diagnose")),
-    ("scaling", ("scaling",)),
+    ("scaling", ("rollouts", "scaling")),
     *((name, (name,)) for name in ("fleet_diagnosis", "compensation")),
     ("commands", ("soak",)),
 )

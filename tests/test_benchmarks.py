@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as harness
-from benchmarks import fits, measure, seed_way
+from benchmarks import fits, measure, scaling, seed_way
 from benchmarks.measure import Record
 from tests.oracles.chains import seed_poses, six_parameter_poses
 
@@ -65,6 +65,12 @@ def test_a_rival_that_finds_something_else_is_marked(run, subject):
     assert {r.metric for r in records if r.failed and r.subject == "lite6jax"} == {"faster than liar"}
     assert all(record.value is not None and record.value > 0 for record in records)
     assert {record.workload for record in records} == {subject}
+
+
+def test_rollouts_of_many_variants_are_those_of_each_alone():
+    records = list(scaling.rollouts(rows=200, variants=3, repeats=1))
+    assert [record.failed for record in records] == [""] * 6
+    assert all(record.value is not None and record.value > 0 for record in records)
 
 
 def wrong_workload(failed):
