@@ -162,7 +162,7 @@ def test_every_frozen_recording_has_a_name_of_its_own(tmp_path):
     names = [frozen.name for frozen in list_frozen()]
     assert len(set(names)) == len(names)
     drawn = [frozen for frozen in list_frozen() if frozen.source is None]
-    assert {frozen.kind for frozen in drawn} == {"trials", "readings", "torque_trials", "fleets"}
+    assert {frozen.kind for frozen in drawn} == {"trials", "readings", "torque_trials", "tracking", "fleets"}
     (trial,) = (frozen for frozen in drawn if frozen.name == "trials/0")
     digests = []
     for number in range(2):

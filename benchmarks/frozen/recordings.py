@@ -14,13 +14,15 @@ from pathlib import Path
 import yaml
 
 from benchmarks.campaigns.campaign import write_files
-from benchmarks.campaigns.rounds import Trial
+from benchmarks.campaigns.rounds import Kind, Trial, first_made
 from benchmarks.concealed.plain_physics import Hidden
 from benchmarks.concealed.plans import READERS
 from benchmarks.concealed.trials import draw, draw_reading
 from benchmarks.fleet_diagnosis import HALF, Shared, write_fleet
 from benchmarks.measure import ROOT
 from benchmarks.torque_trials.trials import draw as draw_torques
+from benchmarks.tracking_trials.plans import Plan
+from benchmarks.tracking_trials.trials import make_trial
 
 SHARED = ROOT.parent / "shared"
 SEED = 67
@@ -70,6 +72,7 @@ _QUICK = {
     *("frontier/b3_40poses_comp_free", "frontier/q2_flank_narrow_then_far", "sensors/s05_distance_harmonic_j2"),
     *("sensors/s06_height_compliance_j2", "dynamics/t02_viscous_j2", "touch/panda_1_front", "cases/o05"),
     *("cases/T08", "trials/0", "readings/contact", "torque_trials/0"),
+    "tracking/delay_friction",
 }
 _FOLDERS = {
     "concealed": "concealed/open",
@@ -174,6 +177,15 @@ _FLEETS: dict[str, tuple[Shared, ...]] = {
     "compliance": (Shared(Hidden("joint_compliance", "joint2", (1.0,)), 2 * HALF),),
 }
 """Fleets by name, and what all of their arms have."""
+_FOLLOWING: dict[str, tuple[Kind, str, tuple[str, ...], tuple[float, ...]]] = {
+    "clean": ("clean", "declared", (), ()),
+    "delay_friction": ("mixture", "declared", ("command_delay", "coulomb_friction"), (20.0, 20.0)),
+    "unnamed_torque": ("outside", "declared", ("cable_drag",), (20.0,)),
+    "unknown_servo": ("single", "unknown", ("command_delay",), (20.0,)),
+}
+"""Logs of commands by name: kind, whether the servos are declared, and effects with their sizes in thresholds."""
+_LOG_ROWS = 200
+"""Of each of two runs: a diagnosis of three joints takes seconds."""
 
 
 def _trials() -> Iterator[Frozen]:
@@ -183,6 +195,31 @@ def _trials() -> Iterator[Frozen]:
         yield _trial(f"readings/{sensor}", partial(draw_reading, sensor, SEED, 0))
     for index in range(_TORQUE_TRIALS):
         yield _trial(f"torque_trials/{index}", partial(draw_torques, SEED, index))
+    for index, name in enumerate(_FOLLOWING):
+        yield _trial(f"tracking/{name}", partial(_draw_log, index, name))
+
+
+def _draw_log(index: int, name: str) -> Trial:
+    """A short log of commands of a small arm."""
+    kind, servo, effects, sizes = _FOLLOWING[name]
+    plan = Plan(
+        seed=SEED,
+        index=index,
+        kind=kind,
+        engine="plain",
+        arm="serial3",
+        servo=servo,
+        noise="white",
+        sigma=1e-4,
+        quantum=0.0,
+        rate=100.0,
+        samples=_LOG_ROWS,
+        motions=("multisine", "trapezoids"),
+        unseen="chirp",
+        effects=effects,
+        sizes=sizes,
+    )
+    return first_made(lambda rng: make_trial(plan, rng), SEED, 40, index)
 
 
 def _trial(name: str, drawn: Callable[[], Trial]) -> Frozen:

@@ -35,10 +35,10 @@ def draw(seed: int, index: int, sealed: bool = False) -> Trial:
 
     Where `sealed`, what is outside the table is of the sealed families, and of no other.
     """
-    return first_made(lambda rng: _make(draw_plan(seed, index, rng, sealed), rng), seed, 40, index)
+    return first_made(lambda rng: make_trial(draw_plan(seed, index, rng, sealed), rng), seed, 40, index)
 
 
-def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
+def make_trial(plan: Plan, rng: np.random.Generator) -> Trial | None:
     """The trial of a plan; None where what it would hide cannot be seen there, or only when huge."""
     arm = draw_arm(plan.arm, rng, GRAVITY)
     payload = float(np.round(rng.uniform(0.1, 0.6), 3)) if rng.random() < 0.3 else 0.0
