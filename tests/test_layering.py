@@ -9,8 +9,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 LIBRARY = [
     *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
-    *("deferred", "levenberg_marquardt", "arms", "effects", "model", "sensors", "recordings", "estimation", "search"),
-    *("calibration", "domains", "design", "diagnosis", "simulation"),
+    *("deferred", "levenberg_marquardt", "arms", "formatting", "effects", "model", "sensors", "recordings"),
+    *("estimation", "search", "calibration", "domains", "design", "diagnosis", "simulation"),
 ]
 """What a program of a user imports."""
 PROGRAMS = ["controller", "workers", "fleet", "emulator", "report", "cli"]

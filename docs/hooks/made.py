@@ -29,13 +29,13 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.resemblance import resemblances
 from lite6jax.fleet import diagnoses
 from lite6jax.fleet.folder import tabulate_rows
+from lite6jax.formatting import joined
 from lite6jax.recordings import RecordingSettings, settings
 from lite6jax.recordings.columns import column as columns
 from lite6jax.recordings.columns.documented import TEXTS
 from lite6jax.report import remedies, tracking
 from lite6jax.report.inspection import KEYS
 from lite6jax.report.sentences import listings
-from lite6jax.report.words import joined
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent

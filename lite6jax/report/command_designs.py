@@ -12,11 +12,12 @@ from rich.console import RenderableType
 from lite6jax.design.command_plans import CLEAR, CommandPlan, DesignedPair
 from lite6jax.domains.entries import effect_entry
 from lite6jax.effects.effect import Effect
+from lite6jax.formatting import NAMED_OF_SERVOS, quantity, significant
 from lite6jax.report import screen
 from lite6jax.report.remedies import effect_name, effect_title
 from lite6jax.report.sentences import command_designs as sentences
 from lite6jax.report.sentences import studies
-from lite6jax.report.words import NAMED_OF_SERVOS, listing, quantity, significant
+from lite6jax.report.words import listing
 
 _NAMED = NAMED_OF_SERVOS | {
     "integral_Nm_per_rad_s": (1.0, "Nm/rad/s"),

@@ -13,10 +13,11 @@ from lite6jax.domains.pose.compensate import REACHED, Compensation, Reason, Targ
 from lite6jax.domains.pose.predict import DiagnosedArm, deviation_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
+from lite6jax.formatting import SCREEN, fixed, joint_units, number
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_name
 from lite6jax.report.sentences import compensations as sentences
-from lite6jax.report.words import SCREEN, fill, fixed, joint_units, listing, number, read_texts
+from lite6jax.report.words import fill, listing, read_texts
 
 _SAID = read_texts("screens.yaml")["compensation"]
 NO_BARS = (

@@ -15,9 +15,10 @@ from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.rows import Rows
 from lite6jax.controller.sdk import KinematicsCheck
 from lite6jax.controller.station import CalibrationRead
+from lite6jax.formatting import SCREEN, STATISTICS, fixed, number
 from lite6jax.report import screen
 from lite6jax.report.sentences import connected as sentences
-from lite6jax.report.words import SCREEN, STATISTICS, fixed, listing, number
+from lite6jax.report.words import listing
 
 _COMMANDS = (
     "lite6jax design lite6 --poses 200 --out poses.csv",

@@ -20,6 +20,7 @@ from lite6jax.domains.base import DomainName
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.torque import filtering
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.formatting import SCREEN, joint_units, torque_units
 from lite6jax.report import ranking
 from lite6jax.report.figures import (
     AFTER,
@@ -40,7 +41,6 @@ from lite6jax.report.figures import (
 )
 from lite6jax.report.remedies import effect_name, spaced
 from lite6jax.report.reports import REPORTS
-from lite6jax.report.words import SCREEN, joint_units, torque_units
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {

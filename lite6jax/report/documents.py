@@ -31,8 +31,8 @@ from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.fleet.folder import ERRORS, columns
 from lite6jax.fleet.folder import STATISTICS as OF_FILES
+from lite6jax.formatting import STATISTICS
 from lite6jax.report.compensations import reason_text
-from lite6jax.report.words import STATISTICS
 
 
 def text(content: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:

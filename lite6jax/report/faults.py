@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 
+from lite6jax.formatting import capital, rows_named
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences.causes import CAUSES
@@ -22,7 +23,7 @@ from lite6jax.report.sentences.faults import (
     mismatch_found,
     mismatch_ruled_out,
 )
-from lite6jax.report.words import capital, fill, rows_named
+from lite6jax.report.words import fill
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause, RecordingCheck  # which fits, and what words faults does not

@@ -18,8 +18,8 @@ from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
 from lite6jax.controller.sdk import GATE_M, KinematicsCheck
 from lite6jax.errors import InputError
+from lite6jax.formatting import SCREEN, joint_units
 from lite6jax.recordings.sequence import spread_rows
-from lite6jax.report.words import SCREEN, joint_units
 
 if TYPE_CHECKING:  # what studies take, and fits do not
     from lite6jax.design.command_plans import CommandPlan

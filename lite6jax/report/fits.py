@@ -13,24 +13,14 @@ from lite6jax.arms.entries import SIX
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.solution import Solution
+from lite6jax.formatting import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, number, plus_minus, row_ranges
 from lite6jax.model import TWIST_NAMES
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.faults import fault_statement, is_granted, ruled_out_statements
 from lite6jax.report.sentences import fits as sentences
 from lite6jax.report.sentences.faults import quality_statement
-from lite6jax.report.words import (
-    SCREEN,
-    SHOWS_AS_ZERO,
-    STATISTICS,
-    fill,
-    fixed,
-    listing,
-    number,
-    plus_minus,
-    read_texts,
-    row_ranges,
-)
+from lite6jax.report.words import fill, listing, read_texts
 
 if TYPE_CHECKING:
     from lite6jax.calibration.fleet import Comparison  # a fit compares no arms

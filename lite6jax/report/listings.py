@@ -19,10 +19,11 @@ from lite6jax.calibration.quality import Result
 from lite6jax.fleet import FLEET
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
+from lite6jax.formatting import capital, chance, counted, number, quantity
 from lite6jax.report.remedies import effect_title
 from lite6jax.report.screen import headed, indented
 from lite6jax.report.sentences import listings as sentences
-from lite6jax.report.words import capital, chance, counted, listing, number, quantity, read_texts, say
+from lite6jax.report.words import listing, read_texts, say
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need

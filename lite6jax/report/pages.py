@@ -21,6 +21,7 @@ from lite6jax.diagnosis.document import domain_of, is_of_torques
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.errors import InputError
+from lite6jax.formatting import NAMED_OF_TORQUES, each_with_unit, number, quantity
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import drawings, finding_figure, prefix_of
 from lite6jax.report.faults import fault_name
@@ -31,7 +32,7 @@ from lite6jax.report.reports import own_report
 from lite6jax.report.sections import Picture, Section, parts_of, show_sections
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import units
-from lite6jax.report.words import NAMED_OF_TORQUES, each_with_unit, number, quantity, read_texts
+from lite6jax.report.words import read_texts
 
 Document = Mapping[str, Any]
 

@@ -13,13 +13,13 @@ from lite6jax import suffixes
 from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.effects.catalogue import POSE_EFFECTS, TORQUE_EFFECTS
 from lite6jax.errors import command_line
+from lite6jax.formatting import capital, plural, plus_minus
 from lite6jax.recordings.formats import find_format
 from lite6jax.report.faults import fault_name
 from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.diagnosis import Worth
 from lite6jax.report.sentences.document import Document, Entry, corrected_faults, sliding
-from lite6jax.report.words import capital, plural, plus_minus
 
 _SHARE = 0.1
 """Share of the error of positions, or orientations, from which a finding matters there."""

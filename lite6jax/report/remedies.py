@@ -8,7 +8,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.report.words import fill, joined, ranges, read_texts
+from lite6jax.formatting import joined, ranges
+from lite6jax.report.words import fill, read_texts
 
 Entry = Mapping[str, Any]
 

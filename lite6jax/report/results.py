@@ -33,6 +33,7 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.errors import InputError
+from lite6jax.formatting import SCREEN, be, counted, each_with_unit, joint_units, number, torque_units
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures, fits, ranking, statements, study, tracking
@@ -57,15 +58,6 @@ from lite6jax.report.sentences.results import (
     describe_recording,
     describe_solution,
     describe_torques,
-)
-from lite6jax.report.words import (
-    SCREEN,
-    be,
-    counted,
-    each_with_unit,
-    joint_units,
-    number,
-    torque_units,
 )
 from lite6jax.results import Description, Figures, PublicResult
 from lite6jax.storage import check_writable, write_atomically

@@ -17,6 +17,7 @@ from rich.text import Text
 from lite6jax.diagnosis.document import domain_of, domains_beside, is_of_torques, refusals
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.registry import DOMAINS
+from lite6jax.formatting import capital, counted, fixed, joint_units, row_ranges
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
 from lite6jax.report.faults import fault_name, is_granted, ruled_out_statements
@@ -27,7 +28,7 @@ from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import sliding
 from lite6jax.report.sentences.document import units as units_of
-from lite6jax.report.words import capital, counted, fixed, joint_units, listing, row_ranges
+from lite6jax.report.words import listing
 
 Document = Mapping[str, Any]
 Block = tuple[str, Any]

@@ -14,6 +14,19 @@ from lite6jax.diagnosis.document import domains_beside, is_of_torques
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
+from lite6jax.formatting import (
+    NAMED,
+    NAMED_OF_TORQUES,
+    SCREEN,
+    RoundedParameter,
+    capital,
+    fixed,
+    number,
+    plus_minus,
+    quantity,
+    rounded,
+    significant,
+)
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
 from lite6jax.report.faults import fault_statement, ruled_out_statements
@@ -28,21 +41,7 @@ from lite6jax.report.reports import own_report
 from lite6jax.report.sentences import diagnosis as sentences
 from lite6jax.report.sentences.document import Document, Entry, units
 from lite6jax.report.sentences.faults import quality_statement
-from lite6jax.report.words import (
-    NAMED,
-    NAMED_OF_TORQUES,
-    SCREEN,
-    RoundedParameter,
-    capital,
-    fill,
-    fixed,
-    number,
-    plus_minus,
-    quantity,
-    read_texts,
-    rounded,
-    significant,
-)
+from lite6jax.report.words import fill, read_texts
 
 _TEXTS = read_texts("diagnosis.yaml")
 NOT_CHECKED: str = _TEXTS["not_checked"]

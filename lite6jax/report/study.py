@@ -17,25 +17,22 @@ from lite6jax.design.information import Experiment
 from lite6jax.design.poses import MOST_POSES, DiscriminationPlan, Plan
 from lite6jax.design.readings import read_places
 from lite6jax.design.torques import JOINT, JOINT_UNITS, TorqueExperiment, TorqueIdentification, TorquePlan
+from lite6jax.formatting import (
+    SCREEN,
+    capital,
+    each_with_unit,
+    joined,
+    joint_units,
+    number,
+    plus_minus,
+    ranges,
+    torque_units,
+)
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
 from lite6jax.report.fits import parameter_tables
 from lite6jax.report.sentences import studies as sentences
-from lite6jax.report.words import (
-    SCREEN,
-    capital,
-    each_with_unit,
-    fill,
-    joined,
-    joint_units,
-    listing,
-    number,
-    plus_minus,
-    ranges,
-    read_texts,
-    say,
-    torque_units,
-)
+from lite6jax.report.words import fill, listing, read_texts, say
 from lite6jax.sensors.points import PointSensor
 from lite6jax.sensors.sensor import Sensor
 

@@ -12,21 +12,12 @@ import numpy as np
 
 from lite6jax.domains.base import DomainName
 from lite6jax.errors import command_line
+from lite6jax.formatting import NAMED_OF_SERVOS, capital, multiple, number, quantity, row_ranges, significant
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_name, effect_title, place_of
 from lite6jax.report.sentences import tracking as sentences
-from lite6jax.report.words import (
-    NAMED_OF_SERVOS,
-    capital,
-    fill,
-    multiple,
-    number,
-    quantity,
-    read_texts,
-    row_ranges,
-    significant,
-)
+from lite6jax.report.words import fill, read_texts
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]

@@ -29,12 +29,12 @@ from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
+from lite6jax.formatting import number
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.report import ranking, statements, tracking
 from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE
-from lite6jax.report.words import number
 
 if TYPE_CHECKING:
     from viser import ViserServer

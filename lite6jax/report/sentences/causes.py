@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lite6jax.arms.description import VARIANTS, bundled_arms
-from lite6jax.report.words import capital, milli, plural, rows_named, significant
+from lite6jax.formatting import capital, milli, plural, rows_named, significant
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.check import Cause  # which fits, and what words faults does not

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from lite6jax.design.command_plans import CLEAR, CommandPlan
-from lite6jax.report.words import joined, plural, significant
+from lite6jax.formatting import joined, plural, significant
 
 
 def studied(plan: CommandPlan) -> str:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.effects.servo import Servo
+from lite6jax.formatting import number
 from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import RecordingSettings, ServoSettings
-from lite6jax.report.words import number
 
 
 class SimulatedModel(NamedTuple):

@@ -10,7 +10,7 @@ from lite6jax.domains.pose.compensate import Compensation, TargetFrame
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.tracking.ranges import Beyond
-from lite6jax.report.words import be, counted, joined, joints_named, number, plural, rows_named
+from lite6jax.formatting import be, counted, joined, joints_named, number, plural, rows_named
 
 
 def targets(compensation: Compensation, model: DiagnosedArm, frame: TargetFrame) -> str:

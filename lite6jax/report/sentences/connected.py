@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, KinematicsCheck
-from lite6jax.report.words import fixed, number, paragraph
+from lite6jax.formatting import fixed, number, paragraph
 
 
 def calibration_remarks(source: str, dof: int, arm: str, error: bool, distance: NDArray[np.floating]) -> list[str]:

@@ -12,6 +12,19 @@ from lite6jax.domains.base import DomainName
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.effects.drivers import driver_of
 from lite6jax.errors import command_line
+from lite6jax.formatting import (
+    capital,
+    counted,
+    each_with_unit,
+    joined,
+    milli,
+    multiple,
+    number,
+    paragraph,
+    plural,
+    rows_named,
+    significant,
+)
 from lite6jax.report.remedies import component, drivers_of, effect_name, effect_title, shape, with_articles
 from lite6jax.report.sentences.document import (
     Document,
@@ -24,21 +37,7 @@ from lite6jax.report.sentences.document import (
     units,
     whose_noise,
 )
-from lite6jax.report.words import (
-    capital,
-    counted,
-    each_with_unit,
-    fill,
-    joined,
-    milli,
-    multiple,
-    number,
-    paragraph,
-    plural,
-    read_texts,
-    rows_named,
-    significant,
-)
+from lite6jax.report.words import fill, read_texts
 
 _TEXTS = read_texts("diagnosis.yaml")
 _STANDS_OUT = 2.0

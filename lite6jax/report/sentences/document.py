@@ -5,7 +5,7 @@ from typing import Any
 
 from lite6jax.diagnosis.document import is_of_torques
 from lite6jax.diagnosis.result import NEARLY_SIGNIFICANT
-from lite6jax.report.words import torque_units
+from lite6jax.formatting import torque_units
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]

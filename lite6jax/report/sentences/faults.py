@@ -10,22 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from lite6jax.recordings.fault import DataFault
-from lite6jax.report.words import (
+from lite6jax.formatting import (
     be,
     capital,
     chance,
     counted,
-    fill,
     joined,
     joints_named,
     milli,
     number,
     paragraph,
     plural,
-    read_texts,
     significant,
 )
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.words import fill, read_texts
 
 Numbers = Mapping[str, Any]
 Statement = Callable[[DataFault], str]

@@ -10,9 +10,9 @@ from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.calibration.quality import ABOVE_NOISE, Result
 from lite6jax.calibration.solution import Noise, Solution
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.formatting import counted, number, significant
 from lite6jax.model import ModelForm
 from lite6jax.recordings import Recording
-from lite6jax.report.words import counted, number, significant
 from lite6jax.sensors.kinds import KINDS
 
 _MOST_ROWS = 5

@@ -8,8 +8,9 @@ import numpy as np
 
 from lite6jax.domains.pose.clocks import Clocks, Pairing
 from lite6jax.domains.pose.joining import JoinedFiles
+from lite6jax.formatting import milli, paragraph, significant
 from lite6jax.recordings.reflectors import RigidPose
-from lite6jax.report.words import fill, milli, paragraph, read_texts, significant
+from lite6jax.report.words import fill, read_texts
 
 _TEXTS = read_texts("inspection.yaml")
 _MUCH_BETTER = 1e3

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import Conversion
+from lite6jax.formatting import chance, counted, joined, number, plural, quantity
 from lite6jax.report.remedies import effect_title
-from lite6jax.report.words import chance, counted, joined, number, plural, quantity
 
 if TYPE_CHECKING:
     from lite6jax.effects.catalogue import Listed  # which takes a second, and which arms do not need

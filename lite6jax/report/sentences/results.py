@@ -11,9 +11,9 @@ from lite6jax.calibration.solution import Errors, Solution
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.torque.predict import TorquePrediction
+from lite6jax.formatting import be, counted, number
 from lite6jax.recordings import Recording
 from lite6jax.report.sentences.faults import quality_statement
-from lite6jax.report.words import be, counted, number
 
 NOT_SAID = "The diagnosis does not say what was recorded, and so which rows are outside of it."
 _MOST_NAMES = 6

@@ -11,7 +11,7 @@ from lite6jax.design.identify import Accuracy, Identification
 from lite6jax.design.information import Experiment
 from lite6jax.design.poses import DiscriminationPlan, Plan
 from lite6jax.design.torques import WELL, TorqueExperiment, TorqueIdentification
-from lite6jax.report.words import be, capital, counted, joined, number, significant
+from lite6jax.formatting import be, capital, counted, joined, number, significant
 
 _MOST_PAIRS = 6
 """Correlated pairs that are listed."""

@@ -4,7 +4,8 @@ in `templates/tracking.yaml`. All lengths of angles are in mrad."""
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lite6jax.report.words import capital, fill, joined, joints_named, paragraph, plural, read_texts
+from lite6jax.formatting import capital, joined, joints_named, paragraph, plural
+from lite6jax.report.words import fill, read_texts
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
