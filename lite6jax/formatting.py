@@ -212,8 +212,6 @@ NAMED = {
 """Whose names alone do not say how they are read."""
 NAMED_OF_TORQUES = {**NAMED, "scale": (100.0, "%")}
 """The same, of effects on torques: the scale of a current is not known to ppm."""
-NAMED_OF_SERVOS = {**NAMED_OF_TORQUES, "scale": (1e6, "ppm"), "ratio": (1.0, ""), "rate": (1e6, "ppm")}
-"""The same, of effects on how servos follow."""
 _STIFF = 3.0
 """Standard deviations that a compliance must be from zero for its inverse to mean something."""
 _DAY = 86400.0  # s

@@ -305,12 +305,12 @@ def diagnoses_table() -> str:
 
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
-    return _effects("poses", catalogue.POSE_EFFECTS, _actions(remedies.OF_POSES))
+    return _effects("poses", catalogue.POSE_EFFECTS, _actions(remedies.REMEDIES["poses"]))
 
 
 def torque_effects() -> str:
     """The catalogue of effects on torques."""
-    return _effects("torques", catalogue.TORQUE_EFFECTS, _actions(remedies.OF_TORQUES))
+    return _effects("torques", catalogue.TORQUE_EFFECTS, _actions(remedies.REMEDIES["torques"]))
 
 
 def tracking_effects() -> str:

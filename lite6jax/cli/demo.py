@@ -17,7 +17,7 @@ from lite6jax.errors import InputError, command_line
 from lite6jax.storage import exists, write_atomically
 
 with import_lazily():
-    from lite6jax import recordings, simulation
+    from lite6jax import formatting, recordings, simulation
     from lite6jax.arms import factory as factories
     from lite6jax.effects import serialization
     from lite6jax.report import screen, sections, words
@@ -101,10 +101,10 @@ def _compare(result: Any) -> "Iterator[RenderableType]":
     hidden = [serialization.parse_effect(text) for text in HIDDEN]
     for effect, values in hidden:
         for parameter, true in effect.reported(values).items():
-            truth = words.quantity(parameter, true._asdict())
+            truth = formatting.quantity(parameter, true._asdict())
             shown = "not found"
             if effect.label in findings:
-                estimate = words.quantity(parameter, findings[effect.label][parameter]._asdict())
+                estimate = formatting.quantity(parameter, findings[effect.label][parameter]._asdict())
                 shown = f"{estimate.value} ± {estimate.std}"
             table.add_row(f"{effect.name.replace('_', ' ')} at {effect.site}", truth.value, shown, truth.unit)
     yield from ["", "3. What was hidden, and what was found", table]

@@ -16,14 +16,14 @@ from lite6jax.fields import field_values
 from lite6jax.sensors.kinds import ReadingName
 
 with import_lazily():
-    from lite6jax import recordings, simulation
+    from lite6jax import formatting, recordings, simulation
     from lite6jax.arms import arm as arms
     from lite6jax.arms import factory as factories
     from lite6jax.arms import files
     from lite6jax.effects import catalogue, composition, serialization
     from lite6jax.recordings import files as recording_files
     from lite6jax.recordings import settings as sidecar_settings
-    from lite6jax.report import fits, screen, words
+    from lite6jax.report import fits, screen
     from lite6jax.report.sentences import commands as sentences
 
 if TYPE_CHECKING:
@@ -339,5 +339,5 @@ class SimulateCommand:
             return
         yield "Effects beyond the rigid model"
         yield from command.list_effects(zip(physics.effects, physics.reported(values), strict=True))
-        turn = words.fixed(math.degrees(measured.rms[1]))
+        turn = formatting.fixed(math.degrees(measured.rms[1]))
         yield from command.say("moved", rms=measured.rms, most=float(measured.displacement.max()), turn=turn)

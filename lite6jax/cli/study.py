@@ -17,14 +17,14 @@ from lite6jax.sensors.kinds import ReadingName
 with import_lazily():
     import numpy as np
 
-    from lite6jax import recordings
+    from lite6jax import formatting, recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.calibration import source
     from lite6jax.design import candidates, command_plans, identify, information, motions, poses, torques
     from lite6jax.design import readings as touching
     from lite6jax.effects import serialization
-    from lite6jax.report import command_designs, figures, study, words
+    from lite6jax.report import command_designs, figures, study
     from lite6jax.sensors import usual
 
 Designed = tuple[Any, "recordings.Recording", Iterable[Any]]
@@ -175,7 +175,7 @@ class TorqueSetup:
         self, arm: "arms.Arm", filters: "Sequence[candidates.Filter]" = (), margin: float = 0.0
     ) -> "motions.MotionRoom":
         """Where a motion may be."""
-        scales, _ = words.joint_units(arm.sliding, arm.dof)
+        scales, _ = formatting.joint_units(arm.sliding, arm.dof)
         velocity, acceleration = (  # one number in degrees, or one per joint in degrees and mm
             np.array(numbers) / scales if len(numbers) == arm.dof > 1 else np.deg2rad(numbers)
             for numbers in (self.velocity or _LITE6_VELOCITY, self.acceleration or _LITE6_ACCELERATION)
@@ -300,7 +300,7 @@ class IdentifyCommand:
             notes = [*recording.notes, *assumed]
             if recording.settings.torque_noise_Nm is None and not self.torque.torque_noise:
                 noise_and_units = dict.fromkeys(
-                    zip(model.noise.tolist(), words.torque_units(arm.sliding, arm.dof), strict=True)
+                    zip(model.noise.tolist(), formatting.torque_units(arm.sliding, arm.dof), strict=True)
                 )
                 noise_list = " and ".join(f"{noise:g} {unit}" for noise, unit in noise_and_units)
                 are = "are" if len(noise_and_units) > 1 else "is"

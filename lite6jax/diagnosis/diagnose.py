@@ -547,7 +547,7 @@ def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[
         raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
     if DOMAINS[domain] not in recorded and recorded and POSES not in recorded:
         option = f"--{domain} or domain={domain!r}"
-        raise InputError(f"{recording.source}: has {recorded[0].measured} and no {domain}; leave {option} out")
+        raise InputError(f"{recording.source}: has {recorded[0].words.measured} and no {domain}; leave {option} out")
     return (domain,)
 
 
@@ -634,7 +634,7 @@ DIAGNOSERS: dict[DomainName, Diagnoser] = {
 
 def _require_taken(request: _Request, domains: Sequence[DomainName]) -> None:
     """Refuses an argument that none of the domains takes."""
-    measured = " and ".join(DOMAINS[domain].measured for domain in domains)
+    measured = " and ".join(DOMAINS[domain].words.measured for domain in domains)
     for argument in request.particular:
         if not any(argument in DIAGNOSERS[domain].takes for domain in domains):
             source = request.recording.source

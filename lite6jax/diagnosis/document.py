@@ -187,11 +187,6 @@ def check_document(document: Any, path: str | Path) -> None:
         raise InputError(f"{path}: is damaged (it lacks {missing[0]!r}); {DAMAGED}")
 
 
-def is_of_torques(document: Any) -> bool:
-    """Whether a document is a diagnosis of torques alone."""
-    return isinstance(document, dict) and document.get("domain") == "torques"
-
-
 def is_of_tracking(document: Any) -> bool:
     """Whether a document is a diagnosis of commands and measured joints."""
     return isinstance(document, dict) and document.get("domain") == "tracking"

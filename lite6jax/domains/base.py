@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lite6jax.domains.entries import Document
 from lite6jax.domains.uncertainty import Uncertainty
+from lite6jax.domains.words import Words
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
@@ -110,8 +111,7 @@ class Domain:
 
     Attributes:
         name: by which it is asked for, such as "poses".
-        measured: what is measured, in a word for messages.
-        singular: the same of one.
+        words: what it is called, and what reports say of it.
         source: what the sidecar says from where its numbers are.
         document: what is read of its diagnosis.
         is_recorded: whether a recording holds what is measured.
@@ -119,8 +119,7 @@ class Domain:
     """
 
     name: str
-    measured: str
-    singular: str
+    words: Words
     source: Callable[[RecordingSettings], str]
     document: type[Document[Any]]
     is_recorded: Callable[[Recording], bool]

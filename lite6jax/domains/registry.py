@@ -2,29 +2,29 @@
 
 from lite6jax.domains.base import Domain
 from lite6jax.domains.pose.entry import PoseDocument
+from lite6jax.domains.pose.words import POSE_WORDS
 from lite6jax.domains.torque.entry import TorqueDocument
+from lite6jax.domains.torque.words import TORQUE_WORDS
 from lite6jax.domains.tracking.entry import TrackingDocument
+from lite6jax.domains.tracking.words import TRACKING_WORDS
 
 POSES = Domain(
     "poses",
-    "poses",
-    "pose",
+    POSE_WORDS,
     lambda settings: settings.pose_source,
     PoseDocument,
     lambda recording: recording.numbers_per_sample > 0,
 )
 TORQUES = Domain(
     "torques",
-    "torques",
-    "torque",
+    TORQUE_WORDS,
     lambda settings: settings.torque_source,
     TorqueDocument,
     lambda recording: recording.has_torques,
 )
 TRACKING = Domain(
     "tracking",
-    "commands",
-    "command",
+    TRACKING_WORDS,
     lambda settings: settings.joint_source,
     TrackingDocument,
     lambda recording: recording.commanded_position is not None,

@@ -11,15 +11,17 @@ from rich.console import RenderableType
 
 from lite6jax.design.command_plans import CLEAR, CommandPlan, DesignedPair
 from lite6jax.domains.entries import effect_entry
+from lite6jax.domains.tracking.words import TRACKING_WORDS
 from lite6jax.effects.effect import Effect
-from lite6jax.formatting import NAMED_OF_SERVOS, quantity, significant
+from lite6jax.formatting import quantity, significant
 from lite6jax.report import screen
 from lite6jax.report.remedies import effect_name, effect_title
 from lite6jax.report.sentences import command_designs as sentences
 from lite6jax.report.sentences import studies
 from lite6jax.report.words import listing
 
-_NAMED = NAMED_OF_SERVOS | {
+_NAMED = {
+    **TRACKING_WORDS.special_units,
     "integral_Nm_per_rad_s": (1.0, "Nm/rad/s"),
     "time_constant_s": (1e3, "ms"),
 }

@@ -73,7 +73,7 @@ def figure_names(domains: Sequence[DomainName]) -> list[str]:
 
 def prefix_of(domain: DomainName) -> str:
     """With which the names of figures of a domain begin that was diagnosed beside another."""
-    return f"{DOMAINS[domain].singular}_"
+    return f"{DOMAINS[domain].words.singular}_"
 
 
 def drawings(

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from lite6jax import storage
-from lite6jax.diagnosis.document import domain_of, is_of_torques
+from lite6jax.diagnosis.document import domain_of
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.errors import InputError
-from lite6jax.formatting import NAMED_OF_TORQUES, each_with_unit, number, quantity
+from lite6jax.formatting import quantity
 from lite6jax.report import ranking, statements
 from lite6jax.report.diagnosis_figures import drawings, finding_figure, prefix_of
 from lite6jax.report.faults import fault_name
@@ -31,7 +31,7 @@ from lite6jax.report.remedies import effect_title
 from lite6jax.report.reports import own_report
 from lite6jax.report.sections import Picture, Section, parts_of, show_sections
 from lite6jax.report.sentences import diagnosis as sentences
-from lite6jax.report.sentences.document import units
+from lite6jax.report.sentences.document import words_of
 from lite6jax.report.words import read_texts
 
 Document = Mapping[str, Any]
@@ -76,23 +76,17 @@ def diagnosis_page(
 
 def _pictures(diagnosis: DomainDiagnosis[Any], document: Document, figures: Mapping[str, Figure]) -> dict[str, Picture]:
     """The figures that have a place of their own, and one of each finding."""
-    torques = is_of_torques(document)
-    order = ranking.order(document)
     captions = read_texts("diagnosis.yaml")["captions"].get(document["domain"], {})
     drawn = {name: _picture(figures[name], caption) for name, caption in captions.items() if name in figures}
     if own_report(document) is not None:
         return drawn
+    order = ranking.order(document)
+    words = words_of(document)
     for finding in statements.findings_of(document):
         over = ""
         if finding["driver"] != "none":
             over = f" over the {finding['driver']}"
-        if torques:
-            subject = f"The torque of this finding{over or f' over {effect_title(finding)}'},"
-        else:
-            name = "effect"
-            if finding["effect"] != "unnamed":
-                name = finding["effect"].replace("_", " ")
-            subject = f"The fitted {name} at {finding['site']}{over} with its 95 % band,"
+        subject = words.caption(finding, over, effect_title(finding))
         caption = f"{subject} beside the partial residuals: those of the whole model without it."
         drawn[f"finding{finding['rank']}"] = _picture(finding_figure(diagnosis, "", [finding["place"]], order), caption)
     return drawn
@@ -156,8 +150,10 @@ def certificate(document: Document) -> Figure:
         InputError: a diagnosis of commands and joints, of which there is no certificate.
     """
     if own_report(document) is not None:
-        measured = DOMAINS[domain_of(document)].measured
+        measured = DOMAINS[domain_of(document)].words.measured
         raise InputError(f"certificate: is of poses or torques, and this diagnosis is of {measured}; leave it out")
+    words = words_of(document)
+    accuracy = [("text", words.accuracy)] if words.accuracy else []
     faults = list(dict.fromkeys(fault_name(entry["fault"]).lower() for entry in document["data_faults"]))
     sections = [
         Section("Certificate of accuracy", [("text", ranking.headline(document)), ("pairs", _subject(document))]),
@@ -166,7 +162,7 @@ def certificate(document: Document) -> Figure:
             [
                 ("table", statements.error_rows(document)),
                 ("text", sentences.held_out(document)),
-                *([] if is_of_torques(document) else [("text", read_texts("diagnosis.yaml")["iso"])]),
+                *accuracy,
             ],
         ),
         Section("Findings, with 95 % intervals", [("text", line) for line in _findings(document)]),
@@ -199,15 +195,16 @@ def certificate(document: Document) -> Figure:
 
 
 def _subject(document: Document) -> list[tuple[str, str]]:
-    torques = is_of_torques(document)
     instruments = read_texts("diagnosis.yaml")["instruments"]
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
     instrument = document["instrument"] or instruments.get(document["source"], "not stated")
     noise = next(iter(document["noise"]["declared"].values()))
     if noise is not None:
-        shown = each_with_unit(noise, units(document)) if torques else f"{number(1e3 * noise)} mm per axis"
+        shown = words_of(document).declared_noise(document, noise)
         instrument += f"; declared noise {shown} (one standard deviation)"
-    samples = f"{document['samples']} rows" + ("" if torques else f", {document['model']['motion']}")
+    samples = f"{document['samples']} rows"
+    if "motion" in document["model"]:
+        samples += f", {document['model']['motion']}"
     return [
         ("Arm", document["model"]["arm"]),
         ("Recording", f"{recording}, {samples}" if recording else samples),
@@ -218,12 +215,12 @@ def _subject(document: Document) -> list[tuple[str, str]]:
 
 def _findings(document: Document) -> list[str]:
     """A line for each finding: rank, name, interval of each number, and what it moves."""
-    torques = is_of_torques(document)
+    special_units = words_of(document).special_units
     findings = statements.findings_of(document)
     lines = []
     for finding in findings[:_MOST]:
         numbers = finding.get("peak_to_peak", finding["parameters"])
-        parts = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
+        parts = [_interval(name, estimate, special_units) for name, estimate in numbers.items()]
         parts.append(f"moves {finding['contribution']} RMS")
         lines.append(f"{finding['rank']}. {finding['title']}: {'; '.join(parts)}")
     if len(findings) > _MOST:
@@ -231,13 +228,12 @@ def _findings(document: Document) -> list[str]:
     return lines or ["None."]
 
 
-def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
+def _interval(name: str, estimate: Mapping[str, float], special_units: Mapping[str, tuple[float, str]]) -> str:
     """The 95 % interval of a number in the unit in which it is read; one that was chosen has none."""
     value = estimate["value"]
     std = estimate["std"]
-    special_units = {"named": NAMED_OF_TORQUES} if torques else {}
     middle, *ends = (
-        quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, **special_units) for side in (0, -1, 1)
+        quantity(name, {"value": value + side * _NORMAL_95 * std, "std": std}, special_units) for side in (0, -1, 1)
     )
     between = f" [{ends[0].value}, {ends[1].value}]" if std else ""
     return f"{middle.name} {middle.value}{between} {middle.unit}".rstrip()

@@ -8,8 +8,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from lite6jax.deferred import import_lazily
 from lite6jax.formatting import joined, ranges
 from lite6jax.report.words import fill, read_texts
+
+with import_lazily():  # which imports the domains; a list of effects does without
+    from lite6jax.report.sentences import document
 
 Entry = Mapping[str, Any]
 
@@ -30,14 +34,14 @@ class Remedy(NamedTuple):
     of_geometry: bool = False
 
 
-OF_POSES, OF_TORQUES = (
-    {
+REMEDIES = {
+    domain: {
         effect: Remedy(entry["cause"], entry["action"], "sensor" not in entry, "geometry" in entry)
         for effect, entry in remedies.items()
     }
-    for remedies in (read_texts("remedies.yaml")[domain] for domain in ("poses", "torques"))
-)
-"""By the name of an effect on poses, and of one on torques."""
+    for domain, remedies in read_texts("remedies.yaml")["domains"].items()
+}
+"""By domain and the name of an effect."""
 
 _SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or replace it; the arm needs no correction."
 """Of what no effect of the catalogue names there: joint positions cannot compensate what a sensor shows."""
@@ -48,12 +52,13 @@ _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sen
 
 
 def remedy_of(entry: Entry) -> Remedy:
-    """The remedy of a finding with its `domain`, that of a user's own effect where neither catalogue has it."""
-    torques = entry["domain"] == "torques"
+    """The remedy of a finding with its `domain`, that of a user's own effect where no catalogue has it."""
     exerted = _exerted(entry)
-    remedy = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
-    if not torques and entry["site"] in ("sensor", "clock"):
-        return remedy._replace(of_arm=False, action=_SENSOR if entry["effect"] == "unnamed" else remedy.action)
+    remedy = REMEDIES[entry["domain"]].get(entry["effect"], _OWN)
+    if entry["site"] in ("sensor", "clock"):
+        remedy = remedy._replace(of_arm=False)
+        if entry["effect"] == "unnamed":
+            remedy = remedy._replace(action=_SENSOR)
     if exerted == "force":
         for of_turn, of_slide in _OF_SLIDE.items():
             remedy = remedy._replace(cause=remedy.cause.replace(of_turn, of_slide))
@@ -64,14 +69,13 @@ def remedy_of(entry: Entry) -> Remedy:
 def cause_of(entry: Entry) -> str:
     """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
     parameters = entry.get("parameters", {})
-    torques = entry["domain"] == "torques"
-    if torques and entry["effect"] == "payload" and "mass_kg" in parameters:
+    if entry["effect"] == "payload" and "mass_kg" in parameters:
         mass, *center = (parameters[name]["value"] for name in ("mass_kg", "x_m", "y_m", "z_m"))
         at = ", ".join(f"{1e3 * value:.0f}" for value in center)
         return f"{abs(mass):.2g} kg {'more' if mass > 0 else 'less'} than declared hang on the flange, at ({at}) mm"
     source = parameters.get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry).cause.format(
-        place=place_of(entry["site"]) if torques else joined(_places(entry), "or"),
+        place=joined(_places(entry), "or"),
         source=f"joint {source:.0f}" if source else "another joint",
         effect=effect_name(entry["effect"]),
         exerted=_exerted(entry),
@@ -90,8 +94,11 @@ def _exerted(entry: Entry) -> str:
 
 def _places(entry: Entry) -> list[str]:
     """The place of a finding in words; of an unnamed one also those where it is nearly as likely, the nearest first."""
-    near = [rival for rival in distinct_rivals(entry) if rival["status"] not in ("rejected", "found")]
-    sites = [entry["site"], *(rival["site"] for rival in near if entry["effect"] == "unnamed")]
+    near = []
+    if entry["effect"] == "unnamed":
+        rivals = distinct_rivals(entry)
+        near = [rival["site"] for rival in rivals if rival["status"] not in ("rejected", "found")]
+    sites = document.words_of(entry).places(entry["site"], near)
     return list(dict.fromkeys(map(place_of, sites)))[:_MOST_PLACES]
 
 

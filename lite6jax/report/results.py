@@ -33,7 +33,7 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction
 from lite6jax.domains.tracking.predict import CorrectedCommands, TrackedMotion
 from lite6jax.errors import InputError
-from lite6jax.formatting import SCREEN, be, counted, each_with_unit, joint_units, number, torque_units
+from lite6jax.formatting import SCREEN, be, counted, each_with_unit, joint_units, torque_units
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.files import write_table
 from lite6jax.report import diagnosis_figures, figures, fits, ranking, statements, study, tracking
@@ -49,7 +49,7 @@ from lite6jax.report.faults import fault_name
 from lite6jax.report.figures import AFTER, BEFORE, STYLE, dots, panels_in_rows, titled
 from lite6jax.report.pages import diagnosis_page
 from lite6jax.report.sentences import diagnosis as diagnosis_sentences
-from lite6jax.report.sentences.document import units as units_of
+from lite6jax.report.sentences.document import words_of
 from lite6jax.report.sentences.results import (
     NOT_SAID,
     describe_compensation,
@@ -206,20 +206,14 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     document = diagnosis.to_dict()
     findings = statements.findings_of(document)
     hidden = len(findings) - _MOST_FINDINGS
-    stages = (document["before"], document["after"])
-    if diagnosis.domain == "torques":
-        start = "torque errors of the joints are"
-        units = units_of(document)
-        sizes = [each_with_unit(stage["heldout_torque_rms_by_joint_Nm"], units) for stage in stages]
-    else:
-        start = "position error is"
-        sizes = [f"{number(1e3 * stage['heldout_position_rms_m'])} mm" for stage in stages]
+    words = words_of(document)
+    subject = words.subject
+    errors_are, before, after = words.overall_error(document)
     after_effects = ""
     if findings:
-        after_effects = f"{sizes[1]} RMS with these effects and "
+        after_effects = f"{after} RMS with these effects and "
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
-    notes = [*diagnosis_sentences.assumptions(document), *statements.what_to_record(document)]
-    subject = "the torques of " if diagnosis.domain == "torques" else ""
+    notes = [*words.assumptions(document), *statements.what_to_record(document)]
     beside = []
     for part in diagnosis.beside:
         subject = f"the {diagnosis_sentences.measured(document)} of "
@@ -234,7 +228,7 @@ def _diagnosis(diagnosis: DomainDiagnosis) -> Description:
     ]
     sentences += [finding["statement"] for finding in findings[:_MOST_FINDINGS]]
     sentences += [f"{counted(hidden, 'more finding')} {be(hidden)} in `findings`."] if hidden > 0 else []
-    sentences += [f"The held-out {start} {after_effects}{sizes[0]} RMS with the model of the arm alone."]
+    sentences += [f"The held-out {errors_are} {after_effects}{before} RMS with the model of the arm alone."]
     sentences += [f"The data have {counted(len(faults), 'fault')}: {', '.join(faults)}."] if faults else []
     sentences += [diagnosis_sentences.refusal(domain, reason) for domain, reason in diagnosis.refused.items()]
     return Description(f"Diagnosis of {subject}a {document['model']['arm']}", (*sentences, *beside), tuple(notes))

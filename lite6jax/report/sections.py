@@ -14,9 +14,10 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.diagnosis.document import domain_of, domains_beside, is_of_torques, refusals
+from lite6jax.diagnosis.document import domain_of, domains_beside, refusals
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.registry import DOMAINS
+from lite6jax.domains.words import effort_units, sliding
 from lite6jax.formatting import capital, counted, fixed, joint_units, row_ranges
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking, statements
@@ -26,8 +27,7 @@ from lite6jax.report.remedies import by_site
 from lite6jax.report.reports import own_report
 from lite6jax.report.screen import indented, unbroken
 from lite6jax.report.sentences import diagnosis as sentences
-from lite6jax.report.sentences.document import sliding
-from lite6jax.report.sentences.document import units as units_of
+from lite6jax.report.sentences.document import words_of
 from lite6jax.report.words import listing
 
 Document = Mapping[str, Any]
@@ -82,6 +82,7 @@ def sections_of(
     ranked = statements.findings_of(document)
     actions = ranking.actions(document)
     unit = ranking.unit_of(document)
+    words = words_of(document)
     bars = [
         (finding["title"], finding["share"], finding["contribution"].removesuffix(f" {unit}")) for finding in ranked
     ]
@@ -102,7 +103,7 @@ def sections_of(
             "Held-out errors before and after",
             [
                 ("table", statements.error_rows(document)),
-                *_texts(sentences.held_out(document), sentences.noise(document), *sentences.assumptions(document)),
+                *_texts(sentences.held_out(document), words.noise(document), *words.assumptions(document)),
                 *_texts(*_distance_from_table(document)),
                 *drawn("error_by_joint", "over_time"),
             ],
@@ -139,7 +140,10 @@ def parts_of(
     parts = [(_title(domain_of(document)), first)]
     for domain, of_domain in zip(beside, pictures[1:], strict=True):
         parts.append(
-            (_title(domain), sections_of(document[domain], None, details, of_domain, f"{DOMAINS[domain].singular}-"))
+            (
+                _title(domain),
+                sections_of(document[domain], None, details, of_domain, f"{DOMAINS[domain].words.singular}-"),
+            )
         )
     for domain, reason in refused.items():
         parts.append((_title(domain), [Section("", _texts(sentences.refusal(domain, reason)))]))
@@ -152,7 +156,7 @@ def parts_of(
 
 
 def _title(domain: DomainName) -> str:
-    return capital(DOMAINS[domain].measured)
+    return capital(DOMAINS[domain].words.measured)
 
 
 def _texts(*lines: str) -> list[Block]:
@@ -161,8 +165,7 @@ def _texts(*lines: str) -> list[Block]:
 
 def _comparison(document: Document) -> Iterator[Block]:
     if comparison := document.get("against"):
-        units = units_of(document) if is_of_torques(document) else ()
-        yield "text", sentences.comparison_headline(comparison, units)
+        yield "text", sentences.comparison_headline(comparison, effort_units(document))
         yield "bullets", [entry["statement"] for key in ("differences", "notes") for entry in comparison.get(key, ())]
         yield "text", comparison["statement"]
 

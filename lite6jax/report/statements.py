@@ -10,19 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.diagnosis.document import domains_beside, is_of_torques
+from lite6jax.diagnosis.document import domains_beside
 from lite6jax.domains.registry import DOMAINS
 from lite6jax.domains.uncertainty import Basis
 from lite6jax.effects.drivers import driver_of
 from lite6jax.formatting import (
-    NAMED,
     NAMED_OF_TORQUES,
     SCREEN,
     RoundedParameter,
     capital,
-    fixed,
-    number,
-    plus_minus,
     quantity,
     rounded,
     significant,
@@ -31,15 +27,17 @@ from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
 from lite6jax.report.faults import fault_statement, ruled_out_statements
 from lite6jax.report.remedies import (
-    detail,
+    component,
     distinct_rivals,
     drivers_of,
     effect_name,
     effect_title,
+    shape,
+    with_articles,
 )
 from lite6jax.report.reports import own_report
 from lite6jax.report.sentences import diagnosis as sentences
-from lite6jax.report.sentences.document import Document, Entry, units
+from lite6jax.report.sentences.document import Document, Entry, words_of
 from lite6jax.report.sentences.faults import quality_statement
 from lite6jax.report.words import fill, read_texts
 
@@ -54,7 +52,6 @@ _NEAREST = 2
 """Effects that a finding may be instead, for whose distinction the recording is said; more would vary everything."""
 _SCATTERS = 1.5
 """Standard deviation from blocks over that of the fit, from which it is said: chance makes it so in one of 700."""
-_MOVES = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
 
 
 def with_statements(document: Document) -> dict[str, Any]:
@@ -98,7 +95,7 @@ def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: poses or torques that the controller computed, a model that does not describe them,
     effects that were not kept."""
     lines = sentences.not_measured(document)
-    if not is_of_torques(document) and (bad := quality_statement(document["quality"])):
+    if "quality" in document and (bad := quality_statement(document["quality"])):
         lines.append(bad)
     if document["withdrawn"] is not None:
         lines.append(sentences.withdrawn_effects(document))
@@ -113,25 +110,15 @@ def error_rows(document: Document) -> tuple[list[str], list[list[str]]]:
     before = document["before"]
     after = document["after"]
     rows = []
-    torques = is_of_torques(document)
-    kinds = [("position error", "position", "m"), ("orientation error", "orientation", "rad")]
-    if torques:
-        exerted_units = dict.fromkeys(units(document))
-        kind_of_unit = {unit: "prismatic" if unit == "N" else "revolute" for unit in exerted_units}
-        if len(exerted_units) == 1:
-            kind_of_unit = dict.fromkeys(exerted_units, "all")
-        kinds = [(f"{kind_of_unit[unit]} joints", "torque", unit) for unit in exerted_units]
-    for name, measure, unit in kinds:
+    words = words_of(document)
+    for name, measure, unit in words.error_kinds(document):
         scale, shown = SCREEN.get(unit, (1.0, unit))
         for key, statistic in _STATISTICS.items():
             if (at := f"heldout_{measure}_{key}_{unit}") in before and at in after:
                 rows.append((f"{name} ({shown}), {statistic}", scale * before[at], scale * after[at]))
-    if torques:
-        by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
-        numbered = enumerate(zip(units(document), *by_joint, strict=True), 1)
-        rows += [(f"joint {joint} ({unit}), RMS", *sizes) for joint, (unit, *sizes) in numbered]
+    rows += words.error_rows_by_joint(document)
     has_findings = bool(document["findings"])
-    size = significant if torques else number
+    size = words.shown
     headers = ["held-out error", "before", "after", *(["after / before"] if has_findings else [])]
     ratio = lambda initial, final: [f"{100 * final / initial:.0f} %" if initial else "–"] if has_findings else []  # noqa: E731
     return headers, [[name, size(initial), size(final), *ratio(initial, final)] for name, initial, final in rows]
@@ -168,26 +155,17 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
 def finding_statement(finding: Entry, beside: Iterable[Entry] = ()) -> str:
     """A finding, as `ranking.detailed` gives it, in a sentence, and what it is with those `beside`."""
-    unnamed = finding["effect"] == "unnamed"
     numbers = ", ".join(str(size) for size in quantities(finding) if size.std)
-    if is_of_torques(finding):
-        moves = " and ".join(f"{significant(finding[key])} {words}" for key, words in _MOVES if key in finding)
-        exerted = "force" if finding["where"].get("of_slide") else "torque"
-        if unnamed:
-            sentence = sentences.unnamed_torque(finding, exerted, moves)
-        else:
-            sentence = sentences.named_torque(effect_title(finding), numbers, moves)
+    words = words_of(finding)
+    drivers = with_articles(finding["driver"])
+    if finding["effect"] == "unnamed":
+        where = finding["where"]
+        nearest = ""
+        if "nearest" in finding:
+            nearest = effect_title(finding["nearest"])
+        sentence = words.unnamed(finding, drivers, numbers, component(where), shape(where), nearest)
     else:
-        label = f"{finding['effect'].replace('_', ' ')}{detail(finding)} at {finding['site']}"
-        turned = finding.get("moves_rms_rad")
-        turns = ""
-        if turned:
-            turns = f" and turns it by {plus_minus(float(np.rad2deg(turned)))} deg"
-        moves = f"{plus_minus(1e3 * finding['moves_rms_m'])} mm RMS{turns}"
-        if unnamed:
-            sentence = sentences.unnamed_displacement(finding, numbers, moves)
-        else:
-            sentence = sentences.named_displacement(finding, label, numbers, moves)
+        sentence = words.named(finding, effect_title(finding), drivers, numbers)
     return " ".join([sentence, *_by_blocks(finding), *_as_a_gear(finding, beside)])
 
 
@@ -222,7 +200,7 @@ def _as_a_gear(finding: Entry, findings: Iterable[Entry]) -> Iterator[str]:
 
 def quantities(finding: Entry) -> list[RoundedParameter]:
     """The numbers of a finding as they are read; of a nonparametric effect its peak to peak."""
-    special_units = NAMED_OF_TORQUES if is_of_torques(finding) else NAMED
+    special_units = words_of(finding).special_units
     estimates = finding.get("peak_to_peak", finding["parameters"])
     return [quantity(name, estimate, special_units) for name, estimate in estimates.items()]
 
@@ -240,9 +218,7 @@ def rivals(finding: Entry, rejected: bool = False) -> list[str]:
     The nearest come first; on poses with their log evidence over its own.
     """
     entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
-    if is_of_torques(finding):
-        return [effect_title(rival) for rival in entries if rival["status"] != "found"]
-    return [f"{effect_title(rival)} (log evidence {fixed(-rival['log_likelihood_gap'], 1, '+')})" for rival in entries]
+    return words_of(finding).rivals([(effect_title(rival), rival) for rival in entries])
 
 
 # ------------------------------------------------------------------ what was not tested, and what to record
@@ -268,7 +244,7 @@ def untested(document: Document) -> list[Untested]:
         needed = f"{kind} of these joints" if several else entries[0]["driver"]
         reasons.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
-        reasons.append(Untested(sentences.confounded_effects(document), "", tuple(document["confounded"])))
+        reasons.append(Untested(words_of(document).confounded(document), "", tuple(document["confounded"])))
     return reasons
 
 
@@ -308,7 +284,7 @@ def what_to_record(document: Document) -> list[str]:
             names = list(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(fill(texts["untested"], {"names": names, "remedy": group.remedy.removesuffix(" …")}))
     if document["confounded"]:
-        sentence = sentences.remedy_of_confounded(document)
+        sentence = words_of(document).remedy_of_confounded(document)
         lines += [sentence] if sentence else []
     return lines + equivalent
 

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from lite6jax.domains.base import DomainName
+from lite6jax.domains.tracking.words import TRACKING_WORDS
 from lite6jax.errors import command_line
-from lite6jax.formatting import NAMED_OF_SERVOS, capital, multiple, number, quantity, row_ranges, significant
+from lite6jax.formatting import capital, multiple, number, quantity, row_ranges, significant
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
-from lite6jax.report.remedies import OF_TORQUES, distinct_rivals, effect_name, effect_title, place_of
+from lite6jax.report.remedies import REMEDIES, distinct_rivals, effect_name, effect_title, place_of
 from lite6jax.report.sentences import tracking as sentences
 from lite6jax.report.words import fill, read_texts
 
@@ -46,6 +47,8 @@ _MATTERS = 0.5
 """Of the difference of two rollouts, that is left with fine steps where those of the file make the difference."""
 _RATIOS = {"servo_stiffness", "servo_damping"}
 """Effects whose numbers are ratios to those of the model: what it has is another."""
+_OF_TORQUES = REMEDIES["torques"]
+"""Of effects that act in servos as in motors."""
 _TIMING = {"command_delay", "time_offset", "command_filter", "servo_damping", "viscous_friction", "servo_feedforward"}
 _LOAD = {
     *("servo_stiffness", "payload_error", "base_tilt", "link_mass", "link_com", "encoder_offset", "encoder_scale"),
@@ -75,7 +78,9 @@ def with_statements(document: Document) -> dict[str, Any]:
 def finding_statement(finding: Entry) -> str:
     """A finding in a sentence, with its numbers and what it moves."""
     estimates = finding.get("peak_to_peak", finding["parameters"])
-    numbers = ", ".join(str(quantity(name, estimate, NAMED_OF_SERVOS)) for name, estimate in estimates.items())
+    numbers = ", ".join(
+        str(quantity(name, estimate, TRACKING_WORDS.special_units)) for name, estimate in estimates.items()
+    )
     moves = number(_MRAD * finding["moves_rms_rad"])
     return sentences.finding_sentence(finding, capital(effect_title(finding)), numbers, moves)
 
@@ -86,7 +91,7 @@ def cause_of(finding: Entry) -> str:
     text = _TEXTS["causes"].get(finding["effect"])
     if text is not None:
         return text["cause"].format(place=place)
-    remedy = OF_TORQUES.get(finding["effect"])
+    remedy = _OF_TORQUES.get(finding["effect"])
     cause = "{place} has " + finding["effect"].replace("_", " ") if remedy is None else remedy.cause
     return cause.format(place=place, exerted="torque", source="another joint")
 
@@ -97,7 +102,7 @@ def action_of(finding: Entry) -> str:
         return _TEXTS["causes"][finding["effect"]]["action"]
     if finding["effect"] == "unnamed":
         return "The model in the JSON file contains it, and `predict` uses it; no simulator has a name for it."
-    return OF_TORQUES[finding["effect"]].action.replace("{exerted}", "torque")
+    return _OF_TORQUES[finding["effect"]].action.replace("{exerted}", "torque")
 
 
 def ranked(document: Document) -> list[Entry]:
@@ -180,7 +185,7 @@ def _first_number(finding: Entry, verb: str) -> str:
         return name
     parameter, estimate = next(iter(estimates.items()))
     to_three_digits = float(f"{estimate['value']:.3g}")
-    shown = quantity(parameter, {"value": to_three_digits, "std": 0.0}, NAMED_OF_SERVOS)
+    shown = quantity(parameter, {"value": to_three_digits, "std": 0.0}, TRACKING_WORDS.special_units)
     return f"{name} {verb} {shown.value} {shown.unit}".rstrip()
 
 

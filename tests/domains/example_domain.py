@@ -14,6 +14,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import AS_NOISE, DomainDiagnosis
 from lite6jax.domains.base import Domain
 from lite6jax.domains.entries import Document, ModelEntry, shared_fields
+from lite6jax.domains.words import Words
 from lite6jax.effects.effect import Coordinate, Effect, final_effect
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording, read_motion
@@ -181,7 +182,8 @@ class OscillatorDocument(Document[OscillatorEntry], kw_only=True):
         return DiagnosedOscillator(Oscillator(*self.model.oscillator), Terms(terms), join(values))
 
 
-OSCILLATORS = Domain("oscillators", "positions", "position", lambda _: "read", OscillatorDocument, lambda log: False)
+WORDS = Words("positions", "position")
+OSCILLATORS = Domain("oscillators", WORDS, lambda _: "read", OscillatorDocument, lambda log: False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -227,10 +229,9 @@ class OscillatorReport:
 
     def parts_of(self, document, files, details, pictures):
         sizes = [f"{1e3 * document[stage]['heldout_position_rms_m']:.3f}" for stage in ("before", "after")]
-        cause = (document["verdict"], f"The oscillator is {document['verdict']}.")
         statements = [finding["statement"] for finding in document["findings"]]
         return [
-            ("", [("cause", cause)]),
+            ("", [("cause", (document["verdict"], f"The oscillator is {document['verdict']}."))]),
             ("Held-out errors", [("table", (["before (mm)", "after (mm)"], [sizes]))]),
             ("Findings", [("bullets", statements)]),
         ]

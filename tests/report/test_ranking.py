@@ -19,7 +19,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import ranking
 from lite6jax.report.diagnosis_figures import drawings
 from lite6jax.report.ranking import Files, contribution, headline, steps
-from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
+from lite6jax.report.remedies import REMEDIES, cause_of, remedy_of
 from lite6jax.report.statements import with_statements
 
 
@@ -33,7 +33,8 @@ def words_of(document, *files):
 
 
 @pytest.mark.parametrize(
-    ("known", "remedies"), [(catalogue.POSE_EFFECTS, OF_POSES), (catalogue.TORQUE_EFFECTS, OF_TORQUES)]
+    ("known", "remedies"),
+    [(catalogue.POSE_EFFECTS, REMEDIES["poses"]), (catalogue.TORQUE_EFFECTS, REMEDIES["torques"])],
 )
 def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
     assert set(remedies) == set(known)

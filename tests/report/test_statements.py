@@ -13,6 +13,7 @@ from diagnosed import LITE6, Reader, diagnosed, documented, gear, with_rivals
 from rich.console import Console
 from rich.text import Text
 
+from lite6jax import formatting
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.result import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
@@ -21,7 +22,7 @@ from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.progress import Stage
 from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, ranking, remedies, statements, words
+from lite6jax.report import diagnosis_figures, ranking, remedies, statements
 from lite6jax.report import screen as terminal
 from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
 from lite6jax.report.pages import diagnosis_page
@@ -401,9 +402,16 @@ def test_blocks_that_scatter_much_more_than_the_fit_says_are_said(compliant, dra
 
 
 def test_a_number_that_is_not_finite_is_unknown():
-    for shown in (words.number, words.significant, words.milli, words.multiple, words.fixed, words.plus_minus):
+    for shown in (
+        formatting.number,
+        formatting.significant,
+        formatting.milli,
+        formatting.multiple,
+        formatting.fixed,
+        formatting.plus_minus,
+    ):
         assert [shown(value) for value in (np.inf, -np.inf, np.nan)] == ["unknown"] * 3
-    assert words.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
+    assert formatting.each_with_unit([1.0, np.nan], ("Nm", "Nm")) == "1, unknown Nm"
 
 
 def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch, capsys):

@@ -6,26 +6,21 @@ Each sentence is made from the JSON document alone. The other texts are in `temp
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from lite6jax.calibration.quality import NOISES
-from lite6jax.diagnosis.document import domain_of, domains_beside, is_of_torques
+from lite6jax.diagnosis.document import domain_of, domains_beside
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.registry import DOMAINS
-from lite6jax.effects.drivers import driver_of
+from lite6jax.domains.words import undeclared_noise
 from lite6jax.errors import command_line
 from lite6jax.formatting import (
     capital,
-    counted,
     each_with_unit,
     joined,
     milli,
-    multiple,
     number,
     paragraph,
-    plural,
-    rows_named,
     significant,
 )
-from lite6jax.report.remedies import component, drivers_of, effect_name, effect_title, shape, with_articles
+from lite6jax.report.remedies import effect_name, effect_title
 from lite6jax.report.sentences.document import (
     Document,
     Entry,
@@ -33,15 +28,11 @@ from lite6jax.report.sentences.document import (
     declares_noise,
     has_computed_poses,
     nearly_significant,
-    undeclared_noise,
-    units,
-    whose_noise,
+    words_of,
 )
 from lite6jax.report.words import fill, read_texts
 
 _TEXTS = read_texts("diagnosis.yaml")
-_STANDS_OUT = 2.0
-"""Times the others, at which one joint is named apart."""
 
 
 # ------------------------------------------------------------------ the verdict
@@ -53,7 +44,7 @@ def verdict_statement(document: Document) -> str:
     if verdict == "consistent":
         return consistent(document)
     if verdict == "explained":
-        return f"Explained: with the effects below, the held-out errors are the {whose_noise(document)} noise."
+        return f"Explained: with the effects below, the held-out errors are the {words_of(document).noise_of} noise."
     if verdict == "partly_explained":
         sentence = partly_explained(document)
     elif verdict == "unnamed":
@@ -70,11 +61,11 @@ def verdict_statement(document: Document) -> str:
 
 def consistent(document: Document) -> str:
     """Says that nothing was found and that what is left is noise."""
-    torques = is_of_torques(document)
+    words = words_of(document)
     if has_computed_poses(document):
         return "Consistent: the table of the arm reproduces what the controller computed from the joints."
-    if "against" in document and not torques:
-        return "Consistent: beyond the differences above, the two recordings differ by noise."
+    if "against" in document and words.consistent_beside_reference:
+        return words.consistent_beside_reference
     corrected = ""
     if corrected_faults(document):
         corrected = ", with the faults of the data corrected"
@@ -83,9 +74,7 @@ def consistent(document: Document) -> str:
             f"Consistent{corrected}: no effect is significant, and the residuals look like noise. Their size is not "
             f"tested, as the sidecar declares {undeclared_noise(document)}."
         )
-    if torques:
-        return "Consistent: the inverse dynamics of the declared arm and the sensors' noise explain the torques."
-    return f"Consistent{corrected}: the model of the arm and the sensor's noise explain the recording."
+    return words.consistent.format(corrected=corrected)
 
 
 def partly_explained(document: Document) -> str:
@@ -96,40 +85,33 @@ def partly_explained(document: Document) -> str:
             f"{sentence}. Whether more remains cannot be tested, because the sidecar declares "
             f"{undeclared_noise(document)}."
         )
-    if is_of_torques(document):
-        sentence += ", and more than noise is left"
-    return paragraph(f"{sentence}.", error_ratios(document))
+    words = words_of(document)
+    return paragraph(f"{sentence}{words.more_than_noise}.", words.error_ratios(document))
 
 
 def unnamed(document: Document) -> str:
     """Says that the largest effect has no name."""
     sentence = "Unnamed: no effect of the catalogue explains the largest effect that was found."
-    if not is_of_torques(document):
-        return sentence
-    return paragraph(sentence, error_ratios(document))
+    return paragraph(sentence, words_of(document).errors_of_unnamed(document))
 
 
 def unexplained(document: Document) -> str:
     """Says that more than noise is left, and that nothing explains it."""
-    torques = is_of_torques(document)
-    if not torques and document["quality"]["verdict"] == "bad":
-        return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
-    times = max(ratio or 0.0 for ratio in document["left"]["over_noise"].values())
-    if not torques and times > NOISES:
-        return (
-            f"Unexplained: no effect that was tested explains the residuals, which are {multiple(times)} times the "
-            "declared noise: check the arm, the frame, the tool and the columns that the sidecar declares."
-        )
+    words = words_of(document)
+    gross_error = words.gross_error(document)
+    if gross_error:
+        return gross_error
     return paragraph(
-        f"Unexplained: what is left is not the {whose_noise(document)} noise alone, and no effect is significant.",
-        error_ratios(document),
+        f"Unexplained: what is left is not the {words.noise_of} noise alone, and no effect is significant.",
+        words.error_ratios(document),
     )
 
 
 def undetermined(document: Document) -> str:
     """Says what the recording is too short to tell, and how much more it takes."""
     near = nearly_significant(document)
-    torques = is_of_torques(document)
+    words = words_of(document)
+    open_question = words.too_short
     if near:
         below = ""
         if document["findings"]:
@@ -138,61 +120,7 @@ def undetermined(document: Document) -> str:
             f"what is left{below} is noise, but {effect_name(near['effect'])} at {near['site']} is nearly significant "
             f"(family-wise p-value {significant(near['p_value'], 2)})."
         )
-    elif torques:
-        open_question = "the recording is too short to tell whether something is missing."
-    else:
-        open_question = "there are too few rows to tell whether something is missing."
-    if torques:
-        return f"Undetermined: {open_question} Record a longer one."
-    more = counted(document["rows_needed"] - document["samples"], "more pose")
-    return f"Undetermined: {open_question} Record about {more}."
-
-
-def error_ratios(document: Document) -> str:
-    """Says how many times the noise the errors are, and whether they are correlated."""
-    if is_of_torques(document):
-        correlated = ""
-        if not document["left"]["white"]:
-            correlated = "Neighbouring samples of what is left are correlated."
-        return paragraph(_torque_ratios(document), correlated)
-    parts = []
-    for what, ratio in document["left"]["over_noise"].items():
-        if ratio is None:
-            continue
-        held_out = ""
-        if what == "position":
-            held_out = "held-out "
-        parts.append(f"{held_out}{what} errors are {multiple(ratio)} times the declared noise")
-    if not document["left"]["white"]:
-        parts.append("neighbouring rows are correlated")
-    return f"{capital(joined(parts))}."
-
-
-def _torque_ratios(document: Document) -> str:
-    """Says how many times the noise the errors of torques are, and of which joint they are largest."""
-    sizes = [ratio for ratio in document["left"]["over_noise"].values() if ratio is not None]
-    if not sizes:
-        return ""
-    joint, largest = max(enumerate(sizes, 1), key=lambda pair: pair[1])
-    remaining = sizes[: joint - 1] + sizes[joint:]
-    if remaining and largest > _STANDS_OUT * max(remaining):
-        sentence = (
-            f"The held-out errors of joint {joint} are {multiple(largest)} times the declared noise, those of the "
-            f"others {_range(remaining)} times."
-        )
-    else:
-        sentence = f"The held-out errors are {_range(sizes)} times the declared noise, and largest of joint {joint}."
-    between = (document["left"].get("between_reversals") or {}).get(f"joint{joint}", largest)
-    if between >= 0.5 * (1 + largest):  # most of the excess over noise
-        return sentence
-    return (
-        f"{sentence} They are larger where joint {joint} reverses: within a sample it is not known when its friction "
-        f"turns. Elsewhere they are {multiple(between)} times."
-    )
-
-
-def _range(ratios: Sequence[float]) -> str:
-    return " to ".join(dict.fromkeys(map(multiple, (min(ratios), max(ratios)))))
+    return f"Undetermined: {open_question} {words.record_more(document)}"
 
 
 # ------------------------------------------------------------------ what qualifies the verdict
@@ -206,7 +134,7 @@ def not_measured(document: Document) -> list[str]:
             "The poses are the controller's own computation from the joints: they test nothing but the table of the "
             "arm. To diagnose the arm itself, record the poses with a sensor."
         )
-    if is_of_torques(document) and document["source"] == "estimated":
+    if document["source"] == "estimated":
         lines.append(
             "The torques are declared as estimated by the controller: the findings are differences between the model "
             "of the controller and the model of this arm, and not effects on the motors."
@@ -216,13 +144,13 @@ def not_measured(document: Document) -> list[str]:
 
 def refusal(domain: DomainName, reason: str) -> str:
     """Says why a recording was not diagnosed by a domain beside another."""
-    return f"The {DOMAINS[domain].measured} of this recording are not diagnosed: {reason}."
+    return f"The {DOMAINS[domain].words.measured} of this recording are not diagnosed: {reason}."
 
 
 def measured(document: Document) -> str:
     """Names what a recording of several domains was diagnosed by."""
     domains = (domain_of(document), *domains_beside(document))
-    return joined([DOMAINS[domain].measured for domain in domains])
+    return joined([DOMAINS[domain].words.measured for domain in domains])
 
 
 def nothing_shared(document: Document) -> str:
@@ -233,25 +161,7 @@ def nothing_shared(document: Document) -> str:
 def withdrawn_effects(document: Document) -> str:
     """Says which significant effects were not kept, and why."""
     withdrawn = document["withdrawn"]
-    names = list(map(effect_title, withdrawn["effects"]))
-    if is_of_torques(document):
-        return f"Significant, but not kept, because the held-out errors are larger with them: {', '.join(names)}."
-    count = len(names)
-    before = 1e3 * withdrawn["before"]["heldout_position_rms_m"]
-    after = 1e3 * withdrawn["after"]["heldout_position_rms_m"]
-    start = (
-        f"{capital(joined(names))} {plural(count, 'was', 'were')} significant, but "
-        f"{plural(count, 'it is', 'they are')} not kept:"
-    )
-    if after > before:
-        return (
-            f"{start} the errors on held-out rows are larger ({number(after, 3)} mm RMS of position) than without "
-            f"({number(before, 3)} mm)."
-        )
-    return (
-        f"{start} what is left on held-out rows is several times what is left of the fitted ones ({number(after, 3)} "
-        f"mm RMS of position; {number(before, 3)} mm without)."
-    )
+    return words_of(document).withdrawn(list(map(effect_title, withdrawn["effects"])), withdrawn)
 
 
 # ------------------------------------------------------------------ the recording, its errors and their noise
@@ -259,18 +169,12 @@ def withdrawn_effects(document: Document) -> str:
 
 def setting(document: Document) -> str:
     """Says which arm was diagnosed, and from how much."""
-    model = document["model"]
-    start = f"{model['arm']}, {document['samples']} samples"
-    if is_of_torques(document):
-        return f"{start} of torques."
-    return f"{start} ({model['motion']})."
+    return f"{document['model']['arm']}, {document['samples']} samples{words_of(document).recorded(document)}"
 
 
 def held_out(document: Document) -> str:
     """Says how errors were held out."""
-    rows = "rows"
-    if is_of_torques(document):
-        rows = "filtered samples"
+    rows = words_of(document).held_out_rows
     start = f"Errors of {document['heldout_rows']} {rows}, held out in {document['heldout_blocks']} contiguous blocks"
     again = document["searched_again"]
     if again:
@@ -287,115 +191,6 @@ def held_out(document: Document) -> str:
             "errors are rather too large; poses that separate rival effects were not designed."
         )
     return sentence
-
-
-def noise(document: Document) -> str:
-    """Says the noise that the residuals have, beside the declared one."""
-    estimated = document["noise"]["estimated"]
-    declared = document["noise"]["declared"]
-    if is_of_torques(document):
-        joint_units = units(document)
-        comparison = "none is declared."
-        if declared["torque_Nm"] is not None:
-            comparison = f"{each_with_unit(declared['torque_Nm'], joint_units)} are declared."
-        return (
-            "Noise of the torques, one sigma of each joint in turn: the residuals have "
-            f"{each_with_unit(estimated['torque_Nm'], joint_units)}; {comparison}"
-        )
-    comparison = "none is declared."
-    if declared["position_m"] is not None:
-        comparison = f"{number(1e3 * declared['position_m'])} mm is declared."
-    size = number(1e3 * estimated["position_m"])
-    return f"Noise per axis of position: the residuals have {size} mm, {comparison}"
-
-
-def assumptions(document: Document) -> list[str]:
-    """Says on what the tests rest beyond the recording."""
-    if is_of_torques(document):
-        return [_filtering(document), _inertial_numbers(document)]
-    lines = []
-    drivers = [driver for finding in document["findings"] for driver in drivers_of(finding)]
-    if document["model"]["accelerated"] and any(driver_of(driver).loaded for driver in drivers):
-        lines.append("The loads include the inertial forces of the moving arm, which the recording supports.")
-    undeclared = undeclared_noise(document)
-    if undeclared:
-        lines.append(f"The sidecar declares {undeclared}: tests use the noise estimated from the residuals.")
-    if document["left_out"]:
-        lines.append(
-            f"A gear may be between its flanks in {rows_named(document['left_out'])}: estimates do without, and the "
-            "held-out errors include them."
-        )
-    return lines
-
-
-def _filtering(document: Document) -> str:
-    """Says through which filters torques and motion pass."""
-    low_pass = document["filter"]
-    if low_pass is None:
-        return (
-            "Each row is a posture at rest, in which gravity alone is compared: friction, rotors and delays, which "
-            "show in a motion, were not tested."
-        )
-    kept_samples = f"one sample in {low_pass['every']}"
-    if low_pass["every"] == 1:
-        kept_samples = "every sample"
-    return (
-        "Measured and modelled torques pass the same zero-phase low-pass filter of "
-        f"{significant(low_pass['cutoff_Hz'])} Hz (of {significant(low_pass['rate_Hz'], 4)} samples a second), and "
-        f"{kept_samples} is kept; the motion passes one of {significant(low_pass['motion_cutoff_Hz'])} Hz before it is "
-        "differentiated."
-    )
-
-
-def _inertial_numbers(document: Document) -> str:
-    """Says whether the inertial numbers of the links are fitted."""
-    nuisance = document["nuisance"]
-    if not nuisance["numbers"]:
-        return "The inertial numbers of the links are taken as declared."
-    return (
-        "The inertial numbers of the links are fitted, with a prior standard deviation of "
-        f"{significant(100 * nuisance['relative_std'], 2)} % about the declared ones."
-    )
-
-
-# ------------------------------------------------------------------ findings
-
-
-def unnamed_torque(finding: Entry, exerted: str, moves: str) -> str:
-    """Says that a function which the catalogue does not have contributes to the torque of a joint."""
-    sentence = (
-        f"No effect of the catalogue explains a {exerted} at {finding['site']} that is a function of the "
-        f"{with_articles(finding['driver'])}: it contributes {moves}."
-    )
-    if "nearest" not in finding:
-        return sentence
-    nearest = finding["nearest"]
-    return (
-        f"{sentence} The nearest named effect, {effect_title(nearest)}, explains {100 * nearest['share']:.0f} % of it."
-    )
-
-
-def unnamed_displacement(finding: Entry, numbers: str, moves: str) -> str:
-    """Says that a function which the catalogue does not have moves the measured point."""
-    where = finding["where"]
-    return (
-        f"No effect of the catalogue explains an effect at {finding['site']}{component(where)} as a function of the "
-        f"{with_articles(finding['driver'])}: {shape(where)} ({finding['effective_parameters']:.0f} effective "
-        f"parameters), {numbers}; it moves the measured point by {moves}."
-    )
-
-
-def named_torque(title: str, numbers: str, moves: str) -> str:
-    """Says that an effect of the catalogue contributes to the torque of a joint."""
-    return f"{capital(title)} is significant: {numbers}; it contributes {moves}."
-
-
-def named_displacement(finding: Entry, title: str, numbers: str, moves: str) -> str:
-    """Says that an effect of the catalogue moves the measured point."""
-    driven = ""
-    if finding["driver"] != "none":
-        driven = f", a function of the {with_articles(finding['driver'])},"
-    return f"{capital(title)}{driven} is significant: {numbers}; it moves the measured point by {moves}."
 
 
 # ------------------------------------------------------------------ the first sentence
@@ -440,7 +235,7 @@ def headline(document: Document, cause: str, worth: Worth, of_arm: bool) -> str:
         remedy = f"with {counted_findings} findings {how}"
     noise_left = ""
     if document["verdict"] == "explained":
-        noise_left = f", the {whose_noise(document)} noise"
+        noise_left = f", the {words_of(document).noise_of} noise"
     return f"{capital(cause)}: {share}; {remedy}, {worth.after} {unit} is left{noise_left}."
 
 
@@ -451,16 +246,12 @@ def nothing_found(document: Document, error: str) -> str:
     if verdict == "consistent" and has_computed_poses(document):
         return f"the poses are the controller's own computation: the arm's table reproduces them to {error}."
     if verdict == "consistent" and declared is None:
-        key = "position_noise_m"
-        if is_of_torques(document):
-            key = "torque_noise_Nm"
+        key = words_of(document).noise_key
         return f"no effect is significant, and the error of {error} looks like noise; declare {key} to test this."
     if verdict == "consistent":
-        return f"nothing is missing from the model: the error of {error} is the {whose_noise(document)} noise."
+        return f"nothing is missing from the model: the error of {error} is the {words_of(document).noise_of} noise."
     if verdict != "undetermined":
-        source = "poses"
-        if is_of_torques(document):
-            source = "torques"
+        source = words_of(document).measured
         return f"the error of {error} is not the noise of the {source} alone, and nothing explains it."
     if nearly_significant(document):
         return f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
@@ -579,7 +370,7 @@ def shared_quantity(entry: Entry, sides: Mapping[DomainName, str]) -> str:
     quantity = _TEXTS["quantities"][entry["quantity"]]
     place = f" at {entry['site']}" if "site" in entry else ""
     start = f"Of {quantity['name']}{place},"
-    words = {domain: DOMAINS[domain].measured for domain in sides}
+    words = {domain: DOMAINS[domain].words.measured for domain in sides}
     seen = [domain for domain in sides if entry[domain] is not None]
     if entry["agree"] is None:
         shows = seen[0]
@@ -598,47 +389,10 @@ def shared_quantity(entry: Entry, sides: Mapping[DomainName, str]) -> str:
 # ------------------------------------------------------------------ what was not tested, and what to record
 
 
-def confounded_effects(document: Document) -> str:
-    """Says why the confounded effects were not tested."""
-    torques = is_of_torques(document)
-    if document["nuisance"]["numbers"] and torques:
-        return "They are confounded with the inertial numbers that are fitted, or what they depend on does not vary."
-    if document["nuisance"]["numbers"]:
-        return "They are confounded with the fitted frames and geometry, or the sensor does not observe them."
-    if torques:
-        return "What they depend on does not vary in this recording."
-    return "The sensor does not observe them in these poses."
-
-
 def separate_undecided(document: Document, title: str, alternatives: Sequence[str], drivers: Sequence[str]) -> str:
     """Says what to record so that an effect is distinguished from those that explain the recording as well."""
-    more = "more poses"
-    if is_of_torques(document):
-        more = "another motion"
+    more = words_of(document).separating
     independent = ""
     if len(drivers) > 1:
         independent = f" in which {joined(drivers)} vary independently"
     return f"To separate {title} from {joined(alternatives, 'or')}, record {more}{independent}."
-
-
-_PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
-
-
-def remedy_of_confounded(document: Document) -> str:
-    """Says what to declare or to measure so that confounded effects are tested; empty where nothing helps."""
-    if is_of_torques(document):
-        if not document["nuisance"]["numbers"]:
-            return ""
-        return (
-            "To test for effects that are confounded with the inertial numbers, declare these numbers (`inertial` in "
-            "the sidecar)."
-        )
-    steps = []
-    parts = [words for part, words in _PARTS.items() if part in document["nuisance"]["parts"]]
-    if parts:
-        steps.append(f"declare {joined(parts)}")
-    if not document["model"]["orientation"]:
-        steps.append("measure orientations too")
-    if not steps:
-        return ""
-    return f"To test for effects that are confounded or not observed, {joined(steps)}."

@@ -1,0 +1,6 @@
+"""What is said of commands and the joints that follow them; their report is one of its own."""
+
+from lite6jax.domains.words import Words
+from lite6jax.formatting import NAMED
+
+TRACKING_WORDS = Words("commands", "command", {**NAMED, "ratio": (1.0, ""), "rate": (1e6, "ppm")})
