@@ -143,15 +143,15 @@ def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[A
 
 
 def _pull(observed: Observations, raw: Array, weighted: Array) -> tuple[Array, Array | None]:
-    """The force and the torque `(3, sample)` that whitened residuals exert on the tool, sensor axes; no torque of
+    """The force and the moment `(3, sample)` that whitened residuals exert on the tool, sensor axes; no moment of
     positions."""
     isotropic = observed.whitener.ndim == 1
     dual = whiten(observed.whitener if isotropic else jnp.swapaxes(observed.whitener, 0, 1), weighted)
     if len(dual) == POSITION:
         return dual, None
     # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
-    torque = dual[3:] if isotropic else pose.left_jacobian_inverse(-raw[3:], dual[3:])
-    return dual[:3], sum(observed.rotation[:, i] * torque[i] for i in range(3))  # type: ignore[return-value]
+    moment = dual[3:] if isotropic else pose.left_jacobian_inverse(-raw[3:], dual[3:])
+    return dual[:3], sum(observed.rotation[:, i] * moment[i] for i in range(3))  # type: ignore[return-value]
 
 
 def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
@@ -161,12 +161,14 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     """
     _, tool = predict_frames(form, model, observed.joint)
     raw, whitened, cost, weight = _look(observed, tool, robust)
-    force, torque = _pull(observed, raw, weight * whitened)
-    moment = cross(tool.origin, force) + (0.0 if torque is None else torque)
+    force, moment = _pull(observed, raw, weight * whitened)
+    about_base = cross(tool.origin, force)
+    if moment is not None:
+        about_base = about_base + moment
 
     def power(twist: Twist) -> Array:
         total = force * twist.linear
-        return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
+        return jnp.sum(total if twist.angular is None else total + about_base * twist.angular)
 
     return cost, twist_columns(form, model, observed.joint, power)[step_order(form)]
 
@@ -182,7 +184,7 @@ def linearise(
     _, tool, twists = _walk_twists(form, model, observed.joint, lambda twist: twist)
     raw, whitened, cost, weight = _look(observed, tool, robust)
     root = jnp.sqrt(weight)
-    force, torque = _pull(observed, raw, root * whitened)
+    force, moment = _pull(observed, raw, root * whitened)
     shifts = []
     turns = []
     for twist, turning in zip(twists, _turning(form), strict=True):
@@ -200,16 +202,16 @@ def linearise(
         return J @ J.T
 
     gradient = shift.reshape(len(shift), -1) @ force.reshape(-1)
-    if torque is not None:
-        gradient = gradient.at[at].add(turn.reshape(len(turn), -1) @ torque.reshape(-1))
+    if moment is not None:
+        gradient = gradient.at[at].add(turn.reshape(len(turn), -1) @ moment.reshape(-1))
     W = observed.whitener
     if W.ndim == 1:  # two products, without the zeros
         curvature = W[0] ** 2 * product(shift)
-        if torque is not None:
+        if moment is not None:
             curvature = curvature.at[np.ix_(at, at)].add(W[1] ** 2 * product(turn))
     else:
         rows = jnp.sum(W[:, :3] * shift[:, None], 2)
-        if torque is not None:
+        if moment is not None:
             in_tool = jnp.stack([jnp.sum(observed.rotation[:, j] * turn, 1) for j in range(3)], 1)
             rows = rows.at[at].add(jnp.sum(W[:, 3:] * in_tool[:, None], 2))
         curvature = product(rows)

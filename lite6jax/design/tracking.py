@@ -25,11 +25,10 @@ from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import (
     CommandDelay,
     CommandTimeOffset,
-    RateLimit,
+    Limit,
     ServoDamping,
     ServoFeedforward,
     ServoStiffness,
-    TorqueLimit,
     TorqueSpeedLimit,
 )
 from lite6jax.errors import InputError
@@ -203,7 +202,7 @@ class CommandExperiment:
 def _typical(library: TrackingProblem, effect: Effect) -> list[Array]:
     """`(coordinate,)` numbers of a usual size, for each number of an effect."""
     first = effect.coordinates[0].typical
-    if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit):
+    if isinstance(effect, Limit):
         first = 1 / (_LIMIT * library.largest(effect))
     steps = [first, *(coordinate.typical for coordinate in effect.coordinates[1:])]
     numbers = list(np.diag(steps))

@@ -201,7 +201,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         fit = self.fit
         valid = self.problem.valid
         predicted = measured = problem.rigid.frames[-1][:, :3, 3]  # touches have no positions of their own
-        if isinstance(problem.measured, PoseSensor):
+        if problem.measured.reads_poses:
+            assert isinstance(problem.measured, PoseSensor)
             measured = np.asarray(problem.measured.position).T
             predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
         reach = problem.arm.reach
@@ -543,9 +544,10 @@ def domains_of(recording: Recording, domain: DomainName | None = None) -> tuple[
         names = {candidate.name for candidate in recorded}
         chosen = [candidate.name for candidate in recorded if names.isdisjoint(candidate.gives_way_to)]
         return tuple(chosen) or (POSES.name,)
-    if DOMAINS[domain] is TRACKING and TRACKING not in recorded:
-        raise InputError(f"{recording.source}: has no commands; add cmd1_rad ... beside q1_rad ...")
-    if DOMAINS[domain] not in recorded and recorded and POSES not in recorded:
+    requested = DOMAINS[domain]
+    if requested.words.absent and requested not in recorded:
+        raise InputError(f"{recording.source}: {requested.words.absent}")
+    if requested not in recorded and recorded and POSES not in recorded:
         option = f"--{domain} or domain={domain!r}"
         raise InputError(f"{recording.source}: has {recorded[0].words.measured} and no {domain}; leave {option} out")
     return (domain,)
@@ -635,8 +637,9 @@ DIAGNOSERS: dict[DomainName, Diagnoser] = {
 def _require_taken(request: _Request, domains: Sequence[DomainName]) -> None:
     """Refuses an argument that none of the domains takes."""
     measured = " and ".join(DOMAINS[domain].words.measured for domain in domains)
+    taken = frozenset[str]().union(*(DIAGNOSERS[domain].takes for domain in domains))
     for argument in request.particular:
-        if not any(argument in DIAGNOSERS[domain].takes for domain in domains):
+        if argument not in taken:
             source = request.recording.source
             raise InputError(f"{argument}: is not of {measured}, by which {source} is diagnosed; leave it out")
 
@@ -650,7 +653,7 @@ def _requests(request: _Request, domains: Sequence[DomainName]) -> dict[DomainNa
     if reference is None or len(domains) == 1:
         return dict.fromkeys(domains, request)
     takers = [domain for domain in domains if DOMAINS[domain].is_recorded(reference)] or domains[:1]
-    return {domain: request if domain in takers else replace(request, reference=None) for domain in domains}
+    return dict.fromkeys(domains, replace(request, reference=None)) | dict.fromkeys(takers, request)
 
 
 class _Given(TypedDict, total=False):
@@ -742,8 +745,8 @@ def diagnose(
         simulated = simulator if isinstance(simulator, Simulator) else read_simulator(simulator)
         with naming_the_chain(simulated):
             recording = load_recording(recording, simulated.arm)
-        if domain is None and recording.commanded_position is not None:
-            domain = TRACKING.name
+        if TRACKING.is_recorded(recording):
+            domain = domain or TRACKING.name
     require_effects(effects)
     require_type("options", options, Options | None, "lite6jax.Options(…)")
     domains = domains_of(recording, domain)

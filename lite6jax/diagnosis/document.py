@@ -138,16 +138,16 @@ def read_model(path: str | Path, effects: Sequence[Effect] = (), *, domain: Doma
     return model_from_document(parse_document(path), effects, str(path), domain)
 
 
-def require_domain(domain: object) -> None:
+def require_domain(name: object) -> None:
     """Refuses what names no domain.
 
     Raises:
         InputError: as said.
     """
-    if domain is None or domain in DOMAINS:
+    if name is None or name in DOMAINS:
         return
     *first, last = (f'"{name}"' for name in DOMAINS)
-    raise InputError(f"domain={domain!r}: is none; give {', '.join(first)} or {last}, or leave it out")
+    raise InputError(f"domain={name!r}: is none; give {', '.join(first)} or {last}, or leave it out")
 
 
 def parse_document(path: str | Path) -> Any:
@@ -202,10 +202,8 @@ def find_part(document: Any, domain: DomainName) -> dict[str, Any] | None:
     """The diagnosis by a domain that a document is, or that stands in one by another; None where there is none."""
     if not isinstance(document, dict):
         return None
-    if domain_of(document) == domain:
-        return document
-    inside = document.get(domain)
-    return inside if isinstance(inside, dict) and inside.get("domain") == domain else None
+    parts = (document, document.get(domain))
+    return next((part for part in parts if isinstance(part, dict) and domain_of(part) == domain), None)
 
 
 def domains_beside(document: Mapping[str, Any]) -> list[DomainName]:

@@ -1,6 +1,6 @@
 """What a diagnosis of a domain says of one effect, and whether two agree."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -15,7 +15,6 @@ from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.base import DomainName
 from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.domains.tracking.problem import TrackingProblem
 from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, TorqueTimeOffset, UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
@@ -95,6 +94,10 @@ _SHARED: dict[tuple[DomainName, DomainName], tuple[_OneQuantity, ...]] = {
         _OneQuantity("gravity_direction", BaseTilt(), BaseTilt()),
     ),
 }
+_FURTHER: dict[tuple[DomainName, DomainName], tuple[Callable[..., Iterable[Agreement]], ...]] = {
+    ("torques", "tracking"): (compare_gains,)
+}
+"""What is compared beside quantities that are one effect of each."""
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -109,8 +112,8 @@ def compare_domains(first: DomainDiagnosis[Any], second: DomainDiagnosis[Any]) -
                 second.domain: estimate_effect(second, shared.second),
             }
             agreements.append(compare_estimates({"quantity": shared.quantity}, estimates, shared.sign))
-    if isinstance(first.problem, TorqueProblem) and isinstance(second.problem, TrackingProblem):
-        agreements += compare_gains(first, second)
+    for compare in _FURTHER.get(sides, ()):
+        agreements += compare(first, second)
     return tuple(agreements)
 
 
@@ -147,7 +150,8 @@ def compare_effects(found: DomainDiagnosis[TorqueProblem], other: DomainDiagnosi
     compared = []
     for effect in shown.values():
         of = {"effect": effect.name, "site": effect.site}
-        if isinstance(effect, UnnamedTorque):
+        if effect.nonparametric:
+            assert isinstance(effect, UnnamedTorque)
             of["driver"] = effect.driver
             estimate, reference_estimate = _curves(effect, found, other)
         else:

@@ -5,6 +5,7 @@ S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technomet
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -85,15 +86,18 @@ class _Samples(NamedTuple):
     good: Mask
 
 
+@singledispatch
 def finding_curves(found: DomainDiagnosis[Any], k: int) -> list[FindingCurve]:
     """The k-th finding over its driver: of torques one curve, of poses one for each way in which it moves a site.
 
     A function of several drivers is shown over the first, with a point for each sample. A finding of poses that no
     driver describes is shown along the displacement of the measured pose.
     """
-    if isinstance(found, TorqueDiagnosis):
-        return [_torque_curve(found, k)]
-    assert isinstance(found, Diagnosis)
+    raise NotImplementedError
+
+
+@finding_curves.register
+def _pose_curves(found: Diagnosis, k: int) -> list[FindingCurve]:
     finding = found.findings[k]
     used = found.fit.training & ~found.outliers
     effect = finding.effect
@@ -240,6 +244,11 @@ def _correlation(a: Array, b: Array) -> float:
 # ------------------------------------------------------------------ of torques
 
 
+@finding_curves.register
+def _torque_curves(diagnosis: TorqueDiagnosis, k: int) -> list[FindingCurve]:
+    return [_torque_curve(diagnosis, k)]
+
+
 def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
     """A finding of one joint over its driver; another over the torque that it adds where it adds most."""
     problem = diagnosis.problem
@@ -258,7 +267,8 @@ def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
     filter_samples = problem.data.filter.kept
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
         return _curve(diagnosis, k, "displacement", None, moved[j], samples)
-    if isinstance(effect, UnnamedTorque):
+    if effect.nonparametric:
+        assert isinstance(effect, UnnamedTorque)
         return _process_curve(diagnosis, k, samples, effect.values_in(dynamics)[:, filter_samples][:, problem.chosen])
     driver = next(iter(effect.drivers), Driver("time"))
     x = np.asarray(driver.values(dynamics.motion, dynamics.loads))

@@ -43,12 +43,19 @@ class Words:
     Attributes:
         measured: what is measured, in a word for messages.
         singular: the same of one.
+        absent: of a recording that is to be diagnosed by it and lacks it, with the remedy; empty where its reading
+            says so.
+        verdict_column: of a table of recordings, in which the verdict is.
+        error_column: the same of the RMS of held-out errors; empty where the table has none.
         special_units: factor and unit of numbers of effects, by names that do not say alone how they are read.
     """
 
     measured: str
     singular: str
     special_units: Mapping[str, tuple[float, str]] = field(default_factory=lambda: NAMED)
+    absent: str = ""
+    verdict_column: str = "verdict"
+    error_column: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

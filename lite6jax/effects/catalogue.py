@@ -18,7 +18,7 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.resemblance import resemblances
+from lite6jax.effects.resemblance import IN_TRACKING, Resemblance
 from lite6jax.effects.statics import Loads
 
 POSE_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
@@ -282,13 +282,13 @@ def listed() -> list[Listed]:
     """Every effect of the catalogues of poses, of torques and of commands, in their order."""
     # two joints are enough for an effect of one by another
     catalogues = (
-        ("kinematic", POSE_EFFECTS, catalogue(2)),
-        ("dynamic", TORQUE_EFFECTS, torque_catalogue(2)),
-        ("tracking", TRACKING_EFFECTS, tracking_catalogue(2)),
+        ("kinematic", POSE_EFFECTS, catalogue(2), ("jointN", "linkN", "base", "tool", "sensor"), ()),
+        ("dynamic", TORQUE_EFFECTS, torque_catalogue(2), ("jointN",), ()),
+        ("tracking", TRACKING_EFFECTS, tracking_catalogue(2), ("jointN",), IN_TRACKING),
     )
     return [
-        _listed(domain, kind, [effect for effect in made if type(effect) is kind])
-        for domain, built_in, made in catalogues
+        _listed(domain, kind, [effect for effect in made if type(effect) is kind], sites, alike)
+        for domain, built_in, made, sites, alike in catalogues
         for kind in built_in.values()
     ]
 
@@ -324,14 +324,14 @@ def _end(value: float) -> float | None:
     return _short(value)
 
 
-def _listed(domain: str, kind: type[Effect], made: list[Effect]) -> Listed:
+def _listed(
+    domain: str, kind: type[Effect], made: list[Effect], sites: tuple[str, ...], alike: Sequence[Resemblance]
+) -> Listed:
+    """An effect of a domain, of which some are `made`; one without a name acts at `sites`."""
     description = " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
     in_simulators = kind.in_simulators._asdict()
-    resembles: tuple[dict[str, Any], ...] = ()
-    if domain == "tracking":
-        resembles = tuple(group.describe(kind.name) for group in resemblances(kind.name))
+    resembles = tuple(group.describe(kind.name) for group in alike if kind.name in group.effects)
     if kind.nonparametric:
-        sites = ("jointN", "linkN", "base", "tool", "sensor") if domain == "kinematic" else ("jointN",)
         return Listed(domain, kind.name, sites, ("any",), (), (), (), description, in_simulators, resembles)
     if not made:  # one that is tried at values that a recording shows
         made = [kind(**{field.name: 1 for field in fields(kind) if field.default is MISSING})]  # type: ignore[arg-type]

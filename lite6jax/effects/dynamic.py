@@ -6,7 +6,7 @@ of mass outside its link is evidence for something else.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
 
@@ -154,6 +154,20 @@ class TorqueEffect(Effect, ABC):
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         """`(joint, sample)` Nm, N of prismatic joints, that add to the rigid arm's, by `values` `(coordinate,)`."""
 
+    @property
+    def process(self) -> Hashable:
+        """The same for all that have these unit torques."""
+        return self
+
+    @property
+    def acts_on(self) -> slice:
+        """The joints, of all, that it acts on: most effects act on one."""
+        return slice(None)
+
+    def unit_torques(self, dynamics: Dynamics) -> Array:
+        """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
+        return np.stack([self.torque(unit, dynamics) for unit in np.eye(self.size)])
+
     def is_friction_of(self, joint: int) -> bool:
         """Whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
         return False
@@ -166,6 +180,13 @@ class JointTorque(OfJoint, TorqueEffect, ABC):
     @abstractmethod
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         """`(sample,)` Nm, or N, that add to this joint's torque."""
+
+    @property
+    def acts_on(self) -> slice:
+        return slice(self.joint - 1, self.joint)
+
+    def unit_torques(self, dynamics: Dynamics) -> Array:
+        return np.stack([self.at_joint(unit, dynamics) for unit in np.eye(self.size)])[:, None]
 
     @final
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
@@ -544,6 +565,10 @@ class TorqueLag(OfJoint, Delaying):
     specificity: ClassVar[int] = 4
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("lag_s", "s", 1e-3, 0.5, linear=False),)
 
+    @property
+    def acts_on(self) -> slice:
+        return slice(self.joint - 1, self.joint)
+
     def offset(self, value: float, joints: int) -> Array:
         return np.where(np.arange(joints) == self.joint - 1, -value, 0.0)
 
@@ -869,6 +894,9 @@ class UnnamedTorque(Process, JointTorque):
     def functions_of(self, dynamics: Dynamics) -> Array:
         """The functions that coefficients multiply, `(function, sample)`."""
         return np.asarray(self.functions_at(self.values_in(dynamics), dynamics.motion.run))  # type: ignore[arg-type]
+
+    def unit_torques(self, dynamics: Dynamics) -> Array:
+        return self.functions_of(dynamics)[:, None]
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values @ self.functions_of(dynamics)

@@ -14,6 +14,7 @@ from lite6jax.workers import Workers, run_batches
 
 with import_lazily():  # where a recording is diagnosed, or all are pooled
     from lite6jax.diagnosis import document as diagnosis_file
+    from lite6jax.domains import registry
     from lite6jax.estimation import options as engine_options
     from lite6jax.fleet import pooling, population, reduced, terms
 
@@ -116,28 +117,25 @@ def make_row(
 ) -> pa.Table:
     """The row of a recording of this name in its folder: of its `document`, the `text` of that file, of a fleet the
     file of the `reduced` recording, and what was remarked on the way."""
-    poses = document if diagnosis_file.domain_of(document) == "poses" else None
-    tracking = diagnosis_file.find_part(document, "tracking")
-    torques = diagnosis_file.find_part(document, "torques")
     row: dict[str, Any] = {"file": name, "result": DIAGNOSED, "message": message, "samples": document.get("samples")}
     faults = []
     findings = []
-    for domain, part in (("poses", poses), ("torques", torques), ("tracking", tracking)):
+    for domain in registry.DOMAINS.values():
+        part = diagnosis_file.find_part(document, domain.name)
         if part is None:
             continue
+        words = domain.words
+        row[words.verdict_column] = part["verdict"]
+        if "quality" in part:
+            row["quality"] = part["quality"]["verdict"]
+        if words.error_column:
+            errors = {when: part[when].get(f"heldout_{words.error_column}") for when in ("before", "after")}
+            row |= {f"{when}_{words.error_column}": error for when, error in errors.items()}
         faults += [fault["fault"] for fault in part["data_faults"]]
         findings += [
-            {"domain": domain, "effect": finding["effect"], "site": finding["site"], "p_value": finding["p_value"]}
+            {"domain": domain.name, "effect": finding["effect"], "site": finding["site"], "p_value": finding["p_value"]}
             for finding in part["findings"]
         ]
-    if poses is not None:
-        row |= {"verdict": poses["verdict"], "quality": poses["quality"]["verdict"]}
-        row |= {f"{when}_position_rms_m": poses[when].get("heldout_position_rms_m") for when in ("before", "after")}
-    if tracking is not None:
-        row["verdict"] = tracking["verdict"]
-    if torques is not None:
-        row["torque_verdict"] = torques["verdict"]
-        row |= {f"{when}_torque_rms_Nm": torques[when].get("heldout_torque_rms_Nm") for when in ("before", "after")}
     row |= {"data_faults": list(dict.fromkeys(faults)), "findings": findings}
     contents = {"document": text.encode()} | ({} if reduced is None else {"reduced": reduced})
     return _table(row, contents)

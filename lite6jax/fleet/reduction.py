@@ -2,21 +2,56 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import singledispatch
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.effect import Effect, Loading, Wave
 from lite6jax.effects.kernels import PAIRS, SINGLE
 from lite6jax.effects.nonparametric import Process
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.fields import field_values
 from lite6jax.fleet.reduced import Heading, ReducedArm, readings
 from lite6jax.fleet.terms import Candidate, FleetComponent, Varied
+
+
+class _Parts(NamedTuple):
+    """What a diagnosis of each domain has in a place of its own: what is fitted, of which candidates, and filtered."""
+
+    arm: Arm
+    fit: Fit
+    candidates: list[Any]
+    smoothing: LowPass | None
+
+
+@singledispatch
+def _parts(diagnosis: Any) -> _Parts:
+    raise NotImplementedError
+
+
+@_parts.register
+def _of_poses(diagnosis: Diagnosis) -> _Parts:
+    fit = replace(diagnosis.fit, training=diagnosis.fit.training & ~diagnosis.outliers)
+    candidates = [effect for effect in diagnosis.problem.candidates if not isinstance(effect, Loading)]
+    return _Parts(diagnosis.problem.arm, fit, candidates, None)
+
+
+@_parts.register
+def _of_torques(diagnosis: TorqueDiagnosis) -> _Parts:
+    problem = diagnosis.problem
+    smoothing = problem.data.filter
+    smoothing = replace(smoothing, kept=smoothing.kept[problem.chosen])
+    candidates = [effect for effect in problem.candidates if effect.linear]
+    return _Parts(problem.data.arm, diagnosis.fit, candidates, smoothing)
 
 
 def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
@@ -29,25 +64,9 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     """
     problem = diagnosis.problem
     engine = diagnosis.options.engine
-    fit = diagnosis.fit
-    smoothing = None
-    if isinstance(diagnosis, TorqueDiagnosis):
-        domain = "torques"
-        data = diagnosis.problem.data
-        joints = diagnosis.problem.rows
-        arm = data.arm
-        settings = data.recording.settings
-        smoothing = data.filter
-        smoothing = replace(smoothing, kept=smoothing.kept[diagnosis.problem.chosen])
-        candidates = [effect for effect in problem.candidates if effect.linear]
-    else:
-        domain = "poses"
-        joints = diagnosis.problem.motion.dof
-        arm = diagnosis.problem.arm
-        settings = diagnosis.problem.recording.settings
-        fit = replace(fit, training=fit.training & ~diagnosis.outliers)
-        candidates = [effect for effect in problem.candidates if not isinstance(effect, Loading)]
-    candidates = [effect for effect in candidates if not effect.periodic]
+    parts = _parts(diagnosis)
+    fit = parts.fit
+    candidates = [effect for effect in parts.candidates if not effect.periodic]
     test = score_test(problem, fit, engine)
     test = test.beside([not _is_pooled(term, candidates, problem) for term in fit.terms.terms])
     terms = test.fit.terms
@@ -64,11 +83,11 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
     return ReducedArm(
         heading=Heading(
             about={
-                "what": domain,
-                "arm": arm.name,
-                "joints": joints,
+                "what": diagnosis.domain,
+                "arm": parts.arm.name,
+                "joints": parts.arm.dof,
                 "rows": problem.samples,
-                "date": settings.date,
+                "date": diagnosis.recording.settings.date,
                 "verdict": diagnosis.verdict,
             },
             found=tuple((finding.effect.label, finding.p_value) for finding in diagnosis.findings),
@@ -95,7 +114,7 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
         basis=test.basis,
         residual=test.residual,
         blocks=test.blocks,
-        smoothing=smoothing,
+        smoothing=parts.smoothing,
     )
 
 

@@ -1,7 +1,7 @@
 """Figures of a diagnosis: errors, explained shares, orders, friction, spectra, and curves of findings."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -40,7 +40,6 @@ from lite6jax.report.figures import (
     titled,
 )
 from lite6jax.report.remedies import effect_name, spaced
-from lite6jax.report.reports import REPORTS
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
 _COLUMNS = {
@@ -64,10 +63,10 @@ def figure_names(domains: Sequence[DomainName]) -> list[str]:
     names = []
     for k, domain in enumerate(domains):
         prefix = prefix_of(domain) if k else ""
-        drawn = [*_DRAWN.get(domain, {})]
-        if domain not in REPORTS:
-            drawn.append("findings")
-        names += [prefix + name for name in drawn]
+        figures = _FIGURES.get(domain, _NO_FIGURES)
+        names += [prefix + name for name in figures.drawn]
+        if figures.has_curves:
+            names.append(f"{prefix}findings")
     return names
 
 
@@ -83,10 +82,11 @@ def drawings(
 
     The document's ranking numbers the findings; without it they are in the order in which they were found.
     """
-    for name, draw in _DRAWN.get(diagnosis.domain, {}).items():
+    figures = _FIGURES.get(diagnosis.domain, _NO_FIGURES)
+    for name, draw in figures.drawn.items():
         if name != "spectra" or diagnosis.recording.motion != "static":
             yield name, draw(diagnosis, title)
-    if diagnosis.findings and diagnosis.domain not in REPORTS:
+    if diagnosis.findings and figures.has_curves:
         yield "findings", finding_figure(diagnosis, title, order=None if document is None else ranking.order(document))
     for other in diagnosis.beside:
         of_domain = None if document is None else document[other.domain]
@@ -528,14 +528,24 @@ def _stages_shown(diagnosis: TrackingDiagnosis) -> int:
     return 2 if diagnosis.findings else 1
 
 
-_DRAWN: Mapping[DomainName, Mapping[str, Callable[[Any, str], Figure]]] = {
-    "poses": {"error_by_joint": error_by_joint, "where": explained_map, "orders": order_spectrum},
-    "torques": {
-        "error_by_joint": torque_error_by_joint,
-        "over_time": over_time,
-        "friction": friction,
-        "spectra": spectra,
-    },
-    "tracking": {"over_time": tracking_over_time, "error_over_motion": error_over_motion},
+class _Figures(NamedTuple):
+    """The figures of a domain.
+
+    Attributes:
+        drawn: by the name of a figure, how it is drawn; a recording at rest has no spectra.
+        has_curves: whether findings have curves over partial residuals.
+    """
+
+    drawn: Mapping[str, Callable[[Any, str], Figure]]
+    has_curves: bool = True
+
+
+_FIGURES: Mapping[DomainName, _Figures] = {
+    "poses": _Figures({"error_by_joint": error_by_joint, "where": explained_map, "orders": order_spectrum}),
+    "torques": _Figures(
+        {"error_by_joint": torque_error_by_joint, "over_time": over_time, "friction": friction, "spectra": spectra}
+    ),
+    "tracking": _Figures({"over_time": tracking_over_time, "error_over_motion": error_over_motion}, has_curves=False),
 }
-"""By the name of a figure, how it is drawn, beside that of the findings; a recording at rest has no spectra."""
+_NO_FIGURES = _Figures({}, has_curves=False)
+"""Of a domain that has none."""

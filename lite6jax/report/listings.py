@@ -118,8 +118,8 @@ def conversion_report(done: Conversion) -> Iterator[RenderableType]:
 # ------------------------------------------------------------------ folders
 
 
-_DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_verdict", "torque_rms_Nm", 1.0))
-"""With the columns of the verdict and the errors, and the factor to the unit on the screen."""
+_ERRORS = (("verdict", "position_rms_m", 1e3), ("torque_verdict", "torque_rms_Nm", 1.0))
+"""The columns of a verdict and of errors before and after, and the factor to their unit on the screen."""
 
 
 def folder_report(rows: Iterable[Document]) -> Iterator[RenderableType]:
@@ -153,15 +153,14 @@ def diagnoses_report(rows: Sequence[dict[str, Any]]) -> Iterator[RenderableType]
     table.columns[1].min_width = len("unexplained")
     findings: list[str] = []
     for row in done:
-        for domain, verdict, unit, scale in _DOMAINS:
+        name = row["file"]
+        for verdict, unit, scale in _ERRORS:
             if row[verdict] is None:
                 continue
             errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
             cells = ("–" if error is None else number(scale * error) for error in errors)
-            name = ""
-            if domain == "poses" or row["verdict"] is None:
-                name = row["file"]
             table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
+            name = ""
         if row["findings"]:
             findings.append(
                 f"{row['file']}: " + "; ".join(f"{finding['effect']} {finding['site']}" for finding in row["findings"])

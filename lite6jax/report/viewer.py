@@ -485,11 +485,11 @@ class Shown:
             if self.scene.time is not None:
                 time = f", {self.scene.time[sample]:.2f} s"
             status = f"Row {self.scene.row[sample]}{time}"
-            for errors in self.scene.errors:
-                if errors.caption != self.prediction.value:
-                    continue
-                if isinstance(errors, PoseErrors):
+            for errors in self.scene.poses:
+                if errors.caption == self.prediction.value:
                     status += self._compare(errors, sample)
+            for errors in self.scene.joints:
+                if errors.caption != self.prediction.value:
                     continue
                 for joint, colour in enumerate(errors.colours(sample, self._limit), 1):
                     self._parts[f"joint{joint}"].color = tuple(map(int, colour))

@@ -172,6 +172,10 @@ class PoseSensor(PoseReading):
     source: str = field(default="unknown", kw_only=True, metadata={"static": True})
 
     @property
+    def reads_poses(self) -> bool:
+        return True
+
+    @property
     def quantity(self) -> str:
         return "pose" if self.rows == 6 else "position"
 

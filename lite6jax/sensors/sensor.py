@@ -104,6 +104,11 @@ class Sensor(ABC):
         """What it reads and how well, for reports."""
 
     @property
+    def reads_poses(self) -> bool:
+        """Whether it reads where the tool is, in a frame of its own; others read touches, distances or planes."""
+        return False
+
+    @property
     def position_noise(self) -> float:
         """One standard deviation of a length, m."""
         return float(f"{1 / self.whitener[0]:.15g}")  # as it was given, but for rounding

@@ -103,7 +103,7 @@ def place_sensor(name: str, direction: Point, center: Point) -> Sensor:
         InputError: another name, or a direction of no length.
     """
     usual = sensor_named(name)
-    if isinstance(usual, PoseSensor):
+    if usual.reads_poses:
         return usual
     quantity: Quantity = "axis" if isinstance(usual, Axis) else "distance"
     return plan_sensor(quantity, usual.position_noise, direction=direction, center=center)

@@ -193,10 +193,11 @@ def measure(
         return Measurement(read, move(simulated), move_rigidly(simulated), np.zeros(simulated.samples, bool))
 
     probe = INSTRUMENTS[sensor] if isinstance(sensor, str) else sensor
-    if not isinstance(probe, PoseSensor):
+    if not probe.reads_poses:
         raise InputError(
             f"simulation: a sensor of {probe.quantity} has no place in a recording; give one of positions or poses"
         )
+    assert isinstance(probe, PoseSensor)
     probe = probe.with_noise(position_noise, orientation_noise, joint_noise)
     rigid = move_rigidly(motion)
     poses = move(motion)

@@ -61,13 +61,9 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     """
     recording = problem.recording
     moving = problem.recording.motion == "trajectory"
-    if (
-        not moving
-        or recording.time is None
-        or problem.samples < _FEWEST
-        or not isinstance(problem.measured, PoseSensor)
-    ):
+    if not moving or recording.time is None or problem.samples < _FEWEST or not problem.measured.reads_poses:
         return 0.0
+    assert isinstance(problem.measured, PoseSensor)
     measured = problem.measured.position
     predicted = problem.rigid.tool[:, :3, 3].T
     used = np.ones(problem.samples, bool) if training is None else training

@@ -49,7 +49,6 @@ from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.sensors.pose import PoseSensor
 from lite6jax.sensors.sensor import Sensor
 
 Array = NDArray[np.floating]
@@ -127,12 +126,12 @@ class PoseProblem(RigidArm):
     @property
     def floored(self) -> bool:
         """Of touches whose noise is declared."""
-        return self.declared and not isinstance(self.measured, PoseSensor)
+        return self.declared and not self.measured.reads_poses
 
     @lazy
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`, the first sample of each sample's run; of touches each is one of its own, as it seats anew."""
-        if not isinstance(self.measured, PoseSensor) and self.recording.motion == "static":
+        if not self.measured.reads_poses and self.recording.motion == "static":
             return np.arange(self.samples)
         return np.asarray(self.motion.run)[0]
 
@@ -286,9 +285,7 @@ class PoseProblem(RigidArm):
     def components(self) -> tuple[Component, ...]:
         """Of every site, as far as the sensor sees them."""
         candidates = components(self.sites, self.motion, 6 if self.rows == 6 else 3)
-        return tuple(
-            component for component in candidates if component.site != "sensor" or isinstance(self.measured, PoseSensor)
-        )
+        return tuple(component for component in candidates if component.site != "sensor" or self.measured.reads_poses)
 
     @lazy
     def quantities(self) -> tuple[DriverValues, ...]:
@@ -545,7 +542,7 @@ def pose_problem(
     numbers = {"base": 6, "tool": rigid.rows}
     moved = tuple((f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(numbers[part]))
     # where touches alone determine a chain, encoders have the tolerance that its lengths and angles have
-    touched = not isinstance(rigid.measured, PoseSensor)
+    touched = not rigid.measured.reads_poses
     tolerant = touched and recording.settings.factory_calibration is None and factory is None
     turning = ()
     if tolerant and geometry != "exact":

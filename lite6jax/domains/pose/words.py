@@ -181,6 +181,7 @@ class PoseWords(SectionWords):
 POSE_WORDS = PoseWords(
     measured="poses",
     singular="pose",
+    error_column="position_rms_m",
     noise_of="sensor's",
     noise_key="position_noise_m",
     consistent="Consistent{corrected}: the model of the arm and the sensor's noise explain the recording.",

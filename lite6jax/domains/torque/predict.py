@@ -27,10 +27,8 @@ from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import (
     Delaying,
     Dynamics,
-    JointTorque,
     Scaling,
     TorqueEffect,
-    TorqueLag,
     UnnamedTorque,
     direction,
 )
@@ -134,22 +132,6 @@ def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[n
             t = time[rows]
             slope[joints, rows] = spline(np.clip(t + offset, t[0], t[-1]), 1)
     return slope
-
-
-def joints_of(effect: TorqueEffect) -> slice:
-    """The joints, of all, that an effect acts on: most effects act on one."""
-    if isinstance(effect, JointTorque | TorqueLag):
-        return slice(effect.joint - 1, effect.joint)
-    return slice(None)
-
-
-def unit_torques(effect: TorqueEffect, dynamics: Dynamics) -> Array:
-    """Torques `(number, joint, sample)` by each number of a linear effect, of `joints_of` it."""
-    if isinstance(effect, UnnamedTorque):
-        return effect.functions_of(dynamics)[:, None]
-    if isinstance(effect, JointTorque):
-        return np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)])[:, None]
-    return np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)])
 
 
 def slopes(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
@@ -366,8 +348,8 @@ def _estimated(
             slope = slope_of_delayed(shown, np.zeros(model.dof), time, runs)
             moved += effect_directions[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
         elif effect.linear:
-            joints = joints_of(effect)
-            units = unit_torques(effect, dynamics)
+            joints = effect.acts_on
+            units = effect.unit_torques(dynamics)
             moved[:, joints] += np.tensordot(effect_directions, units, 1) * scale[joints]
         else:
             moved += np.tensordot(effect_directions, slopes(effect, values[part], dynamics), 1) * scale

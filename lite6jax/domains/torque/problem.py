@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import as_revolute
 from lite6jax.domains.torque.predict import (
     delayed,
-    joints_of,
     offsets_of,
     pairs,
     read_driver,
     scales_of,
     slope_of_delayed,
     slopes,
-    unit_torques,
 )
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_catalogue, torque_shaped, untestable
@@ -402,7 +400,7 @@ class TorqueProblem:
         if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in pairs(terms)):
             dynamics = self.data.bodies.dynamics(self.links_at(nuisance))
         for effect, part in pairs(terms):
-            joints = joints_of(effect)
+            joints = effect.acts_on
             numbers = np.asarray(values[part], float)
             if isinstance(effect, Scaling | Delaying):
                 continue
@@ -427,7 +425,7 @@ class TorqueProblem:
         slope = columns[:0]
         late = None
         for effect, part in pairs(column_terms):
-            joints = joints_of(effect)
+            joints = effect.acts_on
             if isinstance(effect, Scaling):
                 additive = [not isinstance(acting, Scaling | Delaying) for acting, _ in pairs(acting_terms)]
                 unscaled = self.torque(np.zeros(len(self.precision)), *acting_terms.part(numbers, additive))
@@ -525,9 +523,9 @@ class TorqueProblem:
     def _units(self, effect: TorqueEffect, everywhere: bool = False) -> Array:
         """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
         units = self.known.everywhere if everywhere else self.known.units
-        key = effect.process if isinstance(effect, UnnamedTorque) else effect
+        key = effect.process
         if key not in units:
-            units[key] = self._filtered(unit_torques(effect, self.dynamics), everywhere)
+            units[key] = self._filtered(effect.unit_torques(self.dynamics), everywhere)
         return units[key]
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
@@ -536,7 +534,7 @@ class TorqueProblem:
         at = values.tobytes()
         cached = self.known.slopes.get(key)  # a fold of another thread may keep its own any time
         if cached is None or cached[0] != at:
-            cached = at, self._kept(slopes(effect, values, self.dynamics)[:, joints_of(effect)])
+            cached = at, self._kept(slopes(effect, values, self.dynamics)[:, effect.acts_on])
             self.known.slopes[key] = cached
         return cached[1]
 

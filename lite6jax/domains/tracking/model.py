@@ -6,7 +6,6 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.torque.predict import joints_of, unit_torques
 from lite6jax.domains.tracking.coupling import SETTLED, Bodies, JointLoads, roll_coupled
 from lite6jax.domains.tracking.rollout import Commands, roll
 from lite6jax.effects.dynamic import (
@@ -20,7 +19,6 @@ from lite6jax.effects.dynamic import (
     RotorInertia,
     StribeckFriction,
     TorqueEffect,
-    UnnamedTorque,
     ViscousFriction,
 )
 from lite6jax.effects.effect import Effect, OfJoint
@@ -71,11 +69,11 @@ class TrackingModel:
             return None
         total = np.zeros((len(dynamics.torque), 2, dynamics.torque.shape[1]))
         for effect, numbers in self.torques:
-            units = units_along(effect, dynamics, known) if isinstance(effect, UnnamedTorque) else None
+            units = units_along(effect, dynamics, known) if effect.nonparametric else None
             if units is None:
                 total[:, 0] += effect.torque(numbers, dynamics)
             else:
-                total[joints_of(effect)] += np.tensordot(numbers, units, 1)
+                total[effect.acts_on] += np.tensordot(numbers, units, 1)
         return total
 
 
@@ -92,15 +90,15 @@ def units_along(effect: TorqueEffect, dynamics: Dynamics, known: dict[TorqueEffe
     """
     if known is not None and effect in known:
         return known[effect]
-    if isinstance(effect, UnnamedTorque) and any(driver.discrete for driver in effect.drivers):
+    if effect.nonparametric and any(driver.discrete for driver in effect.drivers):
         ones = np.ones_like(np.asarray(dynamics.motion.joint_position))
         forward, back = (
-            unit_torques(effect, dynamics._replace(motion=dynamics.motion._replace(direction=side * ones)))
+            effect.unit_torques(dynamics._replace(motion=dynamics.motion._replace(direction=side * ones)))
             for side in (1, -1)
         )
         units = np.stack([0.5 * (forward + back), 0.5 * (forward - back)], 2)
     else:
-        torques = unit_torques(effect, dynamics)
+        torques = effect.unit_torques(dynamics)
         units = np.stack([torques, np.zeros_like(torques)], 2)
     if known is not None:
         known[effect] = units

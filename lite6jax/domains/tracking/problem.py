@@ -11,7 +11,7 @@ import scipy  # whose parts are imported where they are first used
 from numpy.typing import NDArray
 
 from lite6jax.arms.dynamics import link_parameters
-from lite6jax.domains.torque.predict import joints_of, read_driver
+from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
 from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of
@@ -41,8 +41,6 @@ from lite6jax.effects.servo import (
     Servo,
     ServoDamping,
     ServoStiffness,
-    TorqueLimit,
-    TorqueSpeedLimit,
 )
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
@@ -340,7 +338,7 @@ class TrackingProblem:
         acted_on = slice(None)
         if isinstance(effect, TorqueEffect) and effect.linear and _exerts(effect):
             units = units_along(effect, self.data.dynamics, self.known.units)
-            acted_on = joints_of(effect)
+            acted_on = effect.acts_on
             if isinstance(effect, OfLink):  # joints beyond a link do not carry it
                 joints = joints[: effect.link]
         before = {joint: self._state(model.servo, extra, joint) for joint in joints}
@@ -385,7 +383,7 @@ class TrackingProblem:
         A limit that is not reached changes nothing, nor does friction below none.
         """
         coordinate = effect.coordinates[k]
-        if isinstance(effect, RateLimit | TorqueLimit | TorqueSpeedLimit) and k == 0:
+        if isinstance(effect, Limit) and k == 0:
             largest = self.largest(effect)
             if at * largest < 1:
                 return 1 / self._reached(effect, largest) - at

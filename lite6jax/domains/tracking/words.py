@@ -3,4 +3,9 @@
 from lite6jax.domains.words import Words
 from lite6jax.formatting import NAMED
 
-TRACKING_WORDS = Words("commands", "command", {**NAMED, "ratio": (1.0, ""), "rate": (1e6, "ppm")})
+TRACKING_WORDS = Words(
+    measured="commands",
+    singular="command",
+    special_units={**NAMED, "ratio": (1.0, ""), "rate": (1e6, "ppm")},
+    absent="has no commands; add cmd1_rad ... beside q1_rad ...",
+)
