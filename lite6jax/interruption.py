@@ -27,7 +27,7 @@ def end_on_signals() -> None:
 
 def list_signals() -> list[int]:
     """The numbers of `SIGNALS` that this system has and this process does not ignore, as it does under nohup."""
-    numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+    numbers = [signal.Signals[name] for name in SIGNALS if name in signal.Signals.__members__]
     return [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
 
 

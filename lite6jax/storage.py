@@ -236,10 +236,12 @@ def parse_yaml(text: str, path: str | Path) -> Any:
         return _construct(path, text)
     except yaml.YAMLError as error:
         mark = None
+        reason = None
         if isinstance(error, yaml.MarkedYAMLError):
             mark = error.problem_mark
+            reason = error.problem
         where = f" line {mark.line + 1}:" if mark else ""
-        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        problem = " ".join(str(reason or error).split())
         # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours
         too_deep = "nesting depth" in problem
         defect = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"

@@ -282,7 +282,7 @@ class Information:
                 base = TrackingModel(
                     problem.servo._replace(
                         **{
-                            unknown.field: np.asarray(getattr(problem.servo, unknown.field))
+                            unknown.field: np.asarray(problem.servo._asdict()[unknown.field])
                             * np.where(np.arange(problem.rows) == unknown.joint, np.exp(_CHANGE), 1.0)
                         }
                     ),

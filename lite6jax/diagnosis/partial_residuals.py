@@ -20,7 +20,7 @@ from lite6jax.domains.pose.deflections import site_of
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.dynamic import JointTorque, Scaling, TorqueEffect, UnnamedTorque
+from lite6jax.effects.dynamic import JointTorque, TorqueEffect, UnnamedTorque
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.motion import motion_of
@@ -265,8 +265,9 @@ def _torque_curve(diagnosis: TorqueDiagnosis, k: int) -> FindingCurve:
     unit = "N" if problem.data.arm.slides[j] else "Nm"
     samples = _Samples(("joint", j, 0), unit, moved[j], columns, residual, used)
     filter_samples = problem.data.filter.kept
-    if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
+    if not effect.shown_over_driver:
         return _curve(diagnosis, k, "displacement", None, moved[j], samples)
+    assert isinstance(effect, JointTorque)
     if effect.nonparametric:
         assert isinstance(effect, UnnamedTorque)
         return _process_curve(diagnosis, k, samples, effect.values_in(dynamics)[:, filter_samples][:, problem.chosen])

@@ -154,6 +154,9 @@ class TorqueEffect(Effect, ABC):
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         """`(joint, sample)` Nm, N of prismatic joints, that add to the rigid arm's, by `values` `(coordinate,)`."""
 
+    shown_over_driver: ClassVar[bool] = False
+    """Whether it is a curve over its drivers, at one joint."""
+
     @property
     def process(self) -> Hashable:
         """The same for all that have these unit torques."""
@@ -176,6 +179,8 @@ class TorqueEffect(Effect, ABC):
 @dataclass(frozen=True)
 class JointTorque(OfJoint, TorqueEffect, ABC):
     """An effect on the torque of one joint, or on the force of a prismatic one."""
+
+    shown_over_driver: ClassVar[bool] = True
 
     @abstractmethod
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
@@ -220,6 +225,8 @@ class Scaling(JointTorque, ABC):
 
     `at_joint` takes the whole torque from `dynamics.torque`.
     """
+
+    shown_over_driver: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)

@@ -154,12 +154,12 @@ class Effect(ABC):
     @property
     def site(self) -> str:
         """`joint2`, `link3`, `links`, `base`, `tool`, `sensor`, `clock` or `payload`."""
-        return f"{self.at}{getattr(self, self.at, '')}"
+        return f"{self.at}{vars(self).get(self.at, '')}"
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The numbers that a fit moves."""
-        free = (number for number in self.numbers if getattr(self, number.name, None) is None)
+        free = (number for number in self.numbers if vars(self).get(number.name) is None)
         if slides(self):
             return tuple(number.at_slide() for number in free)
         return tuple(free)
@@ -167,7 +167,7 @@ class Effect(ABC):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
-        joint = getattr(self, self.at, 0)
+        joint = vars(self).get(self.at, 0)
         drivers = []
         for phrase in self.quantities:
             if phrase[-1].isdecimal():
@@ -216,7 +216,7 @@ class Effect(ABC):
     @property
     def _fixed_value(self) -> float | None:
         """What is in the field `fixed`; None where there is no such field."""
-        return None if self.fixed is None else getattr(self, self.fixed)
+        return None if self.fixed is None else vars(self)[self.fixed]
 
     @property
     def rivals(self) -> "tuple[Effect, ...]":

@@ -81,6 +81,7 @@ import sys
 import traceback
 import types
 from collections.abc import Callable, Sequence
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         raise InputError(
             f"{path}: line {line}: {type(error).__name__}: {_one_line(error)}; correct the file"
         ) from error
-    effects = getattr(module, "EFFECTS", None)
+    effects = vars(module).get("EFFECTS")
     if not isinstance(effects, list | tuple) or not effects:
         raise InputError(f"{path}: has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]")
     for index, effect in enumerate(effects):
@@ -168,7 +169,9 @@ def _fault(effect: Any) -> str | None:
         return f"{kind.__name__} is not frozen; write @dataclass(frozen=True) above the class"
     if not isinstance(getattr(kind, "name", None), str):
         return f'{kind.__name__} has no name; write name: ClassVar[str] = "…" in the class'
-    if kind.name in (TORQUE_EFFECTS if isinstance(effect, TorqueEffect) else POSE_EFFECTS):
+    _, of_torques = by_domain([effect])
+    built_in = TORQUE_EFFECTS if of_torques else POSE_EFFECTS
+    if kind.name in built_in:
         return f"{kind.__name__} has the name of a built-in effect, {kind.name}; choose another"
     try:
         _check(effect)
@@ -219,30 +222,46 @@ def _check(effect: Bending | Altering | TorqueEffect) -> None:
             )
 
 
-def _evaluation(
-    effect: Bending | Altering | TorqueEffect, motion: Motion
-) -> tuple[Callable[[np.ndarray], dict[str, Any]], dict[str, Any]]:
+_Evaluation = tuple[Callable[[np.ndarray], dict[str, Any]], dict[str, Any]]
+"""What depends on the values, by name, and what it is without an effect."""
+
+
+@singledispatch
+def _evaluation(effect: Any, motion: Motion) -> _Evaluation:
     """What an effect makes of a motion, by name, as a function of its values; and what it is without the effect."""
+    raise NotImplementedError
+
+
+@_evaluation.register
+def _exerted(effect: TorqueEffect, motion: Motion) -> _Evaluation:
+    dof = motion.dof
+    moved = jax.tree.map(np.asarray, motion)
+    q = moved.joint_position
+    row = moved.time
+    dynamics = Dynamics(
+        motion=moved._replace(joint_acceleration=q),
+        torque=q,
+        links=np.ones((dof, 10)),
+        payload_center=np.zeros(3),
+        of_inertia=lambda numbers: np.asarray(numbers).sum(1, keepdims=True) * row,
+        of_gravity=lambda gravity: np.sum(gravity) * q,
+        gravity=np.array([0.0, 0.0, -9.81]),
+    )
+    return lambda values: {"torques": effect.torque(values, dynamics)}, {"torques": np.zeros((dof, motion.samples))}
+
+
+@_evaluation.register
+def _deflected(effect: Bending, motion: Motion) -> _Evaluation:
     dof = motion.dof
     samples = motion.samples
-    if isinstance(effect, TorqueEffect):
-        moved = jax.tree.map(np.asarray, motion)
-        q = moved.joint_position
-        row = moved.time
-        dynamics = Dynamics(
-            motion=moved._replace(joint_acceleration=q),
-            torque=q,
-            links=np.ones((dof, 10)),
-            payload_center=np.zeros(3),
-            of_inertia=lambda numbers: np.asarray(numbers).sum(1, keepdims=True) * row,
-            of_gravity=lambda gravity: np.sum(gravity) * q,
-            gravity=np.array([0.0, 0.0, -9.81]),
-        )
-        return lambda values: {"torques": effect.torque(values, dynamics)}, {"torques": np.zeros((dof, samples))}
-    if isinstance(effect, Bending):
-        loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
-        bend = lambda values: dense(effect.deflect(jnp.asarray(values), motion, loads), dof, samples)._asdict()  # noqa: E731
-        return bend, dense(Deflection(), dof, samples)._asdict()
+    loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
+    bend = lambda values: dense(effect.deflect(jnp.asarray(values), motion, loads), dof, samples)._asdict()  # noqa: E731
+    return bend, dense(Deflection(), dof, samples)._asdict()
+
+
+@_evaluation.register
+def _altered(effect: Altering, motion: Motion) -> _Evaluation:
+    dof = motion.dof
     inertia = inertia_of(np.ones(dof), np.ones((dof, 3)))
 
     def alter(values: np.ndarray) -> dict[str, Any]:

@@ -212,7 +212,7 @@ def _read_images(cv2: ModuleType, images: Sequence[Path]) -> list[NDArray[np.uin
 
 def _detector(cv2: ModuleType, board: Board, legacy: bool) -> Any:
     """OpenCV's detector of a ChArUco board, of its present pattern or of that before 4.6."""
-    number = getattr(cv2.aruco, f"DICT_{board.dictionary}", None)
+    number = vars(cv2.aruco).get(f"DICT_{board.dictionary}")
     if number is None:
         listed = sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.endswith("_50"))
         raise InputError(f"--board: OpenCV has no dictionary {board.dictionary}; take one such as {', '.join(listed)}")

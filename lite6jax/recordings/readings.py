@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
+from lite6jax.fields import field_values
 from lite6jax.recordings.columns.column import READINGS, spelled
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
@@ -46,7 +47,7 @@ class Readings:
 
     def declared_noise(self, settings: RecordingSettings) -> float | None:
         """One sigma that a sidecar declares, m, or px of a camera."""
-        return getattr(settings, KINDS[self.kind].noise)
+        return field_values(settings)[KINDS[self.kind].noise]
 
     def select(self, rows: Any) -> "Readings":
         """Those of some samples."""

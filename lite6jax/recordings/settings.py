@@ -13,7 +13,7 @@ from functools import reduce
 from operator import or_
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
 import yaml
@@ -349,8 +349,11 @@ class RecordingSettings:
 
 def _split_hint(hint: Any) -> tuple[Any, str]:
     """The type of a value that is declared, for msgspec, and what it accepts in words."""
-    words = next((annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, str)), "")
-    kind = hint.__origin__ if getattr(hint, "__metadata__", ()) == (words,) else hint
+    annotations = ()
+    if get_origin(hint) is Annotated:
+        annotations = hint.__metadata__
+    words = next((annotation for annotation in annotations if isinstance(annotation, str)), "")
+    kind = hint.__origin__ if annotations == (words,) else hint
     if NoneType in get_args(kind):
         kind = reduce(or_, (member for member in get_args(kind) if member is not NoneType))
     return kind, words

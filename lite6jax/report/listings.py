@@ -39,9 +39,10 @@ def effects_report(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     texts = _TEXTS["effects"]
     domains = {effect.domain for effect in effects}
     for domain, title in texts["domains"].items():
-        if domain in domains:
+        listed = [effect for effect in effects if effect.domain == domain]
+        if listed:
             yield from (title, "")
-            for effect in (listed for listed in effects if listed.domain == domain):
+            for effect in listed:
                 yield effect.name
                 yield from map(indented, sentences.listed_effect(effect))
             yield ""

@@ -199,7 +199,8 @@ class Sensor(ABC):
         return replace(self, **source._of_samples())  # type: ignore[type-var]
 
     def _of_samples(self) -> dict[str, Any]:
-        samples = {name: part for name in self.sampled if (part := getattr(self, name)).shape[-1]}
+        values = vars(self)
+        samples = {name: values[name] for name in self.sampled if values[name].shape[-1]}
         if self.whitener.ndim == 1:
             return samples
         return samples | {"whitener": self.whitener}

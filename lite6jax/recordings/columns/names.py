@@ -427,7 +427,7 @@ def _grouped(
     """Words that differ in their number or component alone, by what they share."""
     groups: dict[tuple[str, ...], dict[Any, _SplitName]] = {}
     for word in words:
-        if (at := getattr(word, index)) is not None:
+        if (at := word._asdict()[index]) is not None:
             groups.setdefault(word.words, {}).setdefault(at, word)
     return groups
 
