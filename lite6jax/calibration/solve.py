@@ -156,7 +156,7 @@ def fit_chunks(
         NumPy arrays, a row an arm.
     """
     arms, samples = weight.shape
-    device: Any = jax.config.jax_default_device
+    device: Any = getattr(jax.config, "jax_default_device", None)
     platform = jax.default_backend()
     if device is not None:
         platform = device if isinstance(device, str) else device.platform
