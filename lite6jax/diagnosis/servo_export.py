@@ -21,8 +21,9 @@ from lite6jax.arms.mjcf import mjcf_tree, read_mjcf, require_mujoco, write_tree
 from lite6jax.arms.trees import format_numbers
 from lite6jax.diagnosis.export import with_bodies
 from lite6jax.domains.torque.predict import motion_of_joint
+from lite6jax.domains.tracking.model import Driven
 from lite6jax.domains.tracking.predict import DiagnosedServos, holds_rigidly
-from lite6jax.effects.dynamic import BaseTilt, Dynamics, JointTorque, TorqueEffect
+from lite6jax.effects.dynamic import BaseTilt, Dynamics, JointTorque, UnnamedInLoop
 from lite6jax.effects.servo import UNLIMITED, Servo
 from lite6jax.errors import InputError, InputWarning
 
@@ -163,9 +164,17 @@ def _left_out(model: DiagnosedServos, form: files.FileForm) -> list[str]:
         tilts = any(isinstance(term, BaseTilt) for term in model.terms.terms)
         phrases += ["the tilt of the base"] if tilts and model.links.any() else []
         phrases += ["that the servos carry the weight of the arm"] if model.compensated else []
-    exported = [effect for effect, _ in model.model.torques if form == "numpy" and _driver_of(effect)]
-    omitted = (effect for effect, _ in model.model.torques if effect not in exported)
-    return phrases + [f"{effect.name.replace('_', ' ')} at {effect.site}" for effect in omitted]
+    exported = [effect for effect, _ in model.model.driven if form == "numpy" and _driver_of(effect)]
+    omitted = (effect for effect, _ in model.model.driven if effect not in exported)
+    return phrases + [f"{_name_of(effect)} at {effect.site}" for effect in omitted]
+
+
+def _name_of(effect: Driven) -> str:
+    """The name of what the motion drives, in words."""
+    name = effect.name.replace("_", " ")
+    if isinstance(effect, UnnamedInLoop) and effect.component:
+        return f"{name} shift of the {effect.component}"
+    return name
 
 
 def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
@@ -389,9 +398,11 @@ def _shown(value: bool | float) -> str:
     return repr(float(f"{value:.12g}")).replace("1000000000.0", "1e9")
 
 
-def _driver_of(effect: TorqueEffect) -> str:
-    """Over what a torque is tabulated, position or velocity of its own joint; empty where it depends on more."""
-    if not isinstance(effect, JointTorque):
+def _driver_of(effect: Driven) -> str:
+    """Over what a torque is tabulated, position or velocity of its own joint; empty of what is not tabulated."""
+    if not isinstance(effect, JointTorque | UnnamedInLoop):
+        return ""
+    if isinstance(effect, UnnamedInLoop) and effect.component:
         return ""
     if set(effect.drivers) == {effect.own_driver("position")}:
         return "position"
@@ -403,11 +414,11 @@ def _driver_of(effect: TorqueEffect) -> str:
 def _tables(model: DiagnosedServos) -> list[tuple[int, str, Array, Array]]:
     """The torques that are tabulated: joint from 0, over what, its values, and Nm."""
     tables = []
-    for effect, values in model.model.torques:
+    for effect, values in model.model.driven:
         driver = _driver_of(effect)
         if not driver:
             continue
-        assert isinstance(effect, JointTorque)
+        assert isinstance(effect, JointTorque | UnnamedInLoop)
         joint = effect.joint - 1
         grid = _grid(model, joint, driver)
         torque = effect.at_joint(values, _motion_along(model, joint, driver, grid))

@@ -37,7 +37,7 @@ from lite6jax.domains.tracking.rows import COARSE, INEXACT
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
 from lite6jax.domains.tracking.undetermined import undetermined
-from lite6jax.effects.dynamic import UnnamedTorque
+from lite6jax.effects.dynamic import UnnamedInLoop
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
@@ -152,9 +152,17 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
         finding = self.findings[k]
         effect = finding.effect
-        assert isinstance(effect, UnnamedTorque)
-        torque = effect.torque(finding.values, self.problem.data.dynamics)
-        return {"peak_to_peak_Nm": Estimate(float(np.ptp(torque, axis=1).max()), 0.0)}
+        assert isinstance(effect, UnnamedInLoop)
+        size = float(np.ptp(effect.at_joint(finding.values, self.problem.data.dynamics)))
+        return {f"peak_to_peak{effect.coefficient.name}": Estimate(size, 0.0)}
+
+    def _finding(self, k: int) -> dict[str, Any]:
+        """As of any domain, and what of the loop a shift is added to, `component`."""
+        entry = super()._finding(k)
+        effect = self.findings[k].effect
+        if isinstance(effect, UnnamedInLoop) and effect.component:
+            entry["component"] = effect.component
+        return entry
 
     def _distinction(self, k: int, effect: Effect) -> str:
         return "undecided"
@@ -355,7 +363,8 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
     """The selection with the likeliest names by their own rollouts, and named alternatives as far behind as theirs are.
 
     The search knows alternatives by their columns, to first order. Rollouts of friction, play and limits are not
-    linear: they may differ where their columns agree, and agree where these differ.
+    linear: they may differ where their columns agree, and agree where these differ. Of a process the alternatives by
+    rollouts are the same function elsewhere in the loop: a torque, a shift of the command or one of the read-out.
     """
     selector = Selector(selection.problem, options.rough)
     state = selection.state
@@ -365,7 +374,10 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
         rivals = list[list[State]]()
         likelier = None
         for k, tested in enumerate(state.tested):
-            rivals.append([] if tested.term.nonparametric else selector.names_instead(weighed, k))
+            if tested.term.nonparametric:
+                rivals.append(selector.elsewhere_in_loop(weighed, k))
+            else:
+                rivals.append(selector.names_instead(weighed, k))
             likeliest = max(rivals[k], key=lambda rival: rival.evidence, default=weighed)
             if exchanges < EXCHANGES and likeliest.evidence > weighed.evidence + BETTER:
                 likelier = likeliest
@@ -380,16 +392,16 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
 
 
 def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[State]) -> SelectedTerm:
-    """A term of a state with the names in its place that are nearly as likely; a process as it is."""
-    if tested.term.nonparametric:
-        return tested
-    # columns of processes say as little: the likeliest stands for all
-    alternatives = [other for other in tested.alternatives if other.term.nonparametric][:1]
+    """A term of a state with those in its place that are nearly as likely by their rollouts."""
+    alternatives = list(tested.alternatives)
+    if not tested.term.nonparametric:
+        # columns of processes say as little: the likeliest stands for all
+        alternatives = [other for other in alternatives if other.term.nonparametric][:1]
     for rival in rivals:
-        (name,) = (selected.term for selected in rival.tested if selected.term not in weighed.fit.terms.terms)
+        (term,) = (selected.term for selected in rival.tested if selected.term not in weighed.fit.terms.terms)
         gap = weighed.evidence - rival.evidence
         if gap < CLOSE:
-            alternatives.append(Alternative(name, max(gap, 0.0)))
+            alternatives.append(Alternative(term, max(gap, 0.0)))
     nearest = sorted(alternatives, key=lambda alternative: alternative.gap)
     return replace(tested, alternatives=tuple(nearest[:LISTED]))
 

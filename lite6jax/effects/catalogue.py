@@ -57,7 +57,7 @@ TRACKING_EFFECTS: Mapping[str, type[Effect]] = types.MappingProxyType({
     for kind in (
         *(servo.CommandTimeOffset, servo.ClockDrift, *servo.OF_JOINTS),
         *(*_IN_BOTH, dynamic.StribeckFriction, dynamic.TorqueRipple, *_OF_BODIES, dynamic.PayloadTorque),
-        *(dynamic.BaseTilt, dynamic.UnnamedTorque),
+        *(dynamic.BaseTilt, dynamic.UnnamedInLoop),
     )
 })  # fmt: skip
 """The classes of effects on how servos follow their commands, by name."""

@@ -200,12 +200,6 @@ class JointTorque(OfJoint, TorqueEffect, ABC):
         total[self.joint - 1] = self.at_joint(np.asarray(values, float), dynamics)
         return total
 
-    @property
-    def follows_own_motion(self) -> bool:
-        """Whether it depends on the motion of its own joint alone."""
-        motions = {self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")}
-        return set(self.drivers) <= motions
-
 
 @dataclass(frozen=True)
 class Friction(JointTorque, ABC):
@@ -859,18 +853,12 @@ class BaseTilt(TorqueEffect):
 # ------------------------------------------------------------------ a process, and what the arm declares
 
 
-@final_effect
-class UnnamedTorque(Process, JointTorque):
-    """τ += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
-
-    Friction that no name describes is a product with the direction of motion, such as "smooth*line" of "speed of
-    joint 2 and direction of motion of joint 2".
+@dataclass(frozen=True)
+class JointProcess(Process, OfJoint, ABC):
+    """A Gaussian process of one driver or of two that adds to a joint along a motion.
 
     Attributes:
-        driver, lower, upper, kernel, further, spread, rolloff: as of `Process`; spread in Nm, or N.
-
-    Raises:
-        InputError: no such driver or kernel, or an empty range.
+        driver, lower, upper, kernel, further, spread, rolloff: as of `Process`.
     """
 
     driver: str
@@ -881,15 +869,11 @@ class UnnamedTorque(Process, JointTorque):
     spread: float | None = None
     rolloff: tuple[float, ...] = ()
 
-    component: ClassVar[str] = ""  # a joint has one torque
-
     @property
     def coefficient(self) -> Coordinate:
+        """Of a torque."""
         coordinate = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
         return coordinate.at_slide() if self.of_slide else coordinate
-
-    def is_friction_of(self, joint: int) -> bool:
-        return self.joint == joint and self.follows_own_motion
 
     def values_in(self, dynamics: Dynamics) -> Array:
         """The values of the drivers, `(driver, sample)`."""
@@ -906,7 +890,63 @@ class UnnamedTorque(Process, JointTorque):
         return self.functions_of(dynamics)[:, None]
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        """`(sample,)`, what adds at its joint."""
         return values @ self.functions_of(dynamics)
+
+
+@final_effect
+class UnnamedTorque(JointProcess, JointTorque):
+    """τ += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
+
+    Friction that no name describes is a product with the direction of motion, such as "smooth*line" of "speed of
+    joint 2 and direction of motion of joint 2".
+
+    Attributes:
+        driver, lower, upper, kernel, further, spread, rolloff: as of `Process`; spread in Nm, or N.
+
+    Raises:
+        InputError: no such driver or kernel, or an empty range.
+    """
+
+    component: ClassVar[str] = ""  # a joint has one torque
+
+    def is_friction_of(self, joint: int) -> bool:
+        return self.joint == joint and self.follows_own_motion
+
+
+LOOP_COMPONENTS = ("", "command", "read-out")
+"""What a nonparametric effect in the loop of a servo adds to: the torque, the command or the read-out."""
+
+
+@final_effect
+class UnnamedInLoop(JointProcess):
+    """x, f_u or f_y += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
+
+    It is a torque x, a shift f_u of the command that the servo is given, or one f_y of what the encoder shows.
+
+    Attributes:
+        driver, lower, upper, kernel, further, spread, rolloff: as of `Process`; spread in Nm, or in rad of a shift.
+        component: empty for a torque, `command` or `read-out`.
+
+    Raises:
+        InputError: no such component, driver or kernel, or an empty range.
+    """
+
+    component: str = ""
+
+    domain: ClassVar[str] = "tracking"
+
+    def __post_init__(self) -> None:
+        if self.component not in LOOP_COMPONENTS:
+            accepted = "command, read-out, or none for a torque"
+            raise InputError(f"{self.label}: component {self.component!r} is not possible; give {accepted}")
+        super().__post_init__()
+
+    @property
+    def coefficient(self) -> Coordinate:
+        if not self.component:
+            return super().coefficient
+        return Coordinate("_rad", "rad", 1e-3, np.inf if self.spread is None else self.spread)
 
 
 FIELDS: dict[type, str] = {

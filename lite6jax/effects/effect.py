@@ -395,6 +395,12 @@ class OfJoint(Effect, ABC):
         """A quantity of this joint, such as `velocity`."""
         return joint_driver(quantity, self.joint, self.of_slide)
 
+    @property
+    def follows_own_motion(self) -> bool:
+        """Whether it depends on the motion of its own joint alone."""
+        motions = {self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")}
+        return set(self.drivers) <= motions
+
 
 @dataclass(frozen=True)
 class JointEffect(OfJoint, Bending, ABC):

@@ -165,7 +165,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
     written_fields = {
         effect.own(name): list(value) if isinstance(value, tuple) else value
         for name, value in where.items()
-        if value not in (None, (), silent.get(name))
+        if value not in (None, (), "", silent.get(name))
     }
     return {
         "effect": effect.name,

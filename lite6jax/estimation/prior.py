@@ -44,6 +44,16 @@ class Prior:
     overtone: float = option(0.5, "a wave has one of twice its order beside it", "parts are eccentric and out of round")
     usual: float = option(0.5, "an effect that nearly every problem has is there", "such as the friction of a drive")
     own_driver: float = option(0.6, "a function depends on a driver of its own site", "most physics acts where it is")
+    command_shift: float = option(
+        0.1,
+        "a function in the loop of a servo shifts its command, against that it is a torque",
+        "friction and cables are in every arm, few commands are changed on their way",
+    )
+    readout_shift: float = option(
+        0.3,
+        "it shifts the read-out of its joint, against that it is a torque",
+        "encoders err less often than joints bind",
+    )
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")
     # read-outs, besides the four kinds
     wandering: float = option(0.25, "a read-out wanders by itself, any of them", "as each kind of physics")

@@ -64,11 +64,22 @@ class Component(NamedTuple):
         site: where.
         name: of the component; empty where a site has but one.
         column: `(row, sample)`, how residuals change with it.
+        alike: others of the site whose columns are multiples of this one, to first order: fits tell them apart.
+        prior: of one that is among these, its entry in the prior; empty where it has none.
+        passed: functions `(…, sample)` as they show at this component where they vary fast; None where that is at once.
     """
 
     site: str
     name: str
     column: Array
+    alike: "tuple[Component, ...]" = ()
+    prior: str = ""
+    passed: "Callable[[Array], Array] | None" = None
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Its site and its name."""
+        return self.site, self.name
 
 
 class DriverValues(NamedTuple):
@@ -304,6 +315,11 @@ def prior_precision(problem: LinearisedProblem, terms: "Sequence[Term]") -> Arra
     lower, upper = np.where(bounded[:, None], limits, 0.0).T
     mean_square = np.where(bounded & (lower * upper <= 0), (lower**2 + lower * upper + upper**2) / 3, np.inf)
     return 1 / np.minimum(spread**2, mean_square)
+
+
+def components_at(problem: Problem, site: str) -> list[Component]:
+    """The components of a site, those alike among them."""
+    return [one for component in problem.components if component.site == site for one in (component, *component.alike)]
 
 
 def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:

@@ -182,9 +182,9 @@ def detail(entry: Entry) -> str:
 
 
 def component(where: Entry) -> str:
-    """Along or about which axis an effect acts that is at no joint."""
+    """Along or about which axis an effect acts that is at no joint; of a joint whether its command or its read-out."""
     at_joint = where.get("where", where.get("site", "joint")).startswith("joint")
-    if at_joint or "component" not in where:
+    if "component" not in where or (at_joint and where["component"] == "rz"):
         return ""
     return f" ({where['component']})"
 

@@ -88,6 +88,8 @@ def finding_statement(finding: Entry) -> str:
 def cause_of(finding: Entry) -> str:
     """The cause of a finding, a clause in small letters."""
     place = place_of(finding["site"])
+    if finding.get("component"):
+        return sentences.shift_of_loop(finding["component"], finding["site"])
     text = _TEXTS["causes"].get(finding["effect"])
     if text is not None:
         return text["cause"].format(place=place)
@@ -179,7 +181,8 @@ def _first_number(finding: Entry, verb: str) -> str:
     """The name of a finding and its first number, to three digits, with a word between them."""
     name = effect_name(finding["effect"])
     if finding["effect"] == "unnamed":
-        name = f"a torque over the {finding['driver']}"
+        added = f"shift of the {finding['component']}" if finding.get("component") else "torque"
+        name = f"a {added} over the {finding['driver']}"
     estimates = finding.get("peak_to_peak", finding["parameters"])
     if not estimates:
         return name

@@ -14,7 +14,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | one that jumps | ln of these, ln of the samples |
 | what repeats with a turn | as a wave of its order, ln of the slopes |
 | a wave whose size follows a quantity | as a wave of its order, −ln p of the quantity |
-| a process | ln of the components, −ln p of each quantity, ln of the kernels |
+| a process | ln of the components, −ln p of each quantity, ln of the kernels; −ln p of a component like the first |
 
 The probabilities p are those of a `Prior`. A site's own quantities have one of them together, all quantities the rest.
 """
@@ -242,6 +242,10 @@ class Scan:
         cost += np.log(_KERNELS_OF[kind])
         return self._costs.setdefault((site, which, kind), float(cost))
 
+    def cost_of_component(self, component: Component) -> float:
+        """Of a component among those that are alike; nothing of the first of them."""
+        return self.prior.cost(component.prior) if component.prior else 0.0
+
     def cost_of_wander_beside(self, site: str, others: Sequence[Term]) -> float | None:
         """Of a read-out that wanders, where one of its kind does; None beside terms of which none is such a one."""
         kind = site.rstrip(digits)
@@ -422,12 +426,27 @@ class Scan:
 class ModelScan:
     """What is tried, beside one model, of what acts on some rows."""
 
-    def __init__(self, scan: Scan, test: ScoreTest, rows: Mask | None = None) -> None:
-        """Beside the model of a test, of sites that act on some `(row,)`; on any where these are not given."""
+    def __init__(
+        self,
+        scan: Scan,
+        test: ScoreTest,
+        rows: Mask | None = None,
+        likely: Component | None = None,
+        through_loop: bool = False,
+    ) -> None:
+        """Beside the model of a test, of sites that act on some `(row,)`; on any where these are not given.
+
+        Of the components that are alike the first is looked at, or the likely one where it is among them. Functions
+        pass the loop of a component or, which is faster, are taken as if they varied slowly.
+        """
+        self._through_loop = through_loop
         self._scan = scan
         self._test = test
         self._marginal = Marginal(test)
         components = scan.problem.components
+        if likely is not None:
+            is_like = [any(other.place == likely.place for other in component.alike) for component in components]
+            components = [likely if alike else first for first, alike in zip(components, is_like, strict=True)]
         self.components = [component for component in components if rows is None or np.any(component.column[rows])]
         self._problem = test.problem
         self._options = scan.options
@@ -1055,6 +1074,9 @@ class ModelScan:
 
         What is computed of each group at a component is kept by what it is, `which`.
         """
+        if self._through_loop and component.passed is not None:
+            functions = component.passed(functions)
+            which = [(what, "passed") for what in which]
         if exact and not self._is_exact(component):
             keys = [(component.site, component.name, what, "exact") for what in which]
             dense = [
@@ -1101,6 +1123,7 @@ class ModelScan:
 
         site = component.site
         cost = self._scan.cost_of_kernel(site, quantity_indices, kernel_of(kernel), rolloff)
+        cost += self._scan.cost_of_component(component)
         cause = tuple(self._scan.phrases[k] for k in quantity_indices)
         process = (component, quantity_indices, kernel, rolloff)
         return Ranked(float(evidence.gain), cost, float(evidence.volume), site, cause, component.name, make, process)

@@ -20,6 +20,7 @@ could not be told apart from these. A term is rejected if independent noise at t
 from collections import Counter
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -29,7 +30,16 @@ from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, CurvedProblem, Mask, Problem, acts_on, contribution, wave_of
+from lite6jax.estimation.problem import (
+    Component,
+    CurvedProblem,
+    Mask,
+    Problem,
+    acts_on,
+    components_at,
+    contribution,
+    wave_of,
+)
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
@@ -59,6 +69,8 @@ _RIVALS = 4
 """Names of a site that are fitted beside the likeliest one, and one of each other site that moves the same rows."""
 _LIKELY = 0.25
 """Share of the log odds of the likeliest name by its columns, from which others may be likelier by their fits."""
+_LIKELY_IN_LOOP = 0.8
+"""The same of processes whose functions pass the loop: these say more than columns of names."""
 _PRODUCTS = 1 << 25
 """Of products of candidates that are kept from one model to the next: 256 MB."""
 
@@ -229,17 +241,63 @@ class Selector:
         if len(worth) > 1 and max(candidate.net for candidate in worth) < _LARGE:
             added = self._added(state, worth)
             if added.evidence > state.evidence + len(worth) * MARGIN:
-                return added
+                return self._in_likeliest_components(added, state)
         for candidate in worth:
             added = self._added(state, [candidate])
             for rival in self._named_rivals(state, candidate):
                 if added.evidence < state.evidence + self._most_gained(rival, candidate, state):
                     added = max(added, self._added(state, [rival]), key=lambda trial: trial.evidence)
             if added.evidence > state.evidence + MARGIN:
-                state = added
+                state = self._in_likeliest_components(added, state)
             else:
                 failures[candidate.site] += _FAILURES if candidate.process else 1
         return state
+
+    def _in_likeliest_components(self, state: State, before: State) -> State:
+        """The state with each process that was not there before in the likeliest place of its loop."""
+        for k, selected in enumerate(state.tested):
+            if selected.term.nonparametric and selected.term not in before.fit.terms.terms:
+                state = max([state, *self.elsewhere_in_loop(state, k)], key=lambda trial: trial.evidence)
+        return state
+
+    def elsewhere_in_loop(self, state: State, k: int) -> list[State]:
+        """States with the k-th term, a process, at any component that is like its own, fitted there.
+
+        What passes a loop is late, and where that is left out a function of two quantities may stand for one of either.
+        So such a process is tried as one of either too. Those are fitted that are likely by their functions as they
+        pass the loop.
+        """
+        selected = state.tested[k]
+        process = selected.term
+        assert is_process(process)
+        component, quantity_indices = self._process_of(process)
+        group = self._alike(component)
+        if len(group) == 1:
+            return []
+        weighed = ModelScan(self.scan, self.beside(state, k), through_loop=True)
+        trials = []
+        for other, quantities in product(group, [quantity_indices, *_either(quantity_indices)]):
+            trial = weighed.alike(other, quantities)
+            if trial is not None and quantities == quantity_indices:  # one that continues another costs less
+                further = self.scan.cost_of_component(other) - self.scan.cost_of_component(component)
+                trial = replace(trial, cost=min(trial.cost, selected.cost + further))
+            if trial is not None:
+                trials.append(trial)
+        least = _LIKELY_IN_LOOP * max((trial.net for trial in trials), default=0.0)
+        states = []
+        for trial in trials:
+            term = trial.make()
+            if trial.net < least or term == process:
+                continue
+            tested = list(state.tested)
+            tested[k] = replace(selected, term=term, gain=trial.gain, cost=trial.cost, volume=trial.volume)
+            states.append(self.weighed(self._refitted(state, tested)))
+        return states
+
+    def _alike(self, component: Component) -> tuple[Component, ...]:
+        """The components of a group that are alike, of which this is one; itself alone where there are no others."""
+        groups = ((first, *first.alike) for first in self.problem.components)
+        return next(group for group in groups if any(one.place == component.place for one in group))
 
     def _named_rivals(self, state: State, candidate: Ranked) -> list[Ranked]:
         """Beside a candidate that is large the likeliest names of its site and of each that moves the same rows."""
@@ -403,15 +461,17 @@ class Selector:
         count = sum(component.site == candidate.site for component in self.problem.components)
         return replace(candidate, cost=min(candidate.cost, float(np.log(count))))
 
-    @staticmethod
-    def _continues(candidate: Ranked, model: Sequence[Term]) -> bool:
+    def _continues(self, candidate: Ranked, model: Sequence[Term]) -> bool:
         """Whether it is a process of the quantities that one has at its site already, at another component."""
         components = {
             term.component
             for term in model
             if is_process(term) and term.site == candidate.site and candidate.cause == _phrases(term)
         }
-        return bool(candidate.process) and bool(components) and candidate.place not in components
+        if not candidate.process:
+            return False
+        alike = {component.name for component in self._alike(candidate.process[0])}
+        return bool(components) and not alike & components
 
     @staticmethod
     def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
@@ -501,11 +561,8 @@ class Selector:
 
     def _process_of(self, term: ProcessTerm) -> tuple[Component, tuple[int, ...]]:
         """The component of a process, and the places of its quantities."""
-        component = next(
-            component
-            for component in self.problem.components
-            if component.site == term.site and component.name == term.component
-        )
+        of_site = components_at(self.problem, term.site)
+        component = next(component for component in of_site if component.name == term.component)
         return component, tuple(self.scan.phrases.index(driver.phrase) for driver in term.drivers)
 
     def weighed(self, state: State) -> State:
@@ -851,8 +908,10 @@ class Selector:
         if key not in self._known:
             rows = self._rows(state.tested[k].term, state)
             test = self.beside(state, k)
+            term = state.tested[k].term
+            likely = self._process_of(term)[0] if is_process(term) else None
             lowest_odds = state.tested[k].net - CLOSE
-            candidates = self._not_refused(ModelScan(self.scan, test, rows).ranked(lowest_odds), test, state)
+            candidates = self._not_refused(ModelScan(self.scan, test, rows, likely).ranked(lowest_odds), test, state)
             continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
             ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
@@ -1009,9 +1068,9 @@ def _gap(state: State, other: State, every: int) -> float:
 def is_known(problem: Problem, term: Term) -> bool:
     """Whether a problem has what a term acts on and depends on."""
     if is_process(term):
-        places = {(component.site, component.name) for component in problem.components}
+        names = {component.name for component in components_at(problem, term.site)}
         phrases = {quantity.driver.phrase for quantity in problem.quantities}
-        return (term.site, term.component) in places and phrases.issuperset(_phrases(term))
+        return term.component in names and phrases.issuperset(_phrases(term))
     if term.periodic:
         return any(family.site == term.site for family in problem.periodic)
     return any(candidate.label == term.label for candidate in problem.candidates)

@@ -198,7 +198,7 @@ def roll_coupled(
         commands: of all joints.
         bodies: the arm.
         loads: to begin with.
-        extra: `(joint, 2, sample)` Nm, as of `roll`.
+        extra: `(joint, channel, sample)`, as of `roll`.
         settled: rad RMS, of each joint or of all, by which further sweeps would change read-outs at most.
     """
     joints = np.arange(bodies.joints)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.tracking.coupling import SETTLED, Bodies, JointLoads, roll_coupled
-from lite6jax.domains.tracking.rollout import Commands, roll
+from lite6jax.domains.tracking.rollout import CHANNELS, COMMAND, FRICTION, READ_OUT, TORQUE, Commands, roll
 from lite6jax.effects.dynamic import (
     BaseTilt,
     CoulombFriction,
@@ -19,6 +19,7 @@ from lite6jax.effects.dynamic import (
     RotorInertia,
     StribeckFriction,
     TorqueEffect,
+    UnnamedInLoop,
     ViscousFriction,
 )
 from lite6jax.effects.effect import Effect, OfJoint
@@ -36,6 +37,12 @@ _FIELDS: dict[type[Effect], tuple[str, ...]] = {
 }
 """Of effects on torques that act within a step, the fields of a servo that their numbers add to."""
 
+Driven = TorqueEffect | UnnamedInLoop
+"""What adds to joints along a motion, by `CHANNELS`."""
+_TORQUES = slice(TORQUE, FRICTION + 1)
+_CHANNELS = {"": _TORQUES, "command": slice(COMMAND, COMMAND + 1), "read-out": slice(READ_OUT, READ_OUT + 1)}
+"""By the component of a nonparametric effect."""
+
 _POSITIVE = (
     *("damping", "integral", "time_constant", "dead_band", "viscous", "coulomb", "stribeck", "load_friction"),
     *("inertia", "backlash", "torque_droop"),
@@ -51,37 +58,43 @@ class TrackingModel:
     Attributes:
         servo: each `(joint,)`.
         bodies: the arm.
-        torques: effects that exert torques along a motion, each with its numbers.
+        driven: what adds to joints along a motion, each with its numbers.
     """
 
     servo: Servo
     bodies: Bodies
-    torques: tuple[tuple[TorqueEffect, Array], ...] = ()
+    driven: tuple[tuple[Driven, Array], ...] = ()
 
-    def exerted(self, dynamics: Dynamics, known: dict[TorqueEffect, Array] | None = None) -> Array | None:
-        """`(joint, 2, sample)` Nm along a motion, torques and Coulomb friction; None where there is nothing.
+    def added(self, dynamics: Dynamics, known: dict[Driven, Array] | None = None) -> Array | None:
+        """`(joint, channel, sample)`, what is added along a motion, by `CHANNELS`; None where there is nothing.
 
         Args:
             dynamics: along the motion.
             known: `units_along` it, to which this one adds.
         """
-        if not self.torques:
+        if not self.driven:
             return None
-        total = np.zeros((len(dynamics.torque), 2, dynamics.torque.shape[1]))
-        for effect, numbers in self.torques:
-            units = units_along(effect, dynamics, known) if effect.nonparametric else None
-            if units is None:
-                total[:, 0] += effect.torque(numbers, dynamics)
+        total = np.zeros((len(dynamics.torque), CHANNELS, dynamics.torque.shape[1]))
+        for effect, numbers in self.driven:
+            if isinstance(effect, UnnamedInLoop):
+                total[acted_on(effect)] += np.tensordot(numbers, units_along(effect, dynamics, known), 1)
             else:
-                total[effect.acts_on] += np.tensordot(numbers, units, 1)
+                total[:, TORQUE] += effect.torque(numbers, dynamics)
         return total
 
 
-def units_along(effect: TorqueEffect, dynamics: Dynamics, known: dict[TorqueEffect, Array] | None = None) -> Array:
-    """Torques and Coulomb friction `(number, joint, 2, sample)` Nm by each number of a linear effect, of its joints.
+def acted_on(effect: Driven) -> tuple[slice, slice]:
+    """The joints and the channels, of all, that an effect adds to."""
+    if isinstance(effect, UnnamedInLoop):
+        return slice(effect.joint - 1, effect.joint), _CHANNELS[effect.component]
+    return effect.acts_on, _TORQUES
 
-    What depends on the direction of motion is friction: half of what differs between the directions resists, and holds
-    a joint at rest, and what they have in common acts.
+
+def units_along(effect: Driven, dynamics: Dynamics, known: dict[Driven, Array] | None = None) -> Array:
+    """What each number of a linear effect adds along a motion, `(number, joint, channel, sample)` where it acts.
+
+    A torque that depends on the direction of motion is friction: half of what differs between the directions resists,
+    and holds a joint at rest, and what they have in common acts.
 
     Args:
         effect: of the catalogue of this domain.
@@ -90,16 +103,21 @@ def units_along(effect: TorqueEffect, dynamics: Dynamics, known: dict[TorqueEffe
     """
     if known is not None and effect in known:
         return known[effect]
-    if effect.nonparametric and any(driver.discrete for driver in effect.drivers):
-        ones = np.ones_like(np.asarray(dynamics.motion.joint_position))
-        forward, back = (
-            effect.unit_torques(dynamics._replace(motion=dynamics.motion._replace(direction=side * ones)))
-            for side in (1, -1)
-        )
-        units = np.stack([0.5 * (forward + back), 0.5 * (forward - back)], 2)
-    else:
+    if not isinstance(effect, UnnamedInLoop):
         torques = effect.unit_torques(dynamics)
         units = np.stack([torques, np.zeros_like(torques)], 2)
+    elif effect.component:
+        units = effect.functions_of(dynamics)[:, None, None]
+    elif any(driver.discrete for driver in effect.drivers):
+        ones = np.ones_like(np.asarray(dynamics.motion.joint_position))
+        forward, back = (
+            effect.functions_of(dynamics._replace(motion=dynamics.motion._replace(direction=side * ones)))
+            for side in (1, -1)
+        )
+        units = np.stack([0.5 * (forward + back), 0.5 * (forward - back)], 1)[:, None]
+    else:
+        functions = effect.functions_of(dynamics)
+        units = np.stack([functions, np.zeros_like(functions)], 1)[:, None]
     if known is not None:
         known[effect] = units
     return units
@@ -130,8 +148,8 @@ def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bo
         return replace(model, bodies=model.bodies.with_link(effect, values))
     if coupled and isinstance(effect, BaseTilt):
         return replace(model, bodies=model.bodies.tilted(values))
-    assert isinstance(effect, TorqueEffect)
-    return replace(model, torques=(*model.torques, (effect, np.asarray(values, float))))
+    assert isinstance(effect, Driven)
+    return replace(model, driven=(*model.driven, (effect, np.asarray(values, float))))
 
 
 def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = True) -> TrackingModel:
@@ -159,7 +177,7 @@ def roll_out(
         model: the arm with its servos.
         commands: of all joints.
         loads: those that are held, or where the coupled arm is iterated from.
-        extra: `(joint, 2, sample)` Nm, as of `roll`.
+        extra: `(joint, channel, sample)`, as of `roll`.
         coupled: whether to iterate.
         settled: rad RMS at which the iteration ends, as of `roll_coupled`.
     """

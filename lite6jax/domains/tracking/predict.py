@@ -28,6 +28,7 @@ from lite6jax.domains.tracking.ranges import (
 )
 from lite6jax.domains.tracking.rollout import (
     LONGEST_STEP,
+    READ_OUT,
     RETURN,
     Commands,
     hold_commands,
@@ -36,7 +37,7 @@ from lite6jax.domains.tracking.rollout import (
 )
 from lite6jax.domains.tracking.rows import declared_servo
 from lite6jax.domains.uncertainty import MARGIN, ReferenceOrigin, Uncertainty
-from lite6jax.effects.dynamic import Dynamics, UnnamedTorque, direction
+from lite6jax.effects.dynamic import Dynamics, UnnamedInLoop, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
@@ -413,7 +414,7 @@ class DiagnosedServos(JointModel):
         return position, beyond.at(rows)
 
     def _rolled_out(self, commands: Commands, given: "_GivenMotion", early: float) -> Array:
-        """Read-outs `(joint, sample)` rad; torques that depend on the motion are those along the rollout before.
+        """Read-outs `(joint, sample)` rad; what the motion adds to joints is that along the rollout before.
 
         The rollout begins some s before the run, at whose first row the two clocks agree.
 
@@ -428,12 +429,14 @@ class DiagnosedServos(JointModel):
         coupled = bool(self.links.any())
         loads = loads_along(model.bodies, commands, given.command.T, still, still)
         readout, loads = roll_out(model, commands, loads, None, coupled)
-        if not model.torques:
+        if not model.driven:
             return readout
         for _ in range(_SWEEPS):
-            extra = model.exerted(self._dynamics_along(readout, given))
+            extra = model.added(self._dynamics_along(readout, given))
+            assert extra is not None
             before = readout
-            readout, loads = roll_out(model, commands, loads, extra, coupled)
+            begun = commands._replace(start=commands.start + extra[:, READ_OUT].T)  # read-outs, as of commands
+            readout, loads = roll_out(model, begun, loads, extra, coupled)
             if not np.sqrt(np.mean((readout - before) ** 2)) > _SETTLED:
                 break
         return readout
@@ -462,7 +465,7 @@ class DiagnosedServos(JointModel):
     def _driver_beyond(self, readout: Array, given: "_GivenMotion") -> Mask:
         """`(sample, joint)`, where a quantity on which a process of the joint depends is beyond what was recorded."""
         beyond = np.zeros(readout.T.shape, bool)
-        processes = [effect for effect, _ in self.model.torques if isinstance(effect, UnnamedTorque)]
+        processes = [effect for effect, _ in self.model.driven if isinstance(effect, UnnamedInLoop)]
         if not processes:
             return beyond
         dynamics = self._dynamics_along(readout, given)

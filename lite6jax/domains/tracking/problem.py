@@ -13,10 +13,18 @@ from numpy.typing import NDArray
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
-from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out, units_along, with_effect
+from lite6jax.domains.tracking.model import (
+    Driven,
+    TrackingModel,
+    acted_on,
+    compose,
+    roll_out,
+    units_along,
+    with_effect,
+)
 from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of
 from lite6jax.domains.tracking.ranges import range_of
-from lite6jax.domains.tracking.rollout import MOST_LANES, roll
+from lite6jax.domains.tracking.rollout import CHANNELS, FRICTION, MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.domains.tracking.undetermined import LOADED, untestable_effects
 from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
@@ -26,9 +34,8 @@ from lite6jax.effects.dynamic import (
     OfLink,
     RotorInertia,
     StribeckFriction,
-    TorqueEffect,
     TorqueRipple,
-    UnnamedTorque,
+    UnnamedInLoop,
     ViscousFriction,
     declared,
     inertial_limits,
@@ -109,7 +116,7 @@ class RolloutCache:
     columns: dict[Any, Array] = field(default_factory=dict)
     rollouts: dict[bytes, Array] = field(default_factory=dict)
     loads: JointLoads | None = None
-    units: dict[TorqueEffect, Array] = field(default_factory=dict)
+    units: dict[Driven, Array] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[type["RolloutCache"], tuple[()]]:
         """Another process computes it anew, which is faster than to send it."""
@@ -117,7 +124,7 @@ class RolloutCache:
 
 
 class _RolloutInputs(NamedTuple):
-    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and `(2, every sample)` Nm as of `roll`."""
+    """What a rollout of one joint, from 0, needs: its servo, each `(1,)`, and `(channel, every sample)` of `roll`."""
 
     joint: int
     servo: Servo
@@ -271,7 +278,7 @@ class TrackingProblem:
     def readouts(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Rolled-out read-outs `(joint, every sample)` rad."""
         model = self.model(nuisance, terms, values)
-        extra = self._exerted(model)
+        extra = self._added(model)
         parts = [*map(np.asarray, model.servo), model.bodies.links, model.bodies.gravity]
         key = b"".join(part.tobytes() for part in parts)
         if extra is not None:
@@ -332,13 +339,11 @@ class TrackingProblem:
         terms, values = others.part(numbers, [term != effect for term in others.terms])
         none = np.zeros(len(self.unknowns))
         model = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, at]))
-        extra = self._exerted(model)
+        extra = self._added(model)
         joints = [effect.joint - 1] if isinstance(effect, OfJoint) else list(range(self.rows))
         units = None
-        acted_on = slice(None)
-        if isinstance(effect, TorqueEffect) and effect.linear and _exerts(effect):
+        if isinstance(effect, Driven) and effect.linear and _is_driven(effect):
             units = units_along(effect, self.data.dynamics, self.known.units)
-            acted_on = effect.acts_on
             if isinstance(effect, OfLink):  # joints beyond a link do not carry it
                 joints = joints[: effect.link]
         before = {joint: self._state(model.servo, extra, joint) for joint in joints}
@@ -350,29 +355,30 @@ class TrackingProblem:
             servo = model.servo
             total = extra
             if units is not None:
-                more = np.zeros((self.rows, 2, self.data.commands.samples))
-                more[acted_on] = over * units[k]
+                assert isinstance(effect, Driven)
+                more = np.zeros((self.rows, CHANNELS, self.data.commands.samples))
+                more[acted_on(effect)] = over * units[k]
                 total = more if extra is None else extra + more
             else:
                 changed = at + over * np.eye(effect.size)[k]
                 altered = self.model(none, Terms((*terms.terms, effect)), np.concatenate([values, changed]))
                 servo = altered.servo
-                if not effect.linear and altered.torques:
-                    total = self._exerted(altered)
+                if not effect.linear and altered.driven:
+                    total = self._added(altered)
             name = effect, k, at.tobytes(), step
             after = {joint: self._state(servo, total, joint) for joint in joints}
             numbers_by_joint.append([_Difference(name, before[joint], after[joint], over) for joint in joints])
         return numbers_by_joint
 
-    def _exerted(self, model: TrackingModel) -> Array | None:
-        """`(joint, 2, every sample)` Nm, as `TrackingModel.exerted` along the motion of the recording."""
+    def _added(self, model: TrackingModel) -> Array | None:
+        """`(joint, channel, every sample)`, as `TrackingModel.added` along the motion of the recording."""
         if len(self.known.units) > _UNITS_KEPT:
             self.known.units.clear()
-        return model.exerted(self.data.dynamics, self.known.units)
+        return model.added(self.data.dynamics, self.known.units)
 
     def state_of(self, model: TrackingModel, joint: int) -> _RolloutInputs:
         """What the rollout of a joint, from 0, needs in a model."""
-        return self._state(model.servo, self._exerted(model), joint)
+        return self._state(model.servo, self._added(model), joint)
 
     def _state(self, servo: Servo, extra: Array | None, joint: int) -> _RolloutInputs:
         return _RolloutInputs(joint, servo.take([joint]), None if extra is None else extra[joint])
@@ -502,9 +508,9 @@ class TrackingProblem:
         for name in ("coulomb", "stribeck", "load_friction"):
             before = np.zeros(self.rows) if described is None else np.asarray(described._asdict()[name])
             acts |= np.asarray(model.servo._asdict()[name]) != before
-        exerted = self._exerted(model)
-        if exerted is not None:
-            acts |= np.any(exerted[:, 1] != 0, axis=1)
+        added = self._added(model)
+        if added is not None:
+            acts |= np.any(added[:, FRICTION] != 0, axis=1)
         return np.flatnonzero(acts)
 
     def rolled(self, states: Sequence[_RolloutInputs]) -> Array:
@@ -515,7 +521,7 @@ class TrackingProblem:
         joints = np.array([state.joint for state in states])
         extra = None
         if any(state.extra is not None for state in states):
-            nothing = np.zeros((2, commands.samples))
+            nothing = np.zeros((CHANNELS, commands.samples))
             extra = np.stack([nothing if state.extra is None else state.extra for state in states])
         parts = []
         most = min(max(int(_AT_ONCE / (commands.samples * commands.steps)), 12), MOST_LANES)
@@ -536,7 +542,7 @@ class TrackingProblem:
         if not self.unknowns:
             return columns
         model = self.model(np.zeros(len(self.unknowns)), terms, values)
-        extra = self._exerted(model)
+        extra = self._added(model)
         wanted = []
         for unknown in self.unknowns:
             before = self._state(model.servo, extra, unknown.joint)
@@ -626,12 +632,21 @@ class TrackingProblem:
 
     @lazy
     def components(self) -> tuple[Component, ...]:
-        """The torque of each joint, as it shows while the joint moves slowly: over the stiffness."""
+        """The torque of each joint, as it shows while the joint moves slowly: over the stiffness.
+
+        Beside it are shifts of its command and of its read-out, which then show alike.
+        """
         torques = []
         for j in range(self.rows):
-            column = np.zeros((self.rows, self.samples))
-            column[j] = -1 / (self.servo.stiffness[j] * self.noise[j])
-            torques.append(Component(f"joint{j + 1}", "", column))
+            site = f"joint{j + 1}"
+            shift = np.zeros((self.rows, self.samples))
+            shift[j] = 1 / self.noise[j]
+            late = None
+            if self.samples == self.data.commands.samples:
+                late = partial(self._through_loop, j + 1)
+            command = Component(site, "command", shift, prior="command_shift", passed=late)
+            readout = Component(site, "read-out", shift, prior="readout_shift")
+            torques.append(Component(site, "", -shift / self.servo.stiffness[j], (command, readout), passed=late))
         return tuple(torques)
 
     @lazy
@@ -670,13 +685,13 @@ class TrackingProblem:
         kernel: str,
         spread: float,
         rolloff: tuple[float, ...] = (),
-    ) -> UnnamedTorque:
-        """A nonparametric torque over the ranges of the recording."""
+    ) -> UnnamedInLoop:
+        """A nonparametric torque, or shift, over the ranges of the recording."""
         joint = int(component.site.removeprefix("joint"))
         phrase = " and ".join(one.driver.phrase for one in quantities)
         (lower, upper), *further = (one.bounds for one in quantities)
         others = tuple(number for pair in further for number in pair)
-        return UnnamedTorque(joint, phrase, lower, upper, kernel, others, spread, rolloff)
+        return UnnamedInLoop(joint, phrase, lower, upper, kernel, others, spread, rolloff, component.name)
 
     def seen(self, functions: Array) -> Array:
         return functions[..., self.chosen]
@@ -705,10 +720,10 @@ def _order_of_ripple(term: Term) -> float | None:
     return term.order
 
 
-def _exerts(effect: Effect) -> bool:
-    """Whether columns of an effect are those of torques along the measured motion, and not of a servo's numbers."""
+def _is_driven(effect: Effect) -> bool:
+    """Whether columns of an effect are of what is added along the measured motion, and not of a servo's numbers."""
     bare = TrackingModel(Servo.ideal(np.ones(effect.joints_needed), np.ones(effect.joints_needed)), NO_BODIES)
-    return bool(with_effect(bare, effect, np.zeros(effect.size), coupled=False).torques)
+    return bool(with_effect(bare, effect, np.zeros(effect.size), coupled=False).driven)
 
 
 def diagnosed_servos(
@@ -876,7 +891,7 @@ def _grip_likelihoods(
 ) -> Array:
     """The log likelihood `(factor,)` of joints, less a constant, where noise of each is of unknown size."""
     nominal = np.asarray(problem.data.servo.grip)
-    extra = problem._exerted(model)
+    extra = problem._added(model)
     states = [
         problem._state(model.servo._replace(grip=factor * nominal), extra, joint)
         for factor in factors

@@ -3,12 +3,13 @@
 Of joint i with command u, true position q and read-out y:
 
     A q̈ + M q̈ + L + b q̇ + (c + s·exp(−(q̇/v)²) + μ|τ|)·sign q̇ + k q + x  =  sat(kp·e + ki∫e + kf·u̇_c) − kd q̇
-    e = dead band(u_c − q),  u_c = rate limit(low pass(u(t(1 + r) − d))),  y = play(q)
+    e = dead band(u_c − q),  u_c = rate limit(low pass(w(t(1 + r) − d))),  w = u + f_u,  y = play(q) + f_y
 
-M is the joint's own inertia, and L what the rest of the arm and gravity exert, along a motion that is given: joints are
-decoupled. A lane is one joint with one set of numbers. Where the joints of one arm are rolled out together, L changes
-with their accelerations, by the mass matrix beside its diagonal, in every step (`Coupling`); what velocities and
-positions change of it `lite6jax.domains.tracking.coupling` iterates.
+x is a torque, f_u a shift of the command and f_y one of the read-out, along a motion that is given. M is the joint's
+own inertia, and L what the rest of the arm and gravity exert, likewise along a given motion: joints are decoupled. A
+lane is one joint with one set of numbers. Where the joints of one arm are rolled out together, L changes with their
+accelerations, by the mass matrix beside its diagonal, in every step (`Coupling`); what velocities and positions change
+of it `lite6jax.domains.tracking.coupling` iterates.
 
 A step is leapfrog, with damping half implicit and the command averaged over the step. The force of the stiffness is the
 mean of its values at the step and at both neighbours (N. M. Newmark, Journal of the Engineering Mechanics Division 85,
@@ -59,6 +60,16 @@ _EQUAL_LOADS = 1e-8
 """Nm, and share of a load, by which loads differ at most after the last one."""
 _INVERTED = 3
 """Iterations from a first read-out to where the joint is: each leaves at most a tenth of the error before it."""
+CHANNELS = 4
+"""What is added to a joint along a given motion:"""
+TORQUE = 0
+"""Nm, x."""
+FRICTION = 1
+"""Nm, what c is more."""
+COMMAND = 2
+"""rad, f_u."""
+READ_OUT = 3
+"""rad, f_y."""
 _LANES = (6, 24, 48, 144)
 """Numbers of lanes that are compiled for, beside multiples of 48; others are filled up."""
 MOST_LANES = _LANES[-1]
@@ -77,6 +88,7 @@ class Commands(NamedTuple):
         velocity: `(sample, joint)` rad/s, likewise.
         period: s between samples.
         steps: of integration in this time.
+        interpolated: whether commands go on a line to the next; else each holds until the next.
     """
 
     integral: Array
@@ -86,6 +98,7 @@ class Commands(NamedTuple):
     velocity: Array
     period: float
     steps: int
+    interpolated: bool = False
 
     @property
     def end(self) -> NDArray[np.integer]:
@@ -140,15 +153,21 @@ def hold_commands(
     reset = np.r_[True, np.diff(run) != 0]
     first = np.maximum.accumulate(np.where(reset, np.arange(len(run)), 0))
     steps = max(int(np.ceil(period / longest - 1e-9)), 1)
-    following = np.vstack([command[1:], command[-1:]])
-    last = np.r_[reset[1:], True]
-    rise = np.where(last[:, None] | (not interpolated), 0.0, following - command)
-    middle = (np.arange(steps) + 0.5) / steps
-    held = command[:, None] + rise[:, None] * middle[:, None]
-    areas = held.reshape(-1, command.shape[1]) * (period / steps)
-    integral = np.vstack([np.zeros(command.shape[1]), np.cumsum(areas, 0)]).T
+    integral = _integrate(command.T, reset, period, steps, interpolated)
     v = np.zeros_like(command) if velocity is None else velocity
-    return Commands(integral, reset, first, np.asarray(start, float), v, period, steps)
+    return Commands(integral, reset, first, np.asarray(start, float), v, period, steps, interpolated)
+
+
+def _integrate(command: Array, reset: NDArray[np.bool_], period: float, steps: int, interpolated: bool) -> Array:
+    """`(lane, sample · steps + 1)` rad·s, the integral of commands `(lane, sample)` rad; as of `Commands`."""
+    following = np.hstack([command[:, 1:], command[:, -1:]])
+    last = np.r_[reset[1:], True]
+    rise = np.where(last | (not interpolated), 0.0, following - command)
+    middle = (np.arange(steps) + 0.5) / steps
+    areas = (command[..., None] + rise[..., None] * middle) * (period / steps)
+    integral = np.zeros((len(command), command.shape[1] * steps + 1))
+    np.cumsum(areas.reshape(len(command), -1), axis=1, out=integral[:, 1:])
+    return integral
 
 
 def read_out(position: Any, servo: Servo) -> Any:
@@ -215,7 +234,8 @@ def roll(
         load: `(column, sample · steps)` Nm, L.
         mass: likewise, kg·m², M.
         columns: `(lane,)`, which load and mass each lane has; those of its joint where not given.
-        extra: `(lane, 2, sample)` Nm, on lines from sample to sample: x, and what c is more; zero where not given.
+        extra: `(lane, channel, sample)`, what is added by `CHANNELS`, torques on lines from sample to sample; nothing
+            where not given.
         weight: `(column, sample)` Nm, what L is at rest where runs begin; that along the motion where not given.
         fine: whether to give positions and their derivatives at every step as well.
         coupling: of lanes that are all joints of one arm; none where not given.
@@ -234,34 +254,45 @@ def roll(
 
     at_rest = by_sample(load)[:, 0] if weight is None else np.ascontiguousarray(np.asarray(weight).T)
     more = np.zeros((samples, 2, 1 if coupling is None else size))
+    integral = commands.integral
+    rows = joints[index]
+    start = commands.start[:, joints[index]]
+    shift = np.zeros((lanes, 1))
     if extra is not None:
-        more = np.ascontiguousarray(np.transpose(np.asarray(extra)[index], (2, 1, 0)))
+        more = np.ascontiguousarray(np.transpose(extra[index, :COMMAND], (2, 1, 0)))
+        shift = extra[:, READ_OUT]
+        start = start - shift[index].T
+        if extra[:, COMMAND].any():
+            among = commands.reset, commands.period, commands.steps, commands.interpolated
+            integral = (integral[joints] + _integrate(extra[:, COMMAND], *among))[index]
+            rows = np.arange(size)
     by_joints = np.zeros((samples, 0, 0)), np.zeros((samples, commands.steps, 0))
     if coupling is not None:
         by_joints = coupling.matrix, by_sample(coupling.acceleration)
     readout, states = _roll(
         filled,
-        commands.integral,
+        integral,
         commands.reset,
         commands.first,
         commands.end,
-        commands.start[:, joints[index]],
+        start,
         commands.velocity[:, joints[index]],
         by_sample(load),
         by_sample(mass),
         at_rest,
         more,
         by_joints,
-        joints[index],
+        rows,
         columns[index],
         commands.period,
         commands.steps,
         fine,
     )
+    shown = np.asarray(readout).T[:lanes] + shift
     if not fine:
-        return Rolled(np.asarray(readout).T[:lanes], *(np.zeros((lanes, 0)),) * 3)
+        return Rolled(shown, *(np.zeros((lanes, 0)),) * 3)
     wide = (np.asarray(state).reshape(-1, size).T[:lanes] for state in states)
-    return Rolled(np.asarray(readout).T[:lanes], *wide)
+    return Rolled(shown, *wide)
 
 
 class _LaneState(NamedTuple):
@@ -419,7 +450,7 @@ def _roll(
     weight: Any,
     extra: Any,
     coupling: Any,
-    joints: Any,
+    rows: Any,
     columns: Any,
     period: Any,
     steps: int,
@@ -435,7 +466,7 @@ def _roll(
     limits = jnp.any(p.rate_limit < UNLIMITED)
     bends = jnp.any(p.stribeck > 0) | jnp.any(p.load_friction > 0)
     flat = integral.ravel()
-    row = joints * integral.shape[1]
+    row = rows * integral.shape[1]
 
     def command_at(s: Any) -> Any:
         """∫u up to time s in steps, and u·h there; before a run its first command holds, and after it the last."""

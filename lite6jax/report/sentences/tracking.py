@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lite6jax.formatting import capital, joined, joints_named, paragraph, plural
+from lite6jax.report.remedies import place_of
 from lite6jax.report.words import fill, read_texts
 
 Document = Mapping[str, Any]
@@ -113,10 +114,18 @@ def withdrawn_effects(names: Sequence[str]) -> str:
     return f"Significant, but not kept, because held-out rollouts err more with {them}: {', '.join(names)}."
 
 
+def shift_of_loop(component: str, site: str) -> str:
+    """Says that the command or the read-out of a joint is off; a clause in small letters."""
+    return f"the {component} of {place_of(site)} is off"
+
+
 def finding_sentence(finding: Entry, title: str, numbers: str, moves: str) -> str:
     """Says which effect was found, with its numbers and what it moves."""
     subject = title
-    if finding["effect"] == "unnamed":
+    component = finding.get("component")
+    if component:
+        subject = f"{capital(shift_of_loop(component, finding['site']))} as a function of the {finding['driver']}"
+    elif finding["effect"] == "unnamed":
         subject = (
             f"No effect of the catalogue explains a torque at {finding['site']} that depends on the {finding['driver']}"
         )

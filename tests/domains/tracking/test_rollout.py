@@ -7,7 +7,7 @@ from scipy.signal import step as step_response
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along, roll_coupled
-from lite6jax.domains.tracking.rollout import hold_commands, roll
+from lite6jax.domains.tracking.rollout import CHANNELS, FRICTION, TORQUE, hold_commands, roll
 from lite6jax.effects.servo import RIGID_GRIP, Servo
 
 PERIOD = 0.01
@@ -176,7 +176,9 @@ def test_friction_that_is_given_along_the_motion_is_that_of_the_servo():
     u = commands_of(1)
     held = hold_commands(u, np.zeros(len(u), int), PERIOD, u)
     nothing = np.zeros((1, held.samples * held.steps))
-    extra = np.stack([np.full(len(u), 0.3), np.full(len(u), 0.8)])[None]
+    extra = np.zeros((1, CHANNELS, len(u)))
+    extra[0, TORQUE] = 0.3
+    extra[0, FRICTION] = 0.8
     joint = np.array([0])
     along = roll(plain(1, coulomb=0.2), held, joint, nothing, nothing + 0.2, extra=extra).readout
     same = roll(plain(1, coulomb=1.0), held, joint, nothing + 0.3, nothing + 0.2).readout

@@ -226,8 +226,8 @@ def test_friction_over_the_position_holds_a_joint_at_rest():
     assert before.scale[0] > 50 * after.scale[0]
     along = units_along(process, problem.data.dynamics)
     at = problem.data.dynamics.motion._replace(direction=np.ones((1, len(u))))
-    forward = process.torque(after.values, problem.data.dynamics._replace(motion=at))
-    assert np.tensordot(after.values, along, 1).sum(1) == pytest.approx(forward, abs=1e-9)
+    forward = process.at_joint(after.values, problem.data.dynamics._replace(motion=at))
+    assert np.tensordot(after.values, along, 1).sum(1)[0] == pytest.approx(forward, abs=1e-9)
 
 
 @pytest.mark.parametrize(("sigma", "servo", "coupled"), [(1e-3, SERVO, True), (1e-3, "unknown", False)])
