@@ -392,11 +392,15 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
 
 
 def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[State]) -> SelectedTerm:
-    """A term of a state with those in its place that are nearly as likely by their rollouts."""
-    alternatives = list(tested.alternatives)
+    """A term of a state with those in its place that are nearly as likely by their rollouts.
+
+    Those by columns have the places on its list that are left.
+    """
+    by_columns = tested.alternatives[: max(LISTED - len(rivals), 0)]
     if not tested.term.nonparametric:
-        # columns of processes say as little: the likeliest stands for all
-        alternatives = [other for other in alternatives if other.term.nonparametric][:1]
+        # columns of processes say little: the likeliest stands for all
+        by_columns = tuple(other for other in tested.alternatives if other.term.nonparametric)[:1]
+    alternatives = list(by_columns)
     for rival in rivals:
         (term,) = (selected.term for selected in rival.tested if selected.term not in weighed.fit.terms.terms)
         gap = weighed.evidence - rival.evidence

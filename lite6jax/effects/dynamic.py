@@ -920,9 +920,7 @@ LOOP_COMPONENTS = ("", "command", "read-out")
 
 @final_effect
 class UnnamedInLoop(JointProcess):
-    """x, f_u or f_y += Σ coefficient · φ(drivers): a Gaussian process of one driver or of two.
-
-    It is a torque x, a shift f_u of the command that the servo is given, or one f_y of what the encoder shows.
+    """Σ coefficient · φ(drivers) is a torque or a shift of command or read-out: a process of one driver or of two.
 
     Attributes:
         driver, lower, upper, kernel, further, spread, rolloff: as of `Process`; spread in Nm, or in rad of a shift.

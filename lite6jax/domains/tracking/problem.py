@@ -623,6 +623,15 @@ class TrackingProblem:
             answers[..., first:last], _ = scipy.signal.lfilter(numerator, denominator, part, zi=state)
         return answers
 
+    def _through_delay_and_loop(self, joint: int, commands: Array) -> Array:
+        """How a joint, from 1, answers commands `(…, every sample)`, as of `_through_loop`."""
+        first = self.data.commands.first
+        late = np.arange(commands.shape[-1]) - float(self.servo.delay[joint - 1]) / self.data.commands.period
+        before = np.clip(np.floor(late).astype(int), first, self.data.commands.end - 1)
+        after = np.minimum(before + 1, self.data.commands.end - 1)
+        share = np.clip(late - before, 0.0, 1.0)
+        return self._through_loop(joint, (1 - share) * commands[..., before] + share * commands[..., after])
+
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
         """Stribeck friction at a few of its speeds."""
@@ -641,12 +650,14 @@ class TrackingProblem:
             site = f"joint{j + 1}"
             shift = np.zeros((self.rows, self.samples))
             shift[j] = 1 / self.noise[j]
-            late = None
+            of_torque = None
+            of_command = None
             if self.samples == self.data.commands.samples:
-                late = partial(self._through_loop, j + 1)
-            command = Component(site, "command", shift, prior="command_shift", passed=late)
+                of_torque = partial(self._through_loop, j + 1)
+                of_command = partial(self._through_delay_and_loop, j + 1)
+            command = Component(site, "command", shift, prior="command_shift", passed=of_command)
             readout = Component(site, "read-out", shift, prior="readout_shift")
-            torques.append(Component(site, "", -shift / self.servo.stiffness[j], (command, readout), passed=late))
+            torques.append(Component(site, "", -shift / self.servo.stiffness[j], (command, readout), passed=of_torque))
         return tuple(torques)
 
     @lazy

@@ -139,7 +139,7 @@ def test_an_effect_changes_nothing_at_zero_and_has_a_form_for_people(effect):
     base = TrackingModel(Servo.ideal(np.full(2, 100.0), np.full(2, 5.0)), NO_BODIES)
     same = with_effect(base, effect, np.zeros(effect.size), coupled=False)
     assert all(np.array_equal(new, old) for new, old in zip(same.servo, base.servo, strict=True))
-    assert not any(numbers.any() for _, numbers in same.torques)
+    assert not any(numbers.any() for _, numbers in same.driven)
     values = np.linspace(0.2, 0.3, effect.size)
     reported = {name: one.value for name, one in effect.reported(values).items()}
     assert effect.values_of(reported) == pytest.approx(values)
