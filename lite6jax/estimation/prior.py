@@ -47,12 +47,12 @@ class Prior:
     command_shift: float = option(
         0.1,
         "a function in the loop of a servo shifts its command, against that it is a torque",
-        "friction and cables are in every arm, few commands are changed on their way",
+        "friction and cables are everywhere, few commands are changed on their way",
     )
     readout_shift: float = option(
         0.3,
-        "it shifts the read-out of its joint, against that it is a torque",
-        "encoders err less often than joints bind",
+        "it shifts the read-out, against that it is a torque",
+        "read-outs err less often than drives bind",
     )
     whole_order: float = option(2 / 3, "the order of a wave is whole", "most gears have whole orders")
     # read-outs, besides the four kinds
