@@ -886,9 +886,6 @@ class JointProcess(Process, OfJoint, ABC):
         """The functions that coefficients multiply, `(function, sample)`."""
         return np.asarray(self.functions_at(self.values_in(dynamics), dynamics.motion.run))  # type: ignore[arg-type]
 
-    def unit_torques(self, dynamics: Dynamics) -> Array:
-        return self.functions_of(dynamics)[:, None]
-
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         """`(sample,)`, what adds at its joint."""
         return values @ self.functions_of(dynamics)
@@ -912,6 +909,9 @@ class UnnamedTorque(JointProcess, JointTorque):
 
     def is_friction_of(self, joint: int) -> bool:
         return self.joint == joint and self.follows_own_motion
+
+    def unit_torques(self, dynamics: Dynamics) -> Array:
+        return self.functions_of(dynamics)[:, None]
 
 
 LOOP_COMPONENTS = ("", "command", "read-out")

@@ -76,7 +76,7 @@ class ServoedJoints:
         self._model = servos.model
         self._interpolated = servos.interpolated
         servo = self._model.servo
-        for effect, _ in self._model.torques:
+        for effect, _ in self._model.driven:
             raise InputError(f"{effect.label}: {_NOT_EMULATED}")
         if np.any(servo.clock_rate) or np.any(np.asarray(servo.delay) < 0):
             raise InputError(f"clock_drift, or a delay below 0: {_NOT_EMULATED}")
