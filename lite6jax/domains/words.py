@@ -1,4 +1,4 @@
-"""The words of a domain: what it is called, and what the report of poses and of torques says of each alone.
+"""Words that differ between domains: what each is called, and its phrases in the sections that poses and torques share.
 
 Documents are those of a diagnosis file, of JSON; entries are their findings. A domain's words stand in its folder.
 """
@@ -64,15 +64,15 @@ class SectionWords(Words, ABC):
 
     Attributes:
         subject: what of an arm is diagnosed, before its name; empty of the arm itself.
-        noise_of: whose noise errors are compared with.
+        noise_of: with whose noise errors are compared, in the genitive, such as "sensors'".
         noise_key: of the sidecar, which declares that noise.
         consistent: nothing was found; with `{corrected}`, the faults of the data.
         consistent_beside_reference: the same beside the differences from a reference; empty where that says no more.
         more_than_noise: what follows where effects were found and more is left.
         too_short: a recording that does not tell whether something is missing.
-        held_out_rows: of what errors are held out.
+        held_out_rows: noun of the held-out samples, such as "poses".
         separating: what to record so that effects are told apart.
-        accuracy: what errors of a certificate are.
+        accuracy: the sentence of a certificate that says what its errors are.
         predicted: the purpose of predicting the motion that was recorded; empty where it has none.
         simulated: the purpose of the arm as found in another form; empty where it has none.
         compensable: whether other joint positions, or another geometry, make up for findings.

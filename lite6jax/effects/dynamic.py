@@ -920,7 +920,7 @@ LOOP_COMPONENTS = ("", "command", "read-out")
 
 @final_effect
 class UnnamedInLoop(JointProcess):
-    """Σ coefficient · φ(drivers) is a torque or a shift of command or read-out: a process of one driver or of two.
+    """Σ coefficient · φ(drivers), a Gaussian process, adds to torque, command or read-out of a joint.
 
     Attributes:
         driver, lower, upper, kernel, further, spread, rolloff: as of `Process`; spread in Nm, or in rad of a shift.

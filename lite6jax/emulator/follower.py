@@ -1,7 +1,7 @@
 """An emulated arm that follows its commands as servos do, rolled out piece by piece as time goes on.
 
-A piece begins before it is read, at the positions and velocities that joints had then. What else a servo remembers,
-commands under way, filters and integrals, is forgotten by the time at which it is read.
+Pieces overlap. Each begins 2 to 20 s before the part of it that is used, at the positions and velocities that joints
+had there. By the time it is used, the unknown beginnings of delays, filters and integrals have faded.
 """
 
 from collections.abc import Callable

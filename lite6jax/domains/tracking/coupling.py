@@ -2,9 +2,9 @@
 
 Of joint i the rest of the arm exerts L = τ(q, q̇, q̈) − M·q̈ᵢ, with the inverse dynamics τ of rigid bodies and M the
 diagonal of the mass matrix. L is taken along one rollout of all joints and held in the next one, in which it changes
-with the accelerations at every step: L + O·(q̈ − q̈ before), O being the mass matrix less its diagonal. What is left to
-the iteration is how weights, velocities and O change with the motion, which is little: two or three sweeps settle. Its
-fixed point is the coupled arm, whatever O is taken.
+with the accelerations at every step: L + O·(q̈ − q̈ before), O being the mass matrix less its diagonal. The iteration
+then only has to correct how torques of gravity, Coriolis terms and O vary with the motion, which is little: two to four
+rollouts converge. The fixed point is the coupled arm for any choice of O.
 """
 
 from dataclasses import dataclass, replace

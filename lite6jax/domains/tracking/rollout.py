@@ -6,15 +6,16 @@ Of joint i with command u, true position q and read-out y:
     e = dead band(u_c − q),  u_c = rate limit(low pass(w(t(1 + r) − d))),  w = u + f_u,  y = play(q) + f_y
 
 x is a torque, f_u a shift of the command and f_y one of the read-out, along a motion that is given. M is the joint's
-own inertia, and L what the rest of the arm and gravity exert, likewise along a given motion: joints are decoupled. A
-lane is one joint with one set of numbers. Where the joints of one arm are rolled out together, L changes with their
-accelerations, by the mass matrix beside its diagonal, in every step (`Coupling`); what velocities and positions change
-of it `lite6jax.domains.tracking.coupling` iterates.
+own inertia, and L what the rest of the arm and gravity exert, likewise along a given motion. A lane is one joint with
+one set of numbers, and is integrated alone. Where all joints of an arm are rolled out together, each step corrects L
+for their accelerations, with the off-diagonal terms of the mass matrix (`Coupling`). How L depends on positions and
+velocities is left to the iteration in `lite6jax.domains.tracking.coupling`.
 
-A step is leapfrog, with damping half implicit and the command averaged over the step. The force of the stiffness is the
-mean of its values at the step and at both neighbours (N. M. Newmark, Journal of the Engineering Mechanics Division 85,
-1959), which acts as h²·kp / 4 more of inertia, and is stable for joints however light. A rate limit follows a command
-that switches within the step from the instant of the switch on.
+A step is leapfrog, with damping half implicit and the command averaged over the step. The force of the stiffness is
+averaged over the step before, the step and the one after with weights ¼, ½, ¼, which is the method of constant average
+acceleration (N. M. Newmark, Journal of the Engineering Mechanics Division 85, 1959, β = ¼). It adds h²·kp / 4 to the
+inertia and is stable for any inertia. A rate limit follows a command that switches within the step from the instant of
+the switch on.
 
 While a joint sticks, its friction is F = G·(q̈ + B·q̇) as in MuJoCo, with a grip G in kg·m² and B = `RETURN`: it creeps
 under load, by load / (G·B). It slides where F exceeds what friction allows. The force of a step is
