@@ -146,7 +146,7 @@ class CommandExperiment:
         shown = place * (1 + servo.scale[:, None]) + servo.offset[:, None] + wave
         held = hold_commands(command, run, self.period, shown.T, None, model.interpolated, _STEP)
         loads = loads_along(bodies, held, command.T, still, still)
-        readout, _ = roll_out(replace(tracked, torques=()), held, loads, None, coupled=False)
+        readout, _ = roll_out(replace(tracked, driven=()), held, loads, None, coupled=False)
         # a rollout that its servos do not hold tells nothing
         readout = np.clip(np.nan_to_num(readout), -10.0, 10.0)
         recording = Recording.assembled(
