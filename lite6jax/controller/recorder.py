@@ -77,16 +77,18 @@ class TableWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Writes the rows that wait, all or none."""
+        """Writes the rows that wait, a second of them at a time, each all or none: many may have come after a stall."""
         if self.refusal or not self.waiting:
             return
+        rows = {name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]}
         try:
-            self._write({name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]})
+            while self.waiting:
+                self._write({name: values[:ROWS_AT_ONCE] for name, values in rows.items()})
+                rows = {name: values[ROWS_AT_ONCE:] for name, values in rows.items()}
+                self.waiting = len(next(iter(rows.values())))
         except OSError as error:
             self.refusal = error.strerror or str(error)
-            return
-        self._parts = []
-        self.waiting = 0
+        self._parts = [rows] if self.waiting else []
 
     def close(self) -> None:
         """Writes the remaining rows, and completes the file; without rows there is none."""
