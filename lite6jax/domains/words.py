@@ -71,7 +71,7 @@ class SectionWords(Words, ABC):
         more_than_noise: what follows where effects were found and more is left.
         too_short: a recording that does not tell whether something is missing.
         held_out_rows: noun of the held-out samples, such as "poses".
-        separating: what to record so that effects are told apart.
+        separating: what to record so that confounded effects become identifiable.
         accuracy: the sentence of a certificate that says what its errors are.
         predicted: the purpose of predicting the motion that was recorded; empty where it has none.
         simulated: the purpose of the arm as found in another form; empty where it has none.

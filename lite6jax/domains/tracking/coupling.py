@@ -30,7 +30,7 @@ _SLOWEST = 0.95
 SETTLED = 1e-8
 """rad RMS, by which further sweeps would change read-outs."""
 _NEAR = 1e-3
-"""rad RMS, by which they differ at most where further rollouts may begin with the loads of the last one."""
+"""rad RMS, by which two sweeps differ at most where further rollouts may begin with the loads of the last one."""
 _APART = 10.0
 """rad RMS, from which two sweeps are of an arm that its servos do not hold: further ones do not settle."""
 
@@ -160,7 +160,9 @@ def loads_along(bodies: Bodies, commands: Commands, q: Array, dq: Array, ddq: Ar
     matrix = bodies.mass_matrix(q)
     mass = np.diagonal(matrix).T
     load = bodies.torques(q, dq, ddq) - mass * ddq
-    coupling = Coupling(_beside_diagonal(matrix), interpolate(ddq, commands))
+    coupling = None
+    if bodies.links.any():
+        coupling = Coupling(_beside_diagonal(matrix), interpolate(ddq, commands))
     return JointLoads(interpolate(load, commands), interpolate(mass, commands), _weights(bodies, commands), coupling)
 
 
@@ -204,15 +206,14 @@ def roll_coupled(
     joints = np.arange(bodies.joints)
     given = loads
     weight = _weights(bodies, commands)
-    if not bodies.links.any():
-        rolled = roll(servo, commands, joints, loads.load, loads.mass, extra=extra, weight=weight, fine=True)
-        return rolled, loads
 
     def rolled_along(loads: JointLoads) -> Rolled:
         terms = loads.load, loads.mass
         return roll(servo, commands, joints, *terms, None, extra, weight, fine=True, coupling=loads.coupling)
 
     rolled = rolled_along(loads)
+    if not bodies.links.any():
+        return rolled, loads
     matrix = bodies.mass_matrix(rolled.position[:, :: commands.steps])
     mass = interpolate(np.diagonal(matrix).T, commands)
     others = _beside_diagonal(matrix)

@@ -71,8 +71,10 @@ COMMAND = 2
 """rad, f_u."""
 READ_OUT = 3
 """rad, f_y."""
-_LANES = (6, 24, 48, 144)
-"""Numbers of lanes that are compiled for, beside multiples of 48; others are filled up."""
+_FURTHER_LANES = 48
+"""Of which larger numbers of lanes are multiples."""
+_LANES = (6, 24, _FURTHER_LANES, 144)
+"""Numbers of lanes that are compiled for; others are filled up."""
 MOST_LANES = _LANES[-1]
 """From which more at once save no time, and each number of them takes seconds to compile."""
 
@@ -245,7 +247,7 @@ def roll(
     columns = joints if columns is None else columns
     size = lanes
     if coupling is None:
-        size = next((size for size in _LANES if size >= lanes), -(-lanes // _LANES[-2]) * _LANES[-2])
+        size = next((size for size in _LANES if size >= lanes), -(-lanes // _FURTHER_LANES) * _FURTHER_LANES)
     index = np.minimum(np.arange(size), lanes - 1)
     filled = Servo(*(np.asarray(field, float)[index] for field in servo))
     samples = commands.samples
