@@ -13,6 +13,7 @@ R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 5.3; the regress
 Int. J. Robotics Research 5(3), 1986.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -26,6 +27,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.se3 import Turn, joint_turn
 from lite6jax.deferred import Array, ArrayLike, jit, jnp, lax
 from lite6jax.errors import InputError
+from lite6jax.few_shapes import filled_motion
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """A link's inertial parameters: mass, kg; first moments, kg·m; inertia about the origin of its frame, kg·m²."""
@@ -297,6 +299,28 @@ def inverse_dynamics(
     motions = lax.scan(outwards, resting, steps)[1]
     links = (steps, motions, jnp.asarray(parameters, float))
     return lax.scan(inwards, (resting.spin, resting.spin), links, reverse=True)[1]
+
+
+def recorded_torques(
+    kinematics: npt.ArrayLike,
+    parameters: npt.ArrayLike,
+    motion: Sequence[npt.ArrayLike],
+    gravity: npt.ArrayLike,
+    sliding: tuple[int, ...] = (),
+) -> Numbers:
+    """`inverse_dynamics` of a motion, three `(joint, sample)`, in NumPy: compiled for few numbers of samples."""
+    samples = np.shape(motion[0])[-1]
+    torque = inverse_dynamics(kinematics, parameters, *filled_motion(motion), gravity, sliding)
+    return np.asarray(torque)[..., :samples]
+
+
+def recorded_regressor(
+    kinematics: npt.ArrayLike, motion: Sequence[npt.ArrayLike], gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()
+) -> Numbers:
+    """`regressor` of a motion, as of `recorded_torques`."""
+    samples = np.shape(motion[0])[-1]
+    matrix = regressor(kinematics, *filled_motion(motion), gravity, sliding)
+    return np.ascontiguousarray(np.asarray(matrix)[..., :samples])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
-from lite6jax.arms.dynamics import inverse_dynamics, regressor
+from lite6jax.arms.dynamics import recorded_regressor, recorded_torques
 from lite6jax.domains.faults import Hypothesis, SuspectedFault, fault_cost, rounded_to_quarters
 from lite6jax.domains.torque.changes import STEP, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
@@ -164,10 +164,10 @@ class Samples:
         """`(joint, sample)` Nm of the arm as declared, in a motion `(3, joint, sample)`."""
         bodies = self.data.bodies
         sliding = self.data.arm.sliding
-        torque = np.asarray(inverse_dynamics(bodies.kinematics, bodies.links, *moved, gravity, sliding))
+        torque = recorded_torques(bodies.kinematics, bodies.links, moved, gravity, sliding)
         if self.payload.any():
-            per_kg = inverse_dynamics(bodies.kinematics, bodies.at_flange, *moved, gravity, sliding)
-            torque = torque + self.payload * np.asarray(per_kg)
+            per_kg = recorded_torques(bodies.kinematics, bodies.at_flange, moved, gravity, sliding)
+            torque = torque + self.payload * per_kg
         return torque
 
     def _moved(self, hypothesis: Hypothesis) -> tuple[Array, Array]:
@@ -406,8 +406,7 @@ class Samples:
     def _of_bodies(self, moved: Array, gravity: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Torques `(number, joint, sample)` by changes of the bodies of one prior sigma, and which are of the links."""
         bodies = self.data.bodies
-        q, dq, ddq = moved
-        Y = np.asarray(regressor(bodies.kinematics, q, dq, ddq, gravity, bodies.motion.sliding.joints))
+        Y = recorded_regressor(bodies.kinematics, moved, gravity, bodies.motion.sliding.joints)
         directions, deviations = uncertain(bodies.links, 1.0)
         links = np.einsum("nk,jks->njs", (deviations[:, None, None] * directions).reshape(len(directions), -1), Y)
         mass = _PAYLOAD * float(bodies.links[:, 0].sum())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, regressor
+from lite6jax.arms.dynamics import link_parameters, recorded_regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -65,7 +65,7 @@ class RigidBodies:
     @cached_property
     def regressor(self) -> Array:
         """`(joint, 10 joint, sample)`, torques by each inertial number."""
-        return np.asarray(regressor(self.kinematics, *self.moved, self.gravity, self.motion.sliding.joints))
+        return recorded_regressor(self.kinematics, self.moved, self.gravity, self.motion.sliding.joints)
 
     def of_inertia(self, numbers: Array) -> Array:
         """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
@@ -89,7 +89,7 @@ class RigidBodies:
     def of_gravity(self, links: Array, gravity: Array) -> Array:
         """Torques `(joint, sample)` at rest of links `(joint, 10)` with the payload, by a gravity `(3,)` m/s²."""
         q = self.moved[0]
-        at_rest = np.asarray(regressor(self.kinematics, q, 0 * q, 0 * q, gravity, self.motion.sliding.joints))
+        at_rest = recorded_regressor(self.kinematics, (q, 0 * q, 0 * q), gravity, self.motion.sliding.joints)
         return links.ravel() @ at_rest + self.at_flange.ravel() @ at_rest * np.asarray(self.motion.payload)
 
     def dynamics(self, links: Array) -> Dynamics:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
+from lite6jax.arms.dynamics import link_parameters, recorded_torques
 from lite6jax.domains.tracking.rollout import GRIP, Commands, Coupling, Rolled, roll
 from lite6jax.effects.dynamic import OfLink, point_mass
 from lite6jax.effects.servo import RIGID_GRIP, Servo
@@ -98,12 +98,12 @@ class Bodies:
         return self._inverse_dynamics(q, dq, ddq, self.gravity)
 
     def _inverse_dynamics(self, q: Array, dq: Array, ddq: Array, gravity: Array) -> Array:
-        torque = np.asarray(inverse_dynamics(self.kinematics, self.links, q, dq, ddq, gravity))
+        torque = recorded_torques(self.kinematics, self.links, (q, dq, ddq), gravity)
         if self.added is None:
             return torque
         links = np.zeros_like(self.links)
         links[-1] = point_mass(1.0, self.payload_center)
-        unit = np.asarray(inverse_dynamics(self.kinematics, links, q, dq, ddq, gravity))
+        unit = recorded_torques(self.kinematics, links, (q, dq, ddq), gravity)
         return torque + np.repeat(self.added, q.shape[1] // len(self.added)) * unit
 
     def mass_matrix(self, q: Array) -> Array:

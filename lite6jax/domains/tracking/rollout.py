@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.effects.servo import UNLIMITED, Servo
+from lite6jax.few_shapes import filled, filled_size
 
 Array = NDArray[np.floating]
 
@@ -75,6 +76,12 @@ _FURTHER_LANES = 48
 """Of which larger numbers of lanes are multiples."""
 _LANES = (6, 24, _FURTHER_LANES, 144)
 """Numbers of lanes that are compiled for; others are filled up."""
+_JOINTS = 8
+"""Of which the numbers of joints that are compiled for are multiples."""
+_LEAST_SAMPLES = 1024
+"""That are compiled for; fewer are filled up."""
+_BLOCK = 32
+"""Samples whose commands and loads are computed at a time: they stay in a core's cache."""
 MOST_LANES = _LANES[-1]
 """From which more at once save no time, and each number of them takes seconds to compile."""
 
@@ -175,7 +182,8 @@ def _integrate(command: Array, reset: NDArray[np.bool_], period: float, steps: i
 
 def read_out(position: Any, servo: Servo) -> Any:
     """What encoders show `(…, lane)` rad of joints, behind their play, at positions of that shape."""
-    wave = servo.sine * jnp.sin(position) + servo.cosine * jnp.cos(position)
+    xp = jnp if isinstance(position, jax.Array) else np
+    wave = servo.sine * xp.sin(position) + servo.cosine * xp.cos(position)
     return position * (1 + servo.scale) + servo.offset + wave
 
 
@@ -249,53 +257,64 @@ def roll(
     if coupling is None:
         size = next((size for size in _LANES if size >= lanes), -(-lanes // _FURTHER_LANES) * _FURTHER_LANES)
     index = np.minimum(np.arange(size), lanes - 1)
-    filled = Servo(*(np.asarray(field, float)[index] for field in servo))
+    filled_servo = Servo(*(np.asarray(field, float)[index] for field in servo))
     samples = commands.samples
+    held = filled_size(samples, _LEAST_SAMPLES)
+    begins = np.flatnonzero(commands.reset)
+    runs = filled_size(len(begins))
 
-    def by_sample(values: Array) -> Array:
-        return np.ascontiguousarray(np.asarray(values).T.reshape(samples, commands.steps, -1))
+    def by_step(values: Array) -> Array:
+        """`(step, joint)` of values `(joint, step)`."""
+        return filled(values.T, held * commands.steps + 1, _filled_joints(len(values)))
 
-    at_rest = by_sample(load)[:, 0] if weight is None else np.ascontiguousarray(np.asarray(weight).T)
-    more = np.zeros((samples, 2, 1 if coupling is None else size))
+    start = commands.start[begins][:, joints[index]]
+    velocity = commands.velocity[begins][:, joints[index]]
+    weights = np.asarray(load)[:, :: commands.steps].T if weight is None else np.asarray(weight).T
     integral = commands.integral
     rows = joints[index]
-    start = commands.start[:, joints[index]]
+    more = np.zeros((samples, 2, size))
     shift = np.zeros((lanes, 1))
     if extra is not None:
-        more = np.ascontiguousarray(np.transpose(extra[index, :COMMAND], (2, 1, 0)))
+        more = np.transpose(extra[index, :COMMAND], (2, 1, 0))
         shift = extra[:, READ_OUT]
-        start = start - shift[index].T
+        start = start - shift[index][:, begins].T
         if extra[:, COMMAND].any():
             among = commands.reset, commands.period, commands.steps, commands.interpolated
             integral = (integral[joints] + _integrate(extra[:, COMMAND], *among))[index]
             rows = np.arange(size)
-    by_joints = np.zeros((samples, 0, 0)), np.zeros((samples, commands.steps, 0))
+    by_joints = np.zeros((0, 0, 0)), np.zeros((0, 0))
     if coupling is not None:
-        by_joints = coupling.matrix, by_sample(coupling.acceleration)
+        by_joints = filled(coupling.matrix, held), by_step(np.asarray(coupling.acceleration))[:, :size]
     readout, states = _roll(
-        filled,
-        integral,
-        commands.reset,
-        commands.first,
-        commands.end,
-        start,
-        commands.velocity[:, joints[index]],
-        by_sample(load),
-        by_sample(mass),
-        at_rest,
-        more,
+        filled_servo,
+        by_step(integral),
+        filled(begins, runs),
+        filled(np.cumsum(commands.reset) - 1, held),
+        filled(commands.end, held),
+        filled(start, runs),
+        filled(velocity, runs),
+        by_step(np.asarray(load)),
+        by_step(np.asarray(mass)),
+        filled(weights[begins], runs, _filled_joints(weights.shape[1])),
+        filled(more, held),
         by_joints,
         rows,
         columns[index],
         commands.period,
+        samples,
         commands.steps,
         fine,
     )
-    shown = np.asarray(readout).T[:lanes] + shift
+    shown = np.asarray(readout).T[:lanes, :samples] + shift
     if not fine:
         return Rolled(shown, *(np.zeros((lanes, 0)),) * 3)
-    wide = (np.asarray(state).reshape(-1, size).T[:lanes] for state in states)
+    wide = (np.asarray(state)[:samples].reshape(-1, size).T[:lanes] for state in states)
     return Rolled(shown, *wide)
+
+
+def _filled_joints(joints: int) -> int:
+    """The number of joints that is compiled for."""
+    return -(-joints // _JOINTS) * _JOINTS
 
 
 class _LaneState(NamedTuple):
@@ -443,8 +462,8 @@ def _solve(A: Any, b: Any) -> Any:
 def _roll(
     p: Servo,
     integral: Any,
-    reset: Any,
-    first: Any,
+    begins: Any,
+    run: Any,
     end: Any,
     start: Any,
     start_velocity: Any,
@@ -456,10 +475,32 @@ def _roll(
     rows: Any,
     columns: Any,
     period: Any,
+    samples: Any,
     steps: int,
     fine: bool,
 ) -> Any:
-    """As `roll`; the read-out `(sample, lane)`, and three `(sample, step, lane)`."""
+    """The read-out `(sample, lane)`, and three `(sample, step, lane)` of the motion, of the first so many samples.
+
+    Args:
+        p: servos, each `(lane,)`.
+        integral: `(step, row)` rad·s.
+        begins: `(run,)` the sample at which each begins.
+        run: `(sample,)` the run of each.
+        end: `(sample,)` the sample before which its run ends.
+        start: `(run, lane)` rad.
+        start_velocity: `(run, lane)` rad/s.
+        load: `(step, column)` Nm.
+        mass: `(step, column)` kg·m².
+        weight: `(run, column)` Nm.
+        extra: `(sample, channel, lane)` Nm, of the first two of `CHANNELS`.
+        coupling: matrix `(sample, joint, joint)` and acceleration `(step, joint)`, as of `Coupling`; empty without.
+        rows: `(lane,)` of `integral`.
+        columns: `(lane,)` of loads and masses.
+        period: s between samples.
+        samples: how many there are.
+        steps: of integration in this time.
+        fine: whether to give the motion; else it is empty.
+    """
     h = period / steps
     decay = jnp.exp(-h / jnp.maximum(p.time_constant, _LEAST_TIME))
     mean_decay = jnp.maximum(p.time_constant, _LEAST_TIME) / h * (1 - decay)
@@ -468,15 +509,14 @@ def _roll(
     D = p.damping + p.viscous
     limits = jnp.any(p.rate_limit < UNLIMITED)
     bends = jnp.any(p.stribeck > 0) | jnp.any(p.load_friction > 0)
-    flat = integral.ravel()
-    row = rows * integral.shape[1]
+    others_act = coupling[0].size > 0
 
-    def command_at(s: Any) -> Any:
-        """∫u up to time s in steps, and u·h there; before a run its first command holds, and after it the last."""
-        i = jnp.clip(jnp.floor(s).astype(int), begin, finish - 1)
-        below = flat[row + i]
-        more = flat[row + i + 1] - below
-        return below + (s - i) * more, more
+    def command_at(late: Any, begin: Any, finish: Any) -> Any:
+        """∫u at a time in steps, and u·h there; before a run its first command holds, and after it the last."""
+        i = jnp.clip(jnp.floor(late).astype(int), begin, finish - 1)
+        below = integral[i, rows]
+        more = integral[i + 1, rows] - below
+        return below + (late - i) * more, more
 
     def settled_accelerations(accelerated: Any, L: Any, load: Any, m: Any, others: Any, given: Any) -> Any:
         """Accelerations under the loads that joints exert on each other with them, from a guess of these."""
@@ -499,7 +539,7 @@ def _roll(
         return a
 
     def advance(state: Any, inputs: Any) -> Any:
-        u, arriving, following_load, M, (x, rubbing), (others, given) = inputs
+        u, arriving, following_load, M, x, rubbing, given, others = inputs
         coulomb = jnp.maximum(p.coulomb + rubbing, 0.0)
         low = jnp.where(filtered, u + (state.low - u) * decay, arriving)
         mean_low = u + (state.low - u) * mean_decay
@@ -572,65 +612,80 @@ def _roll(
             friction = jax.lax.cond(bends, lambda: bent_friction(L, loaded), lambda: coulomb)
             return (loaded.step(state.v, friction, h, later, sooner, afterwards) - state.v) / h
 
-        if others.size:
+        if others_act:
             a = settled_accelerations(accelerated, state.load + others @ state.strayed, state.load, m, others, given)
         else:
             a = accelerated(state.load)
         v = state.v + h * a
         q = state.q + h * v
         y = jnp.clip(state.y, q - p.backlash, q + p.backlash)
-        shown = (state.q, 0.5 * (v + state.v), a) if fine else ()
-        strayed = a - given if others.size else state.strayed
-        return _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, state.load, strayed), shown
+        strayed = a - given if others_act else state.strayed
+        after = _LaneState(q, v, a, arriving, low, limited, summed, e, y, following_load, state.load, strayed)
+        return after, (state.q, 0.5 * (v + state.v), a) if fine else ()
 
-    def sample(state: Any, inputs: Any) -> Any:
-        u, arriving, first_load, following_load, M, x, following, here, carried, q, v, first_command, by_joints = inputs
-        others, given = by_joints
-        zero = jnp.zeros(row.shape)
-        share = (jnp.arange(steps) / steps)[:, None]
-        between = tuple(
-            of_now + share * (of_next - of_now) + zero for of_now, of_next in zip(x, following, strict=True)
+    def begin_run(by_step: Any, others: Any, begun: Any) -> _LaneState:
+        """A run that begins with this sample, with the velocity half a step before."""
+        q, v, carried, first_command, first_load = begun
+        *_, x, rubbing, _ = (part[0] for part in by_step)
+        error = first_command - q
+        error = error - jnp.clip(error, -p.dead_band, p.dead_band)
+        # an integral part has balanced the load, and drives a joint that rests until friction alone holds it back
+        balance = carried + p.spring * q + p.spring_torque + x - p.stiffness * error
+        most = jnp.maximum(p.coulomb + rubbing, 0.0) + p.stribeck + p.load_friction * jnp.abs(carried)
+        balance = balance + jnp.clip(p.integral * error * _RESTED, -most, most)
+        summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
+        at_rest = first_command, first_command, first_command, summed, error
+        fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load, zero)
+        after, _ = advance(fresh, (*(part[0] for part in by_step), others))
+        return fresh._replace(v=v - 0.5 * h * after.a)
+
+    def roll_sample(state: Any, inputs: Any) -> Any:
+        by_step, others, begins_here, begun = inputs
+        state = jax.lax.cond(begins_here, lambda: begin_run(by_step, others, begun), lambda: state)
+        after, motion = jax.lax.scan(lambda state, here: advance(state, (*here, others)), state, by_step)
+        return after, (state.y, motion)
+
+    zero = jnp.zeros(rows.shape)
+    places = invert_read_out(start, p)
+    matrix, acceleration = coupling
+
+    def roll_block(block: Any, carried: Any) -> Any:
+        """The samples of a block; of the last one those that are too many repeat the last sample."""
+        state, readout, motion = carried
+        sample = jnp.minimum(block * _BLOCK + jnp.arange(_BLOCK), samples - 1)
+        begin = begins[run[sample]] * steps
+        finish = end[sample] * steps
+        step = sample[:, None] * steps + jnp.arange(steps)
+        first, last = begin[:, None, None], finish[:, None, None]
+        middles = sample[:, None, None] * steps + jnp.arange(-1, steps)[:, None] + 0.5
+        areas, held_areas = command_at(first + (middles - first) * (1 + p.clock_rate) - p.delay / h, first, last)
+        u = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
+        following = jnp.minimum(step + 1, finish[:, None] - 1)
+        share = (jnp.arange(steps) / steps)[:, None, None]
+        of_next = extra[jnp.minimum(sample + 1, samples - 1)][:, None]
+        forces = extra[sample][:, None] + share * (of_next - extra[sample][:, None]) + zero
+        loads = load[step][..., columns]
+        others = (
+            (matrix[sample], acceleration[step])
+            if others_act
+            else (jnp.zeros((_BLOCK, 0)), jnp.zeros((_BLOCK, steps, 0)))
         )
+        first_commands = (integral[(begin + 1)[:, None], rows] - integral[begin[:, None], rows]) / h
+        begun = places[run[sample]], start_velocity[run[sample]], weight[run[sample]][:, columns], first_commands
+        by_step = (
+            *(u, held_areas[:, 1:] / h, load[following][..., columns], mass[step][..., columns]),
+            *(forces[:, :, TORQUE], forces[:, :, FRICTION], others[1]),
+        )
+        inputs = by_step, others[0], begin == sample * steps, (*begun, loads[:, 0])
+        state, (shown, moved) = jax.lax.scan(roll_sample, state, inputs)
+        place = block * _BLOCK
+        readout = jax.lax.dynamic_update_slice_in_dim(readout, read_out(shown, p), place, 0)
+        updated = (jax.lax.dynamic_update_slice_in_dim(a, b, place, 0) for a, b in zip(motion, moved, strict=True))
+        return state, readout, tuple(updated)
 
-        def begin_run(_: Any) -> Any:
-            error = first_command - q
-            error = error - jnp.clip(error, -p.dead_band, p.dead_band)
-            # an integral part has balanced the load, and drives a joint that rests until friction alone holds it back
-            balance = carried + p.spring * q + p.spring_torque + between[0][0] - p.stiffness * error
-            coulomb = jnp.maximum(p.coulomb + between[1][0], 0.0)
-            most = coulomb + p.stribeck + p.load_friction * jnp.abs(carried)
-            balance = balance + jnp.clip(p.integral * error * _RESTED, -most, most)
-            summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
-            at_rest = first_command, first_command, first_command, summed, error
-            fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load, zero)
-            forces = tuple(part[0] for part in between)
-            begun, _ = advance(fresh, (u[0], arriving[0], following_load[0], M[0], forces, (others, given[0])))
-            return fresh._replace(v=v - 0.5 * h * begun.a)  # half a step before the run begins
-
-        state = jax.lax.cond(here, begin_run, lambda present: present, state)
-        shown = read_out(state.y, p)
-
-        def advance_here(state: Any, inputs: Any) -> Any:
-            *forces, acceleration = inputs
-            return advance(state, (*forces, (others, acceleration)))
-
-        state, fine_states = jax.lax.scan(advance_here, state, (u, arriving, following_load, M, between, given))
-        return state, (shown, fine_states)
-
-    begin = (first * steps)[:, None, None]
-    finish = (end * steps)[:, None, None]
-    n = jnp.arange(len(reset))[:, None, None] * steps + jnp.arange(-1, steps)[None, :, None] + 0.5
-    initial = (flat[row + begin + 1] - flat[row + begin]) / h
-    areas, held_areas = command_at(begin + (n - begin) * (1 + p.clock_rate) - p.delay / h)
-    arriving = held_areas[:, 1:] / h
-    mean = jnp.diff(areas, axis=1) / h / (1 + p.clock_rate)
-    after = jnp.concatenate([extra[1:], extra[-1:]])
-    of_next = jnp.concatenate([load[1:, :1], load[-1:, -1:]])
-    of_next = jnp.where(jnp.append(reset[1:], True)[:, None, None], load[:, -1:], of_next)
-    loads = jnp.concatenate([load[:, 1:], of_next], 1)[..., columns], mass[..., columns]
-    begun = weight[:, columns], invert_read_out(start, p), start_velocity, initial[:, 0]
-    inputs = (mean, arriving, load[:, 0, columns], *loads, extra, after, reset, *begun, coupling)
-    zero = jnp.zeros(row.shape)
     state = _LaneState(*(zero,) * len(_LaneState._fields))
-    _, (readout, states) = jax.lax.scan(sample, state, inputs)
-    return readout, states
+    shape = (len(run), steps, len(rows))
+    motion = tuple(jnp.zeros(shape) for _ in range(3 if fine else 0))
+    carried = state, jnp.zeros((len(run), len(rows))), motion
+    _, readout, motion = jax.lax.fori_loop(0, -(-samples // _BLOCK), roll_block, carried)
+    return readout, motion
