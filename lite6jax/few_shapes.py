@@ -1,6 +1,6 @@
 """Arrays of few shapes: what is compiled for one recording then serves the next, however many samples it has."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,12 @@ def filled(array: ArrayLike, *sizes: int) -> Array:
     return whole
 
 
-def filled_motion(parts: Sequence[ArrayLike]) -> list[Array]:
-    """Arrays `(joint, sample)`, each filled up to the `filled_size` of their samples."""
-    joints, samples = np.shape(parts[0])
-    return [filled(part, joints, filled_size(samples)) for part in parts]
+def filled_motion(parts: Iterable[ArrayLike]) -> tuple[list[Array], int]:
+    """Position, velocity and acceleration, each `(joint, sample)`, filled up to the `filled_size` of their samples.
+
+    Returns:
+        these, and how many samples there were.
+    """
+    motion = [np.asarray(part) for part in parts]
+    joints, samples = motion[0].shape
+    return [filled(part, joints, filled_size(samples)) for part in motion], samples

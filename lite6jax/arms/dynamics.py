@@ -13,7 +13,7 @@ R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 5.3; the regress
 Int. J. Robotics Research 5(3), 1986.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -304,23 +304,21 @@ def inverse_dynamics(
 def recorded_torques(
     kinematics: npt.ArrayLike,
     parameters: npt.ArrayLike,
-    motion: Sequence[npt.ArrayLike],
+    motion: Iterable[npt.ArrayLike],
     gravity: npt.ArrayLike,
     sliding: tuple[int, ...] = (),
 ) -> Numbers:
     """`inverse_dynamics` of a motion, three `(joint, sample)`, in NumPy: compiled for few numbers of samples."""
-    samples = np.shape(motion[0])[-1]
-    torque = inverse_dynamics(kinematics, parameters, *filled_motion(motion), gravity, sliding)
-    return np.asarray(torque)[..., :samples]
+    filled, samples = filled_motion(motion)
+    return np.asarray(inverse_dynamics(kinematics, parameters, *filled, gravity, sliding))[..., :samples]
 
 
 def recorded_regressor(
-    kinematics: npt.ArrayLike, motion: Sequence[npt.ArrayLike], gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()
+    kinematics: npt.ArrayLike, motion: Iterable[npt.ArrayLike], gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()
 ) -> Numbers:
     """`regressor` of a motion, as of `recorded_torques`."""
-    samples = np.shape(motion[0])[-1]
-    matrix = regressor(kinematics, *filled_motion(motion), gravity, sliding)
-    return np.ascontiguousarray(np.asarray(matrix)[..., :samples])
+    filled, samples = filled_motion(motion)
+    return np.ascontiguousarray(np.asarray(regressor(kinematics, *filled, gravity, sliding))[..., :samples])
 
 
 @dataclass(frozen=True, eq=False)
