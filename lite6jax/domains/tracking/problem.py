@@ -65,6 +65,15 @@ _REACHED = 0.7
 """Of the largest speed or torque: the limit at which a first column is taken."""
 _LIMITS = (0.9, 0.7, 0.45, 0.2)
 """Of the largest speed or torque: limits from which a fit starts."""
+_OFTEN = 0.9
+"""Quantile of the speeds or torques of a joint, and the share of it, that no limit is below."""
+_APART_LIMITS = 1.12
+_MOST_LIMITS = 30
+"""Ratio of the limits that are tried, and how many of them at most. A limit that is a little too low stops a joint."""
+_FINER_STARTS = 6
+"""Finer grids about the best start."""
+_BETWEEN = 5
+"""Starts of each."""
 _SIZES = (0.2, 1.0, 5.0, 25.0)
 """Of the usual size of a number in which rollouts are not linear: from the best of these a fit starts."""
 _PRIOR = 1.5
@@ -315,11 +324,12 @@ class TrackingProblem:
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
         others, numbers = beside or (own, at)
         wanted: list[tuple[int, list[_Difference]]] = []
+        limits = [term for term, part in zip(own.terms, own.slices, strict=True) if not at[part].any()]
+        limits = [term for term in limits if isinstance(term, Limit)]
+        starts = dict(zip(limits, self._likeliest_starts(limits, others, numbers), strict=True)) if limits else {}
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
-            step = None
-            if isinstance(effect, Limit) and not at[part].any():
-                step = float(self.likeliest_start(effect, others, numbers)[0]) or None
+            step = float(starts[effect][0]) or None if effect in starts else None
             wanted += enumerate(self._of_effect(effect, at[part], others, numbers, step), part.start)
         differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
         columns = np.zeros((own.size, self.rows, self.samples))
@@ -439,27 +449,77 @@ class TrackingProblem:
         return [np.r_[size, zero[1:]] for size in sizes if lower <= size <= upper]
 
     def likeliest_start(self, term: Term, model: Terms, values: Array) -> Array:
-        """Zero, or those of `starts` with which joints, along the latest loads, are nearer to their read-outs."""
+        """Zero, or the numbers of `starts`, or between them, with which joints are nearest to their read-outs.
+
+        They are rolled out along the latest loads.
+        """
         assert isinstance(term, Effect)
-        zero = np.zeros(term.size)
-        others, numbers = model.part(values, [present not in term.includes for present in model.terms])
-        starts = [start for start in self.starts(term) if start.any()]
-        trials = [self._of_effect(term, zero, others, numbers, float(start[0]))[0] for start in starts]
-        columns = self._computed([difference for trial in trials for difference in trial])
-        nearest = zero
-        gained = 0.0
+        (start,) = self._likeliest_starts([term], model, values)
+        return start
+
+    def _likeliest_starts(self, effects: Sequence[Effect], model: Terms, values: Array) -> list[Array]:
+        """As `likeliest_start`, of each of some effects beside a model."""
         present = self.residual(np.zeros(len(self.unknowns)), model, values)[:, self.valid]
-        for start, trial in zip(starts, trials, strict=True):
-            moved = present.copy()
-            for difference in trial:
-                joint = difference.before.joint
-                change = difference.over * columns[difference.key][self.chosen][self.valid]
-                moved[joint] += change / self.noise[joint]
-            gain = float(np.sum(present**2) - np.sum(moved**2))
-            if gain > gained:
-                nearest = start
-                gained = gain
-        return nearest
+        shown = self.readouts(np.zeros(len(self.unknowns)), model, values)
+        grids: list[Array] = [self._grid(effect, shown) for effect in effects]
+        likeliest: list[Array] = [np.zeros(effect.size) for effect in effects]
+        gained = np.zeros(len(effects))
+        for _ in range(1 + _FINER_STARTS):
+            for k, gains in enumerate(self._gains(effects, grids, model, values, present)):
+                place = int(np.argmax(gains)) if gains.size else 0
+                if not gains.size or gains[place] <= gained[k]:
+                    grids[k] = grids[k][:0]
+                    continue
+                gained[k] = gains[place]
+                likeliest[k] = np.r_[grids[k][place], np.zeros(effects[k].size - 1)]
+                grids[k] = _between_neighbours(grids[k], place)
+        return likeliest
+
+    def _grid(self, effect: Effect, shown: Array) -> Array:
+        """First numbers, ascending, from which a fit of an effect may start, beside a model that shows such read-outs.
+
+        A limit lies between what the joint was seen to do and what it is asked for.
+        """
+        if not (isinstance(effect, Limit) and isinstance(effect, OfJoint)):
+            return np.unique([start[0] for start in self.starts(effect) if start.any()])
+        j = effect.joint - 1
+        moved = self.data.dynamics.motion
+        velocity = np.asarray(moved.joint_velocity)[j]
+        command = np.asarray(self.data.recording.commanded_position)[:, j]
+        done, asked = velocity, np.diff(command) / self.data.commands.period
+        if not isinstance(effect, RateLimit):
+            steps = self.data.commands.steps
+            loads = self.loads
+            inertia = loads.mass[j, ::steps] + self.servo.inertia[j]
+            drag = self.servo.damping[j] + self.servo.viscous[j]
+            done = loads.load[j, ::steps] + inertia * np.asarray(moved.joint_acceleration)[j] + drag * velocity
+            asked = self.servo.stiffness[j] * (command - shown[j])
+        lowest = _OFTEN * float(np.quantile(np.abs(done), _OFTEN))
+        highest = float(np.max(np.abs(asked), initial=0.0))
+        if not 0 < lowest < highest:
+            return np.zeros(0)
+        count = min(int(np.ceil(np.log(highest / lowest) / np.log(_APART_LIMITS))) + 1, _MOST_LIMITS)
+        return 1 / np.geomspace(highest, lowest, count)
+
+    def _gains(
+        self, effects: Sequence[Effect], grids: Sequence[Array], model: Terms, values: Array, present: Array
+    ) -> list[Array]:
+        """By how much each number of the grid of each effect makes a sum of squares less than that `present`."""
+        trials: list[list[list[_Difference]]] = []
+        for effect, grid in zip(effects, grids, strict=True):
+            others, numbers = model.part(values, [term not in effect.includes for term in model.terms])
+            zero = np.zeros(effect.size)
+            trials.append([self._of_effect(effect, zero, others, numbers, float(number))[0] for number in grid])
+        columns = self._computed([difference for of_effect in trials for trial in of_effect for difference in trial])
+        gains: list[Array] = []
+        for of_effect in trials:
+            gains.append(np.zeros(len(of_effect)))
+            for place, trial in enumerate(of_effect):
+                for difference in trial:
+                    joint = difference.before.joint
+                    change = difference.over * columns[difference.key][self.chosen][self.valid] / self.noise[joint]
+                    gains[-1][place] -= float(np.sum(change * (2 * present[joint] + change)))
+        return gains
 
     def _computed(self, wanted: Sequence[_Difference]) -> dict[Any, Array]:
         """Columns `(every sample,)` rad by their keys."""
@@ -723,6 +783,15 @@ class TrackingProblem:
     def inputs(self, terms: Terms) -> tuple[Term, ...]:
         """None: commands are known."""
         return ()
+
+
+def _between_neighbours(grid: Array, place: int) -> Array:
+    """Numbers between those beside one of an ascending grid, whose signs are its own."""
+    signs = np.sign(grid) == np.sign(grid[place])
+    lower = grid[place - 1] if place > 0 and signs[place - 1] else 0.5 * grid[place]
+    upper = grid[place + 1] if place + 1 < len(grid) and signs[place + 1] else grid[place]
+    first, last = sorted((abs(lower), abs(upper)))
+    return np.unique(np.sign(grid[place]) * np.geomspace(max(first, 1e-12), max(last, 1e-12), _BETWEEN + 2)[1:-1])
 
 
 def _order_of_ripple(term: Term) -> float | None:
