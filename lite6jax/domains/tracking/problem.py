@@ -326,7 +326,9 @@ class TrackingProblem:
         wanted: list[tuple[int, list[_Difference]]] = []
         limits = [term for term, part in zip(own.terms, own.slices, strict=True) if not at[part].any()]
         limits = [term for term in limits if isinstance(term, Limit)]
-        starts = dict(zip(limits, self._likeliest_starts(limits, others, numbers), strict=True)) if limits else {}
+        starts: dict[Effect, Array] = {}
+        if limits:
+            starts = dict(zip(limits, self._likeliest_starts(limits, others, numbers), strict=True))
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
             step = float(starts[effect][0]) or None if effect in starts else None
